@@ -13,7 +13,7 @@ most pairs of them, as no path through a corner is shorter than on an empty grid
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -36,8 +36,10 @@ from plr_jax.pairs.grid_corners import (
 
 _WAYS, _IN_ROWS = 3, 2  # tables for each orientation of a grid, and the index of the table of row sums
 
-Cells = Int[Array, "n 2"]
-"""Row and column of each of some cells of the grid."""
+Cells = Int[Array, "n 2"] | Int[np.ndarray, "n 2"]
+"""Row and column of each of some cells of the grid. Functions of cells answer NumPy arrays in NumPy."""
+Ints = Int[Array, "*n"] | Int[np.ndarray, "*n"]
+Flags = Bool[Array, "n"] | Bool[np.ndarray, "n"]
 
 
 @jax.tree_util.register_dataclass
@@ -88,43 +90,45 @@ def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Illeg
     return IllegalSteps(jnp.asarray(_narrow(flat)), jnp.asarray(bits), free.shape, connectivity)
 
 
-def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:
-    cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(jnp.uint32)
-    return (sight.free[cell >> 5] >> (cell & 31) & 1).astype(bool)
+def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
+    cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(np.uint32)
+    return (looked_up(sight.free, cell >> 5) >> (cell & 31) & 1).astype(bool)
 
 
-def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
+def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     """Return whether cells are free and obstacles block none of the shortest paths of an empty grid between them."""
+    xp: Any = np if isinstance(p, np.ndarray) else jnp
+    sums = xp.asarray(sight.sums)
 
-    def between(row: Int[Array, "n"], column: Int[Array, "n"], last_column: Int[Array, "n"]) -> Int[Array, "n"]:
-        return sight.sums[row + last_column + 1].astype(jnp.int32) - sight.sums[row + column].astype(jnp.int32)
+    def between(row: Ints, column: Ints, last_column: Ints) -> Ints:
+        return sums[row + last_column + 1].astype(np.int32) - sums[row + column].astype(np.int32)
 
     if sight.connectivity == 4:  # the rectangle between the cells must be free
-        (row, column), (last_row, last_column) = jnp.minimum(p, q).T, jnp.maximum(p, q).T
+        (row, column), (last_row, last_column) = xp.minimum(p, q).T, xp.maximum(p, q).T
         stride = sight.shape[1] + 1
         above, below = row * stride, (last_row + 1) * stride
         return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
     # No diagonal step of the parallelogram between the cells may be illegal, or no cell of the line blocked.
     # Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
     way = q - p
-    transposed = jnp.abs(way[:, 0]) > jnp.abs(way[:, 1])
+    transposed = xp.abs(way[:, 0]) > xp.abs(way[:, 1])
     mirrored = way[:, 0] * way[:, 1] < 0
     straight = (way == 0).any(axis=1)
     rows, columns = sight.shape
-    width = jnp.where(transposed, rows, columns)
-    (row, column), (other_row, other_column) = (jnp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
-    column, other_column = (jnp.where(mirrored, width - 1 - end, end) for end in (column, other_column))
-    row, last_row = jnp.minimum(row, other_row), jnp.maximum(row, other_row)
-    column, last_column = jnp.minimum(column, other_column), jnp.maximum(column, other_column)
+    width = xp.where(transposed, rows, columns)
+    (row, column), (other_row, other_column) = (xp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
+    column, other_column = (xp.where(mirrored, width - 1 - end, end) for end in (column, other_column))
+    row, last_row = xp.minimum(row, other_row), xp.maximum(row, other_row)
+    column, last_column = xp.minimum(column, other_column), xp.maximum(column, other_column)
 
     table = (
         (rows + 1)
         * (columns + 1)
-        * (_WAYS * transposed.astype(p.dtype) + jnp.where(straight, _IN_ROWS, mirrored.astype(p.dtype)))
+        * (_WAYS * transposed.astype(p.dtype) + xp.where(straight, _IN_ROWS, mirrored.astype(p.dtype)))
     )
     first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
     aside = last_row - row
-    until_first = jnp.where(straight, 0, between(first, column, last_column - aside))
+    until_first = xp.where(straight, 0, between(first, column, last_column - aside))
     return is_free(sight, p) & (between(last, column + aside, last_column) == until_first)
 
 
@@ -202,6 +206,7 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
 _BLOCKS_AT_ONCE = 2**20
 _SORTED_BITS = 18  # bits of the index of a pair among those sorted together
 _CHUNK = 1024  # pairs per chunk
+_MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
 _MOST_TOLD = 2**7 - 1  # larger numbers of blocks count as this in sorting
 _WORD = 32  # bits of a word
 _ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
@@ -218,6 +223,37 @@ def evaluate_pairs(
     batch = x.shape[:-1]
     (p, p_inside), (q, q_inside) = (_cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     return _in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
+
+
+def evaluate_few(
+    tables: GridTables, x: Num[np.ndarray, "*batch 2"], y: Num[np.ndarray, "*batch 2"]
+) -> Float[np.ndarray, "*batch"] | None:
+    """Return the same as :func:`evaluate_pairs`, bit for bit, in NumPy; None if a compiled function is as fast.
+
+    Between cells that do not see each other, all pairs of their corners are tried.
+    """
+    (p, p_inside), (q, q_inside) = (_cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
+    if len(p) > _MOST_FEW:
+        return None
+    lengths = open_length(tables.connectivity, *np.abs(p - q).T)
+    hidden = np.flatnonzero(p_inside & q_inside & ~sees(tables.sight, p, q))
+    first, counts = zip(*(_blocks_of(tables, cells[hidden]) for cells in (p, q)), strict=True)
+    combinations = counts[0] * counts[1]
+    if combinations.sum() > _MOST_FEW:
+        return None
+    lengths[hidden] = FAR
+    pair, number = ragged_indices(combinations)
+    blocks = number // counts[1][pair], number % counts[1][pair]
+    (corners, legs), (others, other_legs) = (
+        (
+            each := looked_up(tables.blocks, begin[pair] + block).astype(np.int32),
+            _legs(tables, cells[hidden[pair]], each),
+        )
+        for cells, begin, block in zip((p, q), first, blocks, strict=True)
+    )
+    between = tables.distances.between(corners[:, :, None], others[:, None])
+    np.minimum.at(lengths, hidden[pair], (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2)))
+    return _in_steps(tables.connectivity, lengths, p_inside & q_inside).reshape(x.shape[:-1])
 
 
 @jax.jit
@@ -252,11 +288,12 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
     )
 
 
-def _cells_of(shape: tuple[int, int], x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
+def _cells_of(shape: tuple[int, int], x: Any) -> tuple[Cells, Flags]:
     """Return the cell (row, column) of each point, (0, 0) for points off the grid, and whether points are on it."""
-    place = jnp.floor(x)[:, ::-1]
-    inside = ((place >= 0) & (place < jnp.asarray(shape, place.dtype)[None])).all(axis=1)
-    return jnp.where(inside[:, None], place, 0).astype(jnp.int32), inside
+    xp: Any = np if isinstance(x, np.ndarray) else jnp
+    place = xp.floor(x)[:, ::-1]
+    inside = ((place >= 0) & (place < xp.asarray(shape, place.dtype)[None])).all(axis=1)
+    return xp.where(inside[:, None], place, 0).astype(np.int32), inside
 
 
 def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
@@ -393,9 +430,9 @@ def _least_of_those_left(
 _BitsAndLength = tuple[UInt32[Array, "n"], UInt32[Array, "n"], Int32[Array, "n"]]
 
 
-def _legs(tables: GridTables, cells: Cells, corners: Int32[Array, "n k"]) -> Int32[Array, "n k"]:
+def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:
     rows, columns = (looked_up(table, corners) for table in (tables.row, tables.column))
-    return open_length(tables.connectivity, jnp.abs(rows - cells[:, :1]), jnp.abs(columns - cells[:, 1:]))
+    return open_length(tables.connectivity, abs(rows - cells[:, :1]), abs(columns - cells[:, 1:]))
 
 
 def _least_around(
@@ -415,10 +452,10 @@ def _least_around(
     return jnp.where(count > 0, lax.fori_loop(0, count.max(), with_block, far), far)
 
 
-def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
+def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
-        looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(jnp.int32)
+        looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(np.int32)
         for one in (cell, cell + 1)
     )
     return first, end - first
@@ -430,12 +467,13 @@ def _corners_of_block(
     return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
 
 
-def _in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
-    whole, rest = jnp.divmod(length, STRAIGHT[connectivity])
-    part = rest / STRAIGHT[connectivity]
-    whole = whole.astype(part.dtype)
-    steps = jnp.where(rest == 0, whole, (whole + part) * (1 - _ROUNDING))
-    return jnp.where(inside & (length < FAR), steps, jnp.inf)
+def _in_steps(connectivity: int, length: Ints, inside: Flags) -> Any:
+    xp: Any = np if isinstance(length, np.ndarray) else jnp
+    dtype = jax.dtypes.canonicalize_dtype(np.float64)
+    whole, rest = xp.divmod(length, STRAIGHT[connectivity])
+    part = rest.astype(dtype) / STRAIGHT[connectivity]
+    steps = xp.where(rest == 0, whole.astype(dtype), (whole.astype(dtype) + part) * (1 - _ROUNDING))
+    return xp.where(inside & (length < FAR), steps, np.inf)
 
 
 _RIM_CELLS_AT_ONCE = 2**13  # rim cells whose distances are computed together

@@ -47,6 +47,7 @@ def test_answers_and_their_bounds_are_those_of_the_graph_and_symmetric(rooms, pa
     np.testing.assert_array_equal(lower, answers)
     assert (lower <= truth).all() and (truth <= upper).all() and (upper <= lower * (1 + 2e-6)).all()
     np.testing.assert_array_equal(pairs(Y, X), answers)
+    np.testing.assert_array_equal(jax.jit(pairs.__call__)(X, Y), answers)  # few pairs are answered in NumPy
     free = np.resize(np.argwhere(ROOMS)[:, ::-1], X.shape)
     np.testing.assert_array_equal(pairs(free, free + 0.75), 0)
 
