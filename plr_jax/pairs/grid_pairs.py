@@ -37,12 +37,12 @@ from plr_jax.pairs.grid_query import (
     SLACK,
     GridTables,
     corners_from,
-    distances_around,
     evaluate_few,
     evaluate_pairs,
     evaluate_to,
     tables_of,
 )
+from plr_jax.pairs.grid_window import distances_around
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import GRID_MAGIC
 from plr_jax.plr.portable.writers import require_identifier

@@ -279,3 +279,24 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
     beside = np.column_stack([normal, (normal * ends[:, 0]).sum(axis=1)]) / (_CLEAR * float(domain.width.max()))
     return np.concatenate([ends.reshape(-1, 4), beside], axis=1)
+
+
+def is_across_occluder(
+    occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
+) -> Bool[Array, "n"]:
+    """Return whether segments between points cross a segment inside an obstacle, even after rounding.
+
+    Points must be clear of this occluder's line, on opposite sides: rounding may confuse the sides of its ends.
+    """
+    (px, py), (qx, qy) = x.T, y.T
+    dx, dy = qx - px, qy - py
+    moment = dx * py - dy * px
+
+    def meets(hidden, group):
+        for ax, ay, bx, by, nx, ny, offset in group:
+            p, q = nx * px + ny * py - offset, nx * qx + ny * qy - offset
+            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
+            hidden |= (jnp.maximum(p, q) > 1) & (jnp.minimum(p, q) < -1) & (a_is_left != b_is_left)
+        return hidden, None
+
+    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), occluders)[0]

@@ -90,7 +90,8 @@ class PairPLR(FileBacked):
         """Return the distance between points: the length of the shortest path in free space.
 
         It works under ``jax.jit``, ``jax.vmap`` and ``jax.grad`` in both arguments. The gradient points away from the
-        first turn of the path. It is zero where the distance is 0 or ``inf``.
+        first turn of the path. It is zero where the distance is 0 or ``inf``. Few pairs outside of ``jit`` are
+        answered in NumPy, without compiling: answers then differ by rounding from those of compiled functions.
 
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
@@ -127,7 +128,7 @@ class PairPLR(FileBacked):
         if self._are_few(prod(batch)):
             points, to_corners = (np.asarray(each) for each in (goals.points, goals.to_corners))
             rows = (_rows(each, batch) for each in (x, points, to_corners))
-            answer = self._numpy.distances_to(*rows, outside)[0].reshape(batch)
+            answer = self._numpy.distances_to(*rows, outside=outside)[0].reshape(batch)
         else:
             answer = partial(_distances_to, self.tables, goals, outside=outside)
             answer = answered_in_parts(answer, (_FEW, _MANY), x, number)[0]

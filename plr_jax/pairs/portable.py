@@ -18,8 +18,8 @@ Operations follow IEEE 754, round to nearest, are not fused, and use 32-bit floa
     enclose thin walls, and one crossing in either direction blocks a segment. It is ``inf`` unless both points are
     inside these walls: the walls to the right of a point that go up outnumber those that go down by one.
 
-``pairs(x, y)`` finds the same paths up to rounding: it may choose another path of equal length, and compilers may
-fuse its operations.
+``pairs(x, y)`` uses these functions for few pairs of points outside of ``jit``. Compiled functions find the same
+paths up to rounding: they may choose another path of equal length, and compilers may fuse their operations.
 """
 
 from base64 import b64encode

@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size, ragged_indices, size_in_eighths
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.hiding import NearWalls, decided, occluders_of
+from plr_jax.pairs.hiding import NearWalls, decided, is_across_occluder, occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, Scene, crossings, walls_with_sides, winding
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types
@@ -310,32 +310,33 @@ def _ways(
     y: Float[Array, "n 2"],
     goal: UInt32[Array, "n"] | None = None,
 ) -> Ways:
-    leaf_x, leaf_y, size = lookup(tables.partition, x), None, len(tables.distances)
+    leaf_x, size = lookup(tables.partition, x), len(tables.distances)
+    leaf_y = lookup(tables.partition, y) if goal is None else goal
     listed, longest = tables.listed[leaf_x].astype(jnp.uint32), tables.x.shape[1]
     # 1. Bound the path length through each corner of the first point's list.
-    if to_corners is not None and goal is not None:
-        onward = _at(to_corners.ravel(), goal[:, None] * size + listed)
+    if to_corners is not None:
+        onward = _at(to_corners.ravel(), leaf_y[:, None] * size + listed)
     else:
-        leaf_y, last_bits = lookup(tables.partition, y), np.uint32(padded_size(size) - 1)
+        last_bits = np.uint32(padded_size(size) - 1)
         packed = _at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
         last, other = packed & last_bits, jax.lax.bitcast_convert_type(packed & ~last_bits, jnp.float32)
         dx, dy = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, y.T, strict=True))
         by_last = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(dx * dx + dy * dy)
         onward = jnp.minimum(by_last, other)
     at_least = jax.lax.bitcast_convert_type(_legs(tables, leaf_x, x) + onward, jnp.uint32)
-    keys = jax.lax.optimization_barrier(at_least & ~_place_bits(longest) | np.arange(longest, dtype=np.uint32))
+    keys = jax.lax.optimization_barrier(at_least & ~_place_bits(longest) | np.arange(longest, dtype=np.uint32)[None])
     # 2. Finish the pairs that see one another.
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _norm(x - y))
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     behind = jnp.full(x.shape[0], longest, jnp.uint32)
     search = _Search(straight, behind, behind, keys.min(axis=1), words)
     # 3. Search in rounds.
-    pairs = _Pairs(x, y, leaf_x, leaf_y if goal is None else goal, keys)
+    pairs = _Pairs(x, y, leaf_x, leaf_y, keys)
     search = _after_all_rounds(partial(_after_round, tables, to_corners), pairs, search)
     is_straight = (search.via_x == longest)[:, None]
     from_x = jnp.where(is_straight, y, _corner_of(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
     from_y = x
-    if leaf_y is not None:
+    if goal is None:
         from_y = jnp.where(is_straight, x, _corner_of(tables, leaf_y, jnp.minimum(search.via_y, longest - 1)))
     return Ways(search.length, jnp.minimum(search.length, _bound_of(search.key, longest)), from_x, from_y)
 
@@ -455,27 +456,6 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
     if is_symbolic_dim(size) or size <= _TESTED:
         return hidden | _is_across_walls(tables, x, y)
     return decided(hidden, ~hidden, _TESTED, partial(_is_across_walls, tables), (x, y))
-
-
-def is_across_occluder(
-    occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
-) -> Bool[Array, "n"]:
-    """Return whether segments between points cross a segment inside an obstacle, even after rounding.
-
-    Points must be clear of this occluder's line, on opposite sides: rounding may confuse the sides of its ends.
-    """
-    (px, py), (qx, qy) = x.T, y.T
-    dx, dy = qx - px, qy - py
-    moment = dx * py - dy * px
-
-    def meets(hidden, group):
-        for ax, ay, bx, by, nx, ny, offset in group:
-            p, q = nx * px + ny * py - offset, nx * qx + ny * qy - offset
-            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
-            hidden |= (jnp.maximum(p, q) > 1) & (jnp.minimum(p, q) < -1) & (a_is_left != b_is_left)
-        return hidden, None
-
-    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), occluders)[0]
 
 
 def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:

@@ -52,6 +52,11 @@ def test_answers_and_their_bounds_are_those_of_the_graph_and_symmetric(rooms, pa
     np.testing.assert_array_equal(pairs(free, free + 0.75), 0)
 
 
+def test_labels_answer_few_pairs_as_tables_do(rooms, answers, monkeypatch):
+    monkeypatch.setattr(grid_corners, "MOST_IN_TABLE", 0)
+    np.testing.assert_array_equal(construct_grid_pairs(rooms)(X, Y), answers)
+
+
 @pytest.mark.parametrize(("connectivity", "seed"), [(4, 0), (8, 1)])
 def test_all_pairs_of_many_random_grids_are_exact_and_never_above_the_truth(connectivity, seed):
     graph = GridGraph(mosaic(seed, 12, 8), connectivity=connectivity)

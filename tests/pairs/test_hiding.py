@@ -8,8 +8,7 @@ import shapely
 from plr_jax import Box, Workspace, scenes
 from plr_jax._arrays import padded
 from plr_jax.pairs import hiding
-from plr_jax.pairs.hiding import NearWalls, near_entries, occluders_of
-from plr_jax.pairs.query import is_across_occluder
+from plr_jax.pairs.hiding import NearWalls, is_across_occluder, near_entries, occluders_of
 
 
 def random_case(seed, leaves, corners, walls):
