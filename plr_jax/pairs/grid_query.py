@@ -326,7 +326,7 @@ def _sorted_chunks(work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(
-    tables: GridTables, p: Cells, q: Cells, seen: Bool[Array, "n"]
+    tables: GridTables, p: Cells, q: Cells, seen: Flags
 ) -> tuple[Int32[Array, "n"], UInt32[Array, "n"], UInt32[Array, "n"]]:
     """Return path lengths, and bits of the corner blocks of both cells that may give shorter paths.
 
@@ -344,7 +344,7 @@ def _most_likely(
 
 
 def _nearest_to_both(
-    tables: GridTables, cells: Cells, others: Cells, seen: Bool[Array, "n"]
+    tables: GridTables, cells: Cells, others: Cells, seen: Flags
 ) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
     """Return each cell's corner on the shortest path to the other cell on an empty grid, and its distance."""
     first, count = _blocks_of(tables, cells)
@@ -460,9 +460,7 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
     return first, end - first
 
 
-def _corners_of_block(
-    tables: GridTables, first: Int32[Array, "n"], count: Int32[Array, "n"], block: Int[Array, ""]
-) -> Int32[Array, "n 4"]:
+def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: Int[Array, ""]) -> Int32[Array, "n 4"]:
     return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
 
 

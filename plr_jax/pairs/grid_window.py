@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Int32, Num, Shaped
 
 from plr_jax.pairs.grid_corners import FAR, STRAIGHT, open_length
-from plr_jax.pairs.grid_query import GridTables, cells_of, is_free, lengths_between_cells
+from plr_jax.pairs.grid_query import Cells, GridTables, cells_of, is_free, lengths_between_cells
 
 _RIM_CELLS_AT_ONCE = 2**13  # rim cells whose distances are computed together
 _AGENTS = 1024  # agents whose squares are computed together
@@ -59,7 +59,7 @@ def _lengths_of_rim(
     tables: GridTables,
     cells: Int32[Array, "rim n 2"],
     free: Bool[Array, "rim n"],
-    goal: Int32[Array, "n 2"],
+    goal: Cells,
     asked_first: Bool[Array, "rim n"],
 ) -> Rim:
     """Return lengths in units to goals from cells on the rims of squares; at least ``FAR`` without a path.
@@ -102,7 +102,7 @@ def _lengths_of_rim(
 def _asked(
     tables: GridTables,
     cells: Int32[Array, "rim n 2"],
-    goal: Int32[Array, "n 2"],
+    goal: Cells,
     lengths: Rim,
     wanted: Bool[Array, "rim n"],
 ) -> Rim:
