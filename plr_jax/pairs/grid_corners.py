@@ -21,7 +21,7 @@ import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -242,7 +242,10 @@ _MOST_WORK = 2**27  # pairs of neighbors joined during elimination; more take mi
 _ANCESTOR_BYTES = 8
 
 
-def looked_up(table: Shaped[Array, "rows ..."], index: Int[Array, "*n"]) -> Shaped[Array, "..."]:
+def looked_up(table: Any, index: Any) -> Any:
+    """Return entries of a table, in NumPy if the index is a NumPy array."""
+    if isinstance(index, np.ndarray):
+        return np.asarray(table)[index]
     return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
 
 
@@ -262,12 +265,13 @@ class CornerTable:
     between_centers: Int32[Array, "centers centers"]
     differences: Integer[Array, "triangle"]
 
-    def between(self, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
+    def between(self, a: Any, b: Any) -> Any:
         """Return distances between corners in units, at least :data:`FAR` without a path."""
-        high, low = jnp.maximum(a, b), jnp.minimum(a, b)
-        center, other = (looked_up(self.center, corner).astype(jnp.int32) for corner in (a, b))
-        between = looked_up(self.between_centers.ravel(), center * len(self.between_centers) + other)
-        return between + looked_up(self.differences, (high * (high + 1) >> 1) + low).astype(jnp.int32)
+        xp: Any = np if isinstance(a, np.ndarray) else jnp
+        high, low = xp.maximum(a, b), xp.minimum(a, b)
+        center, other = (looked_up(self.center, corner).astype(np.int32) for corner in (a, b))
+        between = looked_up(xp.asarray(self.between_centers).ravel(), center * len(self.between_centers) + other)
+        return between + looked_up(self.differences, (high * (high + 1) >> 1) + low).astype(np.int32)
 
 
 @jax.tree_util.register_dataclass
@@ -282,31 +286,31 @@ class CornerLabels:
     ancestor: Int32[Array, "ancestors"]
     length: Int32[Array, "ancestors"]
 
-    def between(self, a: Int32[Array, "*#n"], b: Int32[Array, "*#n"]) -> Int32[Array, "*#n"]:
+    def between(self, a: Any, b: Any) -> Any:
         """Return distances between corners in units: the smallest sum of their distances to a common ancestor."""
         begins = [looked_up(self.first, corner) for corner in (a, b)]
-        common = jnp.minimum(
-            *(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b))
-        )
+        xp: Any = np if isinstance(a, np.ndarray) else jnp
+        common = xp.minimum(*(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b)))
 
-        def at(table: Int32[Array, "ancestors"], place: Int32[Array, ""]) -> list[Int32[Array, "..."]]:
+        def at(table: Int32[Array, "ancestors"], place: Any) -> list[Any]:
             last = len(table) - 1
-            return [looked_up(table, jnp.minimum(begin + place, last)) for begin in begins]
+            return [looked_up(table, xp.minimum(begin + place, last)) for begin in begins]
 
-        def is_common(place: Int32[Array, ""]) -> Bool[Array, "..."]:
+        def is_common(place: Any) -> Any:
             one, other = at(self.ancestor, place)
             return (place < common) & (one == other)
 
-        def with_place(state: _PlaceAndLeast) -> _PlaceAndLeast:
+        def with_place(state: tuple[Any, Any]) -> tuple[Any, Any]:
             place, least = state
             one, other = at(self.length, place)
-            return place + 1, jnp.where(is_common(place), jnp.minimum(least, one + other), least)
+            return place + 1, xp.where(is_common(place), xp.minimum(least, one + other), least)
 
-        start = jnp.int32(0), jnp.full(common.shape, _NO_PATH, jnp.int32)
+        start = xp.int32(0), xp.full(common.shape, _NO_PATH, np.int32)
+        if xp is np:
+            while is_common(start[0]).any():
+                start = with_place(start)
+            return start[1]
         return lax.while_loop(lambda state: is_common(state[0]).any(), with_place, start)[1]
-
-
-_PlaceAndLeast = tuple[Int32[Array, ""], Int32[Array, "..."]]
 
 
 _Edges = list[dict[int, int]]

@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
+from plr_jax._compiled import is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.grid_corners import DIAGONAL, FAR, STRAIGHT, CornerTable
@@ -36,11 +37,12 @@ from plr_jax.pairs.grid_query import (
     SLACK,
     GridTables,
     corners_from,
-    distances_around,
+    evaluate_few,
     evaluate_pairs,
     evaluate_to,
     tables_of,
 )
+from plr_jax.pairs.grid_window import distances_around
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import GRID_MAGIC
 from plr_jax.plr.portable.writers import require_identifier
@@ -153,13 +155,17 @@ class GridPairs:
         Lengths are in steps. Points ``x`` and ``y``, ``(..., 2)``, broadcast, else ``ValueError``. The cell in row
         ``r`` and column ``c`` has the points with ``c <= x < c + 1`` and ``r <= y < r + 1``. Answers, ``(...)``, are
         symmetric bit for bit, and 0 within a cell. They are ``inf`` if no path joins the cells, a cell is blocked, or
-        a point is outside the grid or NaN. A function is compiled for each shape of points.
+        a point is outside the grid or NaN. For many points, a function is compiled for each shape.
         """
         points = _as_points("x", x), _as_points("y", y)
         try:
             shape = np.broadcast_shapes(*(one.shape for one in points))
         except ValueError:
             raise ValueError(f"x and y must broadcast, got shapes {points[0].shape} and {points[1].shape}.") from None
+        if is_on_one_host(*points, self.tables.blocks):
+            few = evaluate_few(self.tables, *(np.broadcast_to(np.asarray(one), shape) for one in points))
+            if few is not None:
+                return jax.numpy.asarray(few)
         return evaluate_pairs(self.tables, *(jax.numpy.broadcast_to(one, shape) for one in points))
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:

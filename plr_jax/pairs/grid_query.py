@@ -12,14 +12,13 @@ most pairs of them, as no path through a corner is shorter than on an empty grid
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, UInt32
 
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.pairs.grid_corners import (
@@ -36,8 +35,10 @@ from plr_jax.pairs.grid_corners import (
 
 _WAYS, _IN_ROWS = 3, 2  # tables for each orientation of a grid, and the index of the table of row sums
 
-Cells = Int[Array, "n 2"]
-"""Row and column of each of some cells of the grid."""
+Cells = Int[Array, "n 2"] | Int[np.ndarray, "n 2"]
+"""Row and column of each of some cells of the grid. Functions of cells answer NumPy arrays in NumPy."""
+Ints = Int[Array, "*n"] | Int[np.ndarray, "*n"]
+Flags = Bool[Array, "n"] | Bool[np.ndarray, "n"]
 
 
 @jax.tree_util.register_dataclass
@@ -88,43 +89,45 @@ def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Illeg
     return IllegalSteps(jnp.asarray(_narrow(flat)), jnp.asarray(bits), free.shape, connectivity)
 
 
-def is_free(sight: IllegalSteps, cells: Cells) -> Bool[Array, "n"]:
-    cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(jnp.uint32)
-    return (sight.free[cell >> 5] >> (cell & 31) & 1).astype(bool)
+def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
+    cell = (cells[:, 0] * sight.shape[1] + cells[:, 1]).astype(np.uint32)
+    return (looked_up(sight.free, cell >> 5) >> (cell & 31) & 1).astype(bool)
 
 
-def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Bool[Array, "n"]:
+def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     """Return whether cells are free and obstacles block none of the shortest paths of an empty grid between them."""
+    xp: Any = np if isinstance(p, np.ndarray) else jnp
+    sums = xp.asarray(sight.sums)
 
-    def between(row: Int[Array, "n"], column: Int[Array, "n"], last_column: Int[Array, "n"]) -> Int[Array, "n"]:
-        return sight.sums[row + last_column + 1].astype(jnp.int32) - sight.sums[row + column].astype(jnp.int32)
+    def between(row: Ints, column: Ints, last_column: Ints) -> Ints:
+        return sums[row + last_column + 1].astype(np.int32) - sums[row + column].astype(np.int32)
 
     if sight.connectivity == 4:  # the rectangle between the cells must be free
-        (row, column), (last_row, last_column) = jnp.minimum(p, q).T, jnp.maximum(p, q).T
+        (row, column), (last_row, last_column) = xp.minimum(p, q).T, xp.maximum(p, q).T
         stride = sight.shape[1] + 1
         above, below = row * stride, (last_row + 1) * stride
         return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
     # No diagonal step of the parallelogram between the cells may be illegal, or no cell of the line blocked.
     # Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
     way = q - p
-    transposed = jnp.abs(way[:, 0]) > jnp.abs(way[:, 1])
+    transposed = xp.abs(way[:, 0]) > xp.abs(way[:, 1])
     mirrored = way[:, 0] * way[:, 1] < 0
     straight = (way == 0).any(axis=1)
     rows, columns = sight.shape
-    width = jnp.where(transposed, rows, columns)
-    (row, column), (other_row, other_column) = (jnp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
-    column, other_column = (jnp.where(mirrored, width - 1 - end, end) for end in (column, other_column))
-    row, last_row = jnp.minimum(row, other_row), jnp.maximum(row, other_row)
-    column, last_column = jnp.minimum(column, other_column), jnp.maximum(column, other_column)
+    width = xp.where(transposed, rows, columns)
+    (row, column), (other_row, other_column) = (xp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
+    column, other_column = (xp.where(mirrored, width - 1 - end, end) for end in (column, other_column))
+    row, last_row = xp.minimum(row, other_row), xp.maximum(row, other_row)
+    column, last_column = xp.minimum(column, other_column), xp.maximum(column, other_column)
 
     table = (
         (rows + 1)
         * (columns + 1)
-        * (_WAYS * transposed.astype(p.dtype) + jnp.where(straight, _IN_ROWS, mirrored.astype(p.dtype)))
+        * (_WAYS * transposed.astype(p.dtype) + xp.where(straight, _IN_ROWS, mirrored.astype(p.dtype)))
     )
     first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
     aside = last_row - row
-    until_first = jnp.where(straight, 0, between(first, column, last_column - aside))
+    until_first = xp.where(straight, 0, between(first, column, last_column - aside))
     return is_free(sight, p) & (between(last, column + aside, last_column) == until_first)
 
 
@@ -202,6 +205,7 @@ def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Grid
 _BLOCKS_AT_ONCE = 2**20
 _SORTED_BITS = 18  # bits of the index of a pair among those sorted together
 _CHUNK = 1024  # pairs per chunk
+_MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
 _MOST_TOLD = 2**7 - 1  # larger numbers of blocks count as this in sorting
 _WORD = 32  # bits of a word
 _ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
@@ -216,8 +220,39 @@ def evaluate_pairs(
 ) -> Float[Array, "*batch"]:
     """Return lengths in steps of shortest paths between cells of points; ``inf`` without a path or off the grid."""
     batch = x.shape[:-1]
-    (p, p_inside), (q, q_inside) = (_cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
+    (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     return _in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
+
+
+def evaluate_few(
+    tables: GridTables, x: Num[np.ndarray, "*batch 2"], y: Num[np.ndarray, "*batch 2"]
+) -> Float[np.ndarray, "*batch"] | None:
+    """Return the same as :func:`evaluate_pairs`, bit for bit, in NumPy; None if a compiled function is as fast.
+
+    Between cells that do not see each other, all pairs of their corners are tried.
+    """
+    (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
+    if len(p) > _MOST_FEW:
+        return None
+    lengths = open_length(tables.connectivity, *np.abs(p - q).T)
+    hidden = np.flatnonzero(p_inside & q_inside & ~sees(tables.sight, p, q))
+    first, counts = zip(*(_blocks_of(tables, cells[hidden]) for cells in (p, q)), strict=True)
+    combinations = counts[0] * counts[1]
+    if combinations.sum() > _MOST_FEW:
+        return None
+    lengths[hidden] = FAR
+    pair, number = ragged_indices(combinations)
+    blocks = number // counts[1][pair], number % counts[1][pair]
+    (corners, legs), (others, other_legs) = (
+        (
+            each := looked_up(tables.blocks, begin[pair] + block).astype(np.int32),
+            _legs(tables, cells[hidden[pair]], each),
+        )
+        for cells, begin, block in zip((p, q), first, blocks, strict=True)
+    )
+    between = tables.distances.between(corners[:, :, None], others[:, None])
+    np.minimum.at(lengths, hidden[pair], (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2)))
+    return _in_steps(tables.connectivity, lengths, p_inside & q_inside).reshape(x.shape[:-1])
 
 
 @jax.jit
@@ -228,7 +263,7 @@ def evaluate_to(
 
     They are ``inf`` without a path or outside the grid. ``from_goal`` is the result of :func:`corners_from`.
     """
-    p, inside = _cells_of(tables.shape, x.reshape(-1, 2))
+    p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
     chunks = jnp.pad(p, ((0, -len(p) % size), (0, 0))).reshape(-1, size, 2)
@@ -252,11 +287,12 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
     )
 
 
-def _cells_of(shape: tuple[int, int], x: Num[Array, "n 2"]) -> tuple[Cells, Bool[Array, "n"]]:
+def cells_of(shape: tuple[int, int], x: Any) -> tuple[Cells, Flags]:
     """Return the cell (row, column) of each point, (0, 0) for points off the grid, and whether points are on it."""
-    place = jnp.floor(x)[:, ::-1]
-    inside = ((place >= 0) & (place < jnp.asarray(shape, place.dtype)[None])).all(axis=1)
-    return jnp.where(inside[:, None], place, 0).astype(jnp.int32), inside
+    xp: Any = np if isinstance(x, np.ndarray) else jnp
+    place = xp.floor(x)[:, ::-1]
+    inside = ((place >= 0) & (place < xp.asarray(shape, place.dtype)[None])).all(axis=1)
+    return xp.where(inside[:, None], place, 0).astype(np.int32), inside
 
 
 def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
@@ -290,7 +326,7 @@ def _sorted_chunks(work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(
-    tables: GridTables, p: Cells, q: Cells, seen: Bool[Array, "n"]
+    tables: GridTables, p: Cells, q: Cells, seen: Flags
 ) -> tuple[Int32[Array, "n"], UInt32[Array, "n"], UInt32[Array, "n"]]:
     """Return path lengths, and bits of the corner blocks of both cells that may give shorter paths.
 
@@ -308,7 +344,7 @@ def _most_likely(
 
 
 def _nearest_to_both(
-    tables: GridTables, cells: Cells, others: Cells, seen: Bool[Array, "n"]
+    tables: GridTables, cells: Cells, others: Cells, seen: Flags
 ) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
     """Return each cell's corner on the shortest path to the other cell on an empty grid, and its distance."""
     first, count = _blocks_of(tables, cells)
@@ -393,9 +429,9 @@ def _least_of_those_left(
 _BitsAndLength = tuple[UInt32[Array, "n"], UInt32[Array, "n"], Int32[Array, "n"]]
 
 
-def _legs(tables: GridTables, cells: Cells, corners: Int32[Array, "n k"]) -> Int32[Array, "n k"]:
+def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:
     rows, columns = (looked_up(table, corners) for table in (tables.row, tables.column))
-    return open_length(tables.connectivity, jnp.abs(rows - cells[:, :1]), jnp.abs(columns - cells[:, 1:]))
+    return open_length(tables.connectivity, abs(rows - cells[:, :1]), abs(columns - cells[:, 1:]))
 
 
 def _least_around(
@@ -415,183 +451,23 @@ def _least_around(
     return jnp.where(count > 0, lax.fori_loop(0, count.max(), with_block, far), far)
 
 
-def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
+def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
-        looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(jnp.int32)
+        looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(np.int32)
         for one in (cell, cell + 1)
     )
     return first, end - first
 
 
-def _corners_of_block(
-    tables: GridTables, first: Int32[Array, "n"], count: Int32[Array, "n"], block: Int[Array, ""]
-) -> Int32[Array, "n 4"]:
+def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: Int[Array, ""]) -> Int32[Array, "n 4"]:
     return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
 
 
-def _in_steps(connectivity: int, length: Int32[Array, "n"], inside: Bool[Array, "n"]) -> Float[Array, "n"]:
-    whole, rest = jnp.divmod(length, STRAIGHT[connectivity])
-    part = rest / STRAIGHT[connectivity]
-    whole = whole.astype(part.dtype)
-    steps = jnp.where(rest == 0, whole, (whole + part) * (1 - _ROUNDING))
-    return jnp.where(inside & (length < FAR), steps, jnp.inf)
-
-
-_RIM_CELLS_AT_ONCE = 2**13  # rim cells whose distances are computed together
-_AGENTS = 1024  # agents whose squares are computed together
-
-# Agents are the last axis, so that processors vectorize over them.
-Square = Int32[Array, "width width n"]
-Rim = Int32[Array, "rim n"]
-_Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
-_Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
-
-
-@partial(jax.jit, static_argnames="radius")
-def distances_around(
-    tables: GridTables, goals: Num[Array, "n 2"], positions: Num[Array, "n 2"], radius: int
-) -> Int32[Array, "n width width"]:
-    """Return whole steps to goals from each cell of squares around positions; -1 without a path."""
-    (goal, goal_inside), (position, inside) = (_cells_of(tables.shape, points) for points in (goals, positions))
-    offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
-    row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
-    on_grid = (row >= 0) & (row < tables.shape[0]) & (column >= 0) & (column < tables.shape[1])
-    in_grid = jnp.stack([jnp.where(on_grid, one, 0).ravel() for one in (row, column)], axis=-1)
-    free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
-
-    # Number the rim of a square from cell to neighbor cell, starting at a corner.
-    side, zero, far = np.arange(2 * radius), np.zeros(2 * radius, int), np.full(2 * radius, 2 * radius)
-    around = np.concatenate([zero, side, far, far - side]), np.concatenate([side, far, far - side, zero])
-    if radius == 0:
-        around = np.zeros(1, int), np.zeros(1, int)
-    cells = jnp.stack([row[around], column[around]], axis=-1)
-    # Ask first for the corners toward and away from the goal: lengths between them mostly follow.
-    turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
-    asked_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
-    lengths = _lengths_of_rim(tables, cells, free[around], goal, asked_first)
-    is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
-    known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
-    reached = _spread(tables.connectivity, jnp.where(free, known, FAR), free)
-    answered = free & inside & goal_inside & (reached < FAR)
-    return jnp.moveaxis(jnp.where(answered, reached // STRAIGHT[tables.connectivity], -1), -1, 0)
-
-
-def _lengths_of_rim(
-    tables: GridTables,
-    cells: Int32[Array, "rim n 2"],
-    free: Bool[Array, "rim n"],
-    goal: Int32[Array, "n 2"],
-    asked_first: Bool[Array, "rim n"],
-) -> Rim:
-    """Return lengths in units to goals from cells on the rims of squares; at least ``FAR`` without a path.
-
-    If the lengths of two rim cells differ by the number of steps between them, the lengths of the cells between
-    follow. Else the cell in the middle is queried.
-    """
-    straight = int(open_length(tables.connectivity, 0, 1))
-    beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
-    place = jnp.arange(len(cells), dtype=jnp.int32)
-
-    def nearest_known(lengths: Rim, known: Bool[Array, "rim n"], first: _Known, reverse: bool) -> tuple[Rim, Rim]:
-
-        def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
-            place, length, is_known = cell
-            nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
-            return nearest, nearest
-
-        return lax.scan(step, first, (place, lengths, known), reverse=reverse)[1]
-
-    def step(state: tuple[Rim, Bool[Array, "rim n"], Bool[Array, "rim n"]]):
-        lengths, known, wanted = state
-        lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
-        # Both ends of each run of free cells are known. The rim is a cycle.
-        begin, end = lax.argmax(known, 0, jnp.int32), len(cells) - 1 - lax.argmax(known[::-1], 0, jnp.int32)
-        at_begin, at_end = (jnp.take_along_axis(lengths, one[None], axis=0)[0] for one in (begin, end))
-        before, first = nearest_known(lengths, known, (end - len(cells), at_end), reverse=False)
-        after, last = nearest_known(lengths, known, (begin + len(cells), at_begin), reverse=True)
-        is_settled = (jnp.abs(last - first) == straight * (after - before)) | (first >= FAR)
-        from_first = jnp.sign(last - first) * straight * (place[:, None] - before)
-        new = free & ~known & is_settled
-        wanted = free & ~known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
-        return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), known | new, wanted
-
-    start = free & (asked_first | beside_blocked)
-    none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
-    return lax.while_loop(lambda state: state[2].any(), step, none)[0]
-
-
-def _asked(
-    tables: GridTables,
-    cells: Int32[Array, "rim n 2"],
-    goal: Int32[Array, "n 2"],
-    lengths: Rim,
-    wanted: Bool[Array, "rim n"],
-) -> Rim:
-    size = min(_RIM_CELLS_AT_ONCE, wanted.size)
-    every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
-    none = jnp.zeros_like(lengths[0])
-    count, until = lax.scan(lambda count, row: (count + row, count + row), none, wanted.astype(jnp.int32))
-    end = jnp.cumsum(count)
-    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)  # wanted cells, agent by agent
-    number = number.at[jnp.where(wanted, end - count + until - 1, len(number))].set(every, mode="drop")
-    flat = cells.reshape(-1, 2)
-
-    def with_some(some: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
-        asked = lax.dynamic_slice(number, (some * size,), (size,))
-        of = jnp.minimum(asked, wanted.size - 1)
-        start = goal[of % len(goal)]
-        # Padding asks for the distance of a cell to itself, which is quick.
-        ends = start, jnp.where((asked < wanted.size)[:, None], flat[of], start)
-        found = lengths_between_cells(tables, *ends)
-        return lengths.at[asked].set(found, mode="drop")
-
-    return lax.fori_loop(0, -(-end[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
-
-
-def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
-    straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
-    turns = (-1, 1) if connectivity == 8 else ()
-
-    def beside(row: Shaped[Array, "width n"], border: int, right: int) -> Shaped[Array, "width n"]:
-        return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
-
-    def swept(lengths: Square, free: Bool[Array, "width width n"], turns: tuple[int, ...], reverse: bool) -> Square:
-
-        def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
-            (last_row, last_free), (row, is_free) = last, here
-            row = jnp.minimum(row, last_row + straight)
-            for right in turns:
-                is_legal = last_free & beside(is_free, False, right)
-                row = jnp.minimum(row, jnp.where(is_legal, beside(last_row, FAR, right) + diagonal, FAR))
-            row = jnp.where(is_free, row, FAR)
-            return (row, is_free), row
-
-        border = jnp.full_like(lengths[0], FAR), jnp.zeros_like(free[0])
-        return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
-
-    def spread(part: tuple[Square, Bool[Array, "width width n"]]) -> Square:
-        lengths, free = part
-
-        def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
-            best = state[0]
-            for reverse in (False, True):
-                best = swept(best, free, turns, reverse)
-            best = best.swapaxes(0, 1)
-            for reverse in (False, True):
-                best = swept(best, free.swapaxes(0, 1), (), reverse)
-            best = best.swapaxes(0, 1)
-            return best, (best < state[0]).any()
-
-        return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]
-
-    # Take as many agents at once as fit into caches.
-    agents = lengths.shape[-1]
-    size = min(_AGENTS, max(agents, 1))
-
-    def in_parts(table: Shaped[Array, "width width n"], fill: int) -> Shaped[Array, "parts width width size"]:
-        filled = jnp.pad(table, ((0, 0), (0, 0), (0, -agents % size)), constant_values=fill)
-        return jnp.moveaxis(filled.reshape(*table.shape[:2], -1, size), 2, 0)
-
-    done = jnp.moveaxis(lax.map(spread, (in_parts(lengths, FAR), in_parts(free, False))), 0, 2)
-    return done.reshape(*lengths.shape[:2], -1)[..., :agents]
+def _in_steps(connectivity: int, length: Ints, inside: Flags) -> Any:
+    xp: Any = np if isinstance(length, np.ndarray) else jnp
+    dtype = jax.dtypes.canonicalize_dtype(np.float64)
+    whole, rest = xp.divmod(length, STRAIGHT[connectivity])
+    part = rest.astype(dtype) / STRAIGHT[connectivity]
+    steps = xp.where(rest == 0, whole.astype(dtype), (whole.astype(dtype) + part) * (1 - _ROUNDING))
+    return xp.where(inside & (length < FAR), steps, np.inf)

@@ -9,20 +9,25 @@ most of some random segments, as long as each saves more time than its test take
 tests.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import reduce
+from functools import partial, reduce
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jax.export import is_symbolic_dim
+from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
 from plr_jax._arrays import padded, padded_size, parts, ragged_indices, size_in_eighths, take_ragged
 from plr_jax.geometry.box import Box
 
 _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
 _STEP = 4
+_SHORT = 16  # walls of an entry that are tested first; few entries have more
+_LONG = np.uint32(2**31)  # added to the first wall of an entry that has more
+_FEW, _SHARE = 2**6, 16  # rows tested against all walls of their entries; share of more rows that are tested at once
 _COST = 4  # time to test a wall read for each point, in tests of a wall shared by all points
 _AT_ONCE = 2**14  # pairs of a list entry and a wall tested together
 _BLOCK = 2**20  # pairs of a corner and a wall handled together
@@ -40,7 +45,7 @@ class NearWalls:
 
     Attributes:
         ends: Both ends of the walls, list entry by list entry; one row for each coordinate.
-        first: Index of the first wall of each list entry.
+        first: Index of the first wall of each list entry, plus 2**31 if it has more than 16.
         most: Largest number of walls of an entry. Queries read this many for every entry: more walls do no harm.
     """
 
@@ -66,15 +71,54 @@ class NearWalls:
         counts = np.bincount(entry, minlength=len(leaf))
         most = -(-int(counts.max(initial=1)) // _STEP) * _STEP
         first = np.zeros(shape, np.uint32)
-        first[ragged_indices(np.bincount(leaf, minlength=shape[0]))] = np.cumsum(counts) - counts
+        entries = np.cumsum(counts) - counts + np.where(counts > _SHORT, _LONG, 0)
+        first[ragged_indices(np.bincount(leaf, minlength=shape[0]))] = entries
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
         return NearWalls(jnp.asarray(np.ascontiguousarray(ends.T)), jnp.asarray(first), most)
 
-    def __call__(self, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "4 n most"]:
-        """Return ends of walls that include all that may hide the corner at a ``place`` of a leaf's list."""
-        first = self.first[leaf, place]
-        along = jnp.arange(self.most, dtype=jnp.uint32)[None]
-        return jnp.stack([row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends])
+    def hide(
+        self, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"], x: Float[Array, "n 2"], corner: Float[Array, "n 2"]
+    ) -> Bool[Array, "n"]:
+        """Return whether walls hide the corner at a ``place`` of a leaf's list from a point of the leaf."""
+        packed, size = self.first[leaf, place], x.shape[0]
+        first, is_long = packed % _LONG, packed >= _LONG
+        if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW:
+            return self._are_crossed(self.most, first, x, corner)
+        hidden = self._are_crossed(_SHORT, first, x, corner)
+        return decided(
+            hidden, is_long & ~hidden, size // _SHARE, partial(self._are_crossed, self.most), (first, x, corner)
+        )
+
+    def _are_crossed(
+        self, most: int, first: UInt32[Array, "n"], x: Float[Array, "n 2"], corner: Float[Array, "n 2"]
+    ) -> Bool[Array, "n"]:
+        along = jnp.arange(most, dtype=jnp.uint32)[None]
+        ax, ay, bx, by = (row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
+        (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
+        ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
+        beside_p, beside_q = ex * (py - ay) - ey * (px - ax), ex * (qy - ay) - ey * (qx - ax)
+        a_is_left, b_is_left = dx * (ay - py) >= dy * (ax - px), dx * (by - py) >= dy * (bx - px)
+        crossed = jnp.where(beside_p * beside_q < 0, a_is_left.astype(jnp.float32) - b_is_left, 0)
+        crossed = jax.lax.optimization_barrier(crossed)
+        return (crossed.min(axis=1) < 0) & (crossed.max(axis=1) > 0)
+
+
+def decided(
+    hidden: Bool[Array, "n"],
+    is_open: Bool[Array, "n"],
+    size: int,
+    test: Callable[..., Bool[Array, "size"]],
+    columns: tuple[Shaped[Array, "n ..."], ...],
+) -> Bool[Array, "n"]:
+    """Replace the values of ``hidden`` in open rows by those of a test, which takes ``size`` rows at a time."""
+    number = jnp.cumsum(is_open)  # rank of each open row, from 1
+
+    def test_next(done: Array, hidden: Bool[Array, "n"]) -> Bool[Array, "n"]:
+        lanes = jnp.searchsorted(number, done * size + 1 + jnp.arange(size))  # past the end if fewer are left
+        found = test(*(each.at[lanes].get(mode="clip") for each in columns))
+        return hidden.at[lanes].set(found, mode="drop", unique_indices=True)
+
+    return jax.lax.fori_loop(0, -(-number[-1] // size), test_next, hidden)
 
 
 def near_entries(
@@ -235,3 +279,24 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     normal = np.stack([-along[:, 1], along[:, 0]], axis=1) / np.linalg.norm(along, axis=1, keepdims=True)
     beside = np.column_stack([normal, (normal * ends[:, 0]).sum(axis=1)]) / (_CLEAR * float(domain.width.max()))
     return np.concatenate([ends.reshape(-1, 4), beside], axis=1)
+
+
+def is_across_occluder(
+    occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
+) -> Bool[Array, "n"]:
+    """Return whether segments between points cross a segment inside an obstacle, even after rounding.
+
+    Points must be clear of this occluder's line, on opposite sides: rounding may confuse the sides of its ends.
+    """
+    (px, py), (qx, qy) = x.T, y.T
+    dx, dy = qx - px, qy - py
+    moment = dx * py - dy * px
+
+    def meets(hidden, group):
+        for ax, ay, bx, by, nx, ny, offset in group:
+            p, q = nx * px + ny * py - offset, nx * qx + ny * qy - offset
+            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
+            hidden |= (jnp.maximum(p, q) > 1) & (jnp.minimum(p, q) < -1) & (a_is_left != b_is_left)
+        return hidden, None
+
+    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), occluders)[0]

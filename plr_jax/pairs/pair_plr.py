@@ -11,14 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.tree_util import GetAttrKey
-from jaxtyping import Array, Float, UInt8
+from jaxtyping import Array, Float, Shaped, UInt8
 
 from plr_jax._arrays import as_queries
 from plr_jax._compiled import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.one_goal import plr_to
-from plr_jax.pairs.portable import NumpyPairs, js_pairs_module
+from plr_jax.pairs.portable import ENDS, NumpyPairs, js_pairs_module
 from plr_jax.pairs.query import (
     PairTables,
     PreparedGoals,
@@ -26,11 +26,12 @@ from plr_jax.pairs.query import (
     distances_to_corners,
     is_inside,
     shortest_ways,
+    table_size,
 )
 from plr_jax.pairs.stored import PairsFileData
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.container import FileBacked, padded_file
-from plr_jax.plr.frame import Outside, as_outside, require_resolved
+from plr_jax.plr.frame import Outside, as_outside, require_resolved, unresolved_types
 from plr_jax.plr.query import length_of
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
 
 _FEW, _MANY = 2**10, 2**14  # block sizes for few and for many pairs
 _ROUNDINGS = 16  # roundings of a query, in units of the last place
-_ENDS = 4 * float(np.finfo(np.float32).eps)  # relative error of the ends of the domain
+_FEW_TESTS = 2**18  # pairs times walls up to which NumPy answers: at most about as slowly as a compiled block
+_PAIRS_A_GOAL = 8  # pairs that take as long as a prepared goal
 
 
 @jax.tree_util.register_pytree_with_keys_class
@@ -88,7 +90,8 @@ class PairPLR(FileBacked):
         """Return the distance between points: the length of the shortest path in free space.
 
         It works under ``jax.jit``, ``jax.vmap`` and ``jax.grad`` in both arguments. The gradient points away from the
-        first turn of the path. It is zero where the distance is 0 or ``inf``.
+        first turn of the path. It is zero where the distance is 0 or ``inf``. Few pairs outside of ``jit`` are
+        answered in NumPy, without compiling: answers then differ by rounding from those of compiled functions.
 
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
@@ -103,24 +106,33 @@ class PairPLR(FileBacked):
                 meaningless.
         """
         outside = as_outside(outside)
-        if not isinstance(y, PreparedGoals):
-            return self._answered(partial(_distances, outside=outside), x, y)[0]
-        x, batch = self._from_middle("x", x), y.points.shape[:-1]
-        _require_broadcast("x and goals", x, y.points)
-        size, corners = y.to_corners.shape[-1], len(self.tables.distances)
+        if isinstance(y, PreparedGoals):
+            return self._to_goals(x, y, outside)
+        few = partial(NumpyPairs.distances, outside=outside)
+        return self._answered(partial(_distances, outside=outside), few, x, y)[0]
+
+    def _to_goals(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
+        x = self._from_middle("x", x)
+        batch = _broadcast("x and goals", x, goals.points)
+        size, corners = goals.to_corners.shape[-1], self._table_size
         if size != corners:
             raise ValueError(
                 f"Goals must have been prepared by these pairs, of {corners} corners, got goals of {size} corners: "
                 "call prepared of these pairs."
             )
-        if not prod(batch):
-            return jnp.zeros(np.broadcast_shapes(x.shape[:-1], batch), jnp.float32)
-        number = np.arange(prod(batch), dtype=np.uint32).reshape(*batch, 1)
-        answer = partial(_distances_to, self.tables, y, outside=outside)
-        if not is_on_one_host(x, y.points, self.tables.walls):
-            return answer(x, number)[0]
-        x = np.asarray(x, jax.dtypes.canonicalize_dtype(_floats_of(x)))
-        return jnp.asarray(answered_in_parts(answer, (_FEW, _MANY), x, number)[0])
+        number = np.arange(prod(goals.points.shape[:-1]), dtype=np.uint32).reshape(*goals.points.shape[:-1], 1)
+        if not is_on_one_host(x, goals.points, goals.to_corners, self.file):
+            return _distances_to(self.tables, goals, x, number, outside)[0]
+        with np.errstate(over="ignore"):  # points far outside
+            x = np.asarray(x, jax.dtypes.canonicalize_dtype(_floats_of(x)))
+        if self._are_few(prod(batch)):
+            points, to_corners = (np.asarray(each) for each in (goals.points, goals.to_corners))
+            rows = (_rows(each, batch) for each in (x, points, to_corners))
+            answer = self._numpy.distances_to(*rows, outside=outside)[0].reshape(batch)
+        else:
+            answer = partial(_distances_to, self.tables, goals, outside=outside)
+            answer = answered_in_parts(answer, (_FEW, _MANY), x, number)[0]
+        return jnp.asarray(answer)
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
         """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
@@ -132,6 +144,12 @@ class PairPLR(FileBacked):
         must not use these goals. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
+        if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
+            with np.errstate(over="ignore"):  # goals far outside
+                points = goals.astype(np.float32)
+            to_corners = self._numpy.to_corners(points.reshape(-1, 2), self._table_size)
+            to_corners = jnp.asarray(to_corners.reshape(*goals.shape[:-1], self._table_size))
+            return PreparedGoals(jnp.asarray(points), to_corners)
         points = jnp.asarray(goals, jnp.float32)
         (inside,), shape, _ = _checked(self.tables, points)
         to_corners = distances_to_corners(self.tables, jax.lax.stop_gradient(inside))
@@ -145,7 +163,7 @@ class PairPLR(FileBacked):
         for a call, with the same ``ValueError``. Lower bounds are at least 0. Upper bounds are lengths of certainly
         free paths; ``inf`` if none was found, as from points on a wall or within 4e-6 domain widths of a wall.
         """
-        lower, upper = self._answered(_bounds, x, y)
+        lower, upper = self._answered(_bounds, NumpyPairs.bounds_between, x, y)
         return lower, upper
 
     def to(self, goal: ArrayLike) -> PLR:
@@ -160,7 +178,7 @@ class PairPLR(FileBacked):
 
     def numpy(self) -> NumpyPairs:
         """Return the same distances for NumPy, bit for bit as in other languages: see ``pairs/portable.py``."""
-        return NumpyPairs(self.stored)
+        return self._numpy
 
     def js_module(self) -> str:
         """Return a JavaScript module that answers the same queries, contains the file and imports nothing.
@@ -170,15 +188,37 @@ class PairPLR(FileBacked):
         """
         return js_pairs_module(self.to_bytes(), self.domain)
 
-    def _answered(self, answer: Callable[..., tuple[Array, ...]], x: ArrayLike, y: ArrayLike) -> tuple[Array, ...]:
+    def _answered(
+        self,
+        compiled: Callable[..., tuple[Array, ...]],
+        few: Callable[..., tuple[np.ndarray, ...]],
+        x: ArrayLike,
+        y: ArrayLike,
+    ) -> tuple[Array, ...]:
+        """Answer by a compiled function of tables and points, or few pairs of points without compiling."""
         x, y = self._from_middle("x", x), self._from_middle("y", y)
-        _require_broadcast("x and y", x, y)
-        if not is_on_one_host(x, y, self.tables.walls):
-            return answer(self.tables, x, y)
+        batch = _broadcast("x and y", x, y)
+        if not is_on_one_host(x, y, self.file):
+            return compiled(self.tables, x, y)
         with np.errstate(over="ignore"):  # points far outside
-            points = [np.asarray(p, jax.dtypes.canonicalize_dtype(_floats_of(x, y))) for p in (x, y)]
-        answers = answered_in_parts(partial(answer, self.tables), (_FEW, _MANY), *points)
+            x, y = (np.asarray(p, jax.dtypes.canonicalize_dtype(_floats_of(x, y))) for p in (x, y))
+        if self._are_few(prod(batch)):
+            answers = (each.reshape(batch) for each in few(self._numpy, _rows(x, batch), _rows(y, batch)))
+        else:
+            answers = answered_in_parts(partial(compiled, self.tables), (_FEW, _MANY), x, y)
         return tuple(map(jnp.asarray, answers))
+
+    def _are_few(self, pairs: int) -> bool:
+        return pairs * len(self.stored.outline.points) <= _FEW_TESTS
+
+    @cached_property
+    def _numpy(self) -> NumpyPairs:
+        return NumpyPairs(self.stored)
+
+    @property
+    def _table_size(self) -> int:
+        """Number of rows of the tables of corners."""
+        return len(self.tables.distances) if isinstance(self.file, Tracer) else table_size(self.num_corners)
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
         x = x if isinstance(x, jax.Array) else as_queries(x)
@@ -186,11 +226,17 @@ class PairPLR(FileBacked):
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
         if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
             raise ValueError(f"{name} must be real numbers, got an array of {x.dtype}.")
-        if isinstance(x, np.ndarray) and not isinstance(self.file, Tracer):
-            return x - (self.domain.lo + self.domain.hi) / 2
-        x = jnp.asarray(x)
-        require_resolved(x.dtype, self.tables.unresolved)
-        first, rest = (jnp.broadcast_to(part, x.shape) for part in self.tables.middle)
+        if isinstance(self.file, Tracer):
+            unresolved, (first, rest) = self.tables.unresolved, self.tables.middle
+        else:
+            middle, unresolved = (self.domain.lo + self.domain.hi) / 2, unresolved_types(self.domain)
+            if isinstance(x, np.ndarray):
+                return x - middle
+            first, rest = middle.astype(np.float32), (middle - middle.astype(np.float32)).astype(np.float32)
+        require_resolved(x.dtype, unresolved)
+        module: Any = np if is_on_one_host(x, self.file) else jnp
+        x = module.asarray(x, _floats_of(x))
+        first, rest = (module.broadcast_to(part.astype(x.dtype), x.shape) for part in (first, rest))
         return (x - first) - rest
 
     @cached_property
@@ -343,11 +389,15 @@ def _checked(
     return [jnp.where(jnp.isfinite(answer)[:, None], p, 0.0) for p in rows], shape, answer
 
 
-def _require_broadcast(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> None:
+def _broadcast(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> tuple[int, ...]:
     try:
-        jnp.broadcast_shapes(x.shape, y.shape)
+        return jnp.broadcast_shapes(x.shape, y.shape)[:-1]
     except ValueError:
         raise ValueError(f"{names} must broadcast, got shapes {x.shape} and {y.shape}.") from None
+
+
+def _rows(values: Shaped[np.ndarray, "..."], batch: tuple[int, ...]) -> Shaped[np.ndarray, "n columns"]:
+    return np.broadcast_to(values, (*batch, values.shape[-1])).reshape(-1, values.shape[-1])
 
 
 def _floats_of(*points: Any) -> Any:
@@ -355,7 +405,7 @@ def _floats_of(*points: Any) -> Any:
 
 
 def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-    ends = tables.half + _ENDS * (tables.half + jnp.abs(tables.middle[0]))
+    ends = tables.half + ENDS * (tables.half + jnp.abs(tables.middle[0]))
     return jnp.broadcast_to(ends.astype(x.dtype), x.shape)
 
 

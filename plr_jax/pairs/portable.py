@@ -18,14 +18,14 @@ Operations follow IEEE 754, round to nearest, are not fused, and use 32-bit floa
     enclose thin walls, and one crossing in either direction blocks a segment. It is ``inf`` unless both points are
     inside these walls: the walls to the right of a point that go up outnumber those that go down by one.
 
-``pairs(x, y)`` finds the same paths up to rounding: it may choose another path of equal length, and compilers may
-fuse its operations.
+``pairs(x, y)`` uses these functions for few pairs of points outside of ``jit``. Compiled functions find the same
+paths up to rounding: they may choose another path of equal length, and compilers may fuse their operations.
 """
 
 from base64 import b64encode
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from plr_jax._arrays import as_queries, ragged_indices
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.stored import PairsFileData, distances_table
-from plr_jax.plr.frame import Frame, frame_of
+from plr_jax.plr.frame import Frame, Outside, frame_of
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, fraction_along
 from plr_jax.plr.portable.javascript import js_file_reader
 from plr_jax.plr.portable.numpy import LeafTable
@@ -48,6 +48,8 @@ MARGIN = RECEDING / 4
 """Distance in domain widths within which a wall may matter: more than the rounding error of a query."""
 _ROUNDINGS = 16 * float(np.finfo(np.float32).eps)  # relative error of a distance: more than a query rounds
 _SHRUNK, _STRETCHED = np.float32(1 - _ROUNDINGS), np.float32(1 + _ROUNDINGS)
+ENDS = np.float32(4 * np.finfo(np.float32).eps)
+"""Relative error of the ends of the domain for points in 32 bits."""
 _AT_ONCE = 2**19  # pairs of a segment and a wall that are tested together
 _PAIRS = 2**12  # pairs of points that are answered together
 
@@ -146,6 +148,8 @@ class NumpyPairs:
         self.domain, self._middle = domain, middle
         self._frame = frame_of(Box(domain.lo - middle, domain.hi - middle))
         self._ends = self._frame[Frame.HI]
+        self._half = (domain.width / 2).astype(np.float32)
+        self._rounded_ends = self._half + ENDS * (self._half + np.abs(middle.astype(np.float32)))
         count, corners = len(stored.cells), len(stored.corner)
         self._leaves = LeafTable(CodedTree(stored.tree, np.arange(count)))
         lengths = np.bincount(stored.leaf, minlength=count)
@@ -165,18 +169,21 @@ class NumpyPairs:
         They are ``inf`` outside the domain and without a path, NaN where a coordinate is NaN. ``f(x, y) == f(y, x)``
         to the last bit. ``ValueError`` if points are not real numbers with two coordinates, or do not broadcast.
         """
-        return self._answered(x, y, lambda p, q: self._lengths(self._seen, p, q)[:, None])[..., 0][()]
+        p, q, shape = self._from_middle(x, y)
+        return _in_blocks(partial(self._lengths, self._seen), self._ends, np.inf, p, q).reshape(shape)[()]
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
         """Return proven lower and upper bounds, ``(...)`` in float32, of distances between points of free space.
 
         Points, errors and meaning are as for a call and :meth:`PairPLR.bounds`.
         """
-        bounds = self._answered(x, y, self._bounds)
-        return bounds[..., 0][()], bounds[..., 1][()]
+        p, q, shape = self._from_middle(x, y)
+        lower, upper = _in_blocks(self._bounds, self._ends, np.inf, p, q).reshape(2, *shape)
+        return lower[()], upper[()]
 
-    def _answered(self, x: ArrayLike, y: ArrayLike, answer: Callable[..., np.ndarray]) -> np.ndarray:
-        """Apply a function to points in blocks; answer ``inf`` outside the domain and NaN for NaN."""
+    def _from_middle(
+        self, x: ArrayLike, y: ArrayLike
+    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], tuple[int, ...]]:
         x, y = (as_queries(each, 2).astype(np.float64, copy=False) for each in (x, y))
         try:
             x, y = np.broadcast_arrays(x, y)
@@ -184,56 +191,157 @@ class NumpyPairs:
             raise ValueError(f"x and y must broadcast, got shapes {x.shape} and {y.shape}.") from None
         with np.errstate(over="ignore", invalid="ignore"):
             p, q = ((each.reshape(-1, 2) - self._middle).astype(np.float32) for each in (x, y))
-            farthest = np.maximum(np.abs(p), np.abs(q))
-            outside = np.where((farthest > self._ends).any(axis=1), np.float32(np.inf), np.float32(0))
-            outside = np.where(np.isnan(farthest).any(axis=1), np.float32(np.nan), outside)
-            swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
-            p, q = np.where(swaps, q, p), np.where(swaps, p, q)
-            parts = [np.zeros((0, 2), np.float32)[:, : answer(p[:0], q[:0]).shape[1]]]
-            for first in range(0, len(p), _PAIRS):
-                part = slice(first, first + _PAIRS)
-                inside, beyond = np.flatnonzero(outside[part] == 0), outside[part, None]
-                answers = np.repeat(beyond, parts[0].shape[1], axis=1)
-                answers[inside] = answer(p[part][inside], q[part][inside])
-                parts.append(answers)
-        answers = np.concatenate(parts)
-        return answers.reshape(*x.shape[:-1], answers.shape[1])
+        return p, q, x.shape[:-1]
 
-    def _bounds(self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+    # The functions below are PairPLR's for few points. Points are relative to the middle of the domain, in 32 or 64
+    # bits; answers have the same precision. Points in 32 bits that rounding moves out of the domain are inside.
+
+    def distances(
+        self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"], outside: Outside
+    ) -> tuple[Float[np.ndarray, "n"]]:
+        if outside == "clamp":
+            (p, way_p), (q, way_q) = self._clamped(p), self._clamped(q)
+            return (self.distances(p, q, "inf")[0] + (way_p + way_q),)
+        return (_in_blocks(partial(self._lengths, self._seen), self._rounded_ends, float(outside), p, q),)
+
+    def bounds_between(
+        self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]
+    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        lower, upper = _in_blocks(self._bounds, self._rounded_ends, np.inf, p, q)
+        return lower, upper
+
+    def distances_to(
+        self,
+        p: Float[np.ndarray, "n 2"],
+        goal: Float[np.ndarray, "n 2"],
+        to_corners: Float[np.ndarray, "n size"],
+        outside: Outside,
+    ) -> tuple[Float[np.ndarray, "n"]]:
+        """Return distances to goals whose distances ``to_corners`` are known."""
+        if outside == "clamp":
+            p, way = self._clamped(p)
+            return (self.distances_to(p, goal, to_corners, "inf")[0] + way,)
+
+        def lengths(p: Any, goal: Any, to_corners: Any) -> Float[np.ndarray, "some"]:
+            single, goal = p.astype(np.float32), goal.astype(np.float32)
+
+            def paths(hidden: Int[np.ndarray, "hidden"]) -> tuple[Any, Any, Any]:
+                listed, turns, legs = self._legs(self._seen, single[hidden])
+                return turns, goal[hidden, None], (legs + to_corners[hidden[:, None], listed])[:, :, None]
+
+            length, via, _ = _shortest(self._seen, single, goal, paths)
+            return length + (_length(p - via) - _length(single - via))
+
+        return (_in_blocks(lengths, self._rounded_ends, float(outside), p, goal, to_corners),)
+
+    def to_corners(self, goals: Float[np.ndarray, "n 2"], size: int) -> Float[np.ndarray, "n {size}"]:
+        """Return the length of the shortest path from each goal to each corner, padded; meaningless if outside."""
+        goals = np.where((np.abs(goals) <= self._rounded_ends).all(axis=1, keepdims=True), goals, 0)
+        listed, turns, legs = self._legs(self._seen, goals)
+        goal, place = np.nonzero(np.isfinite(legs))
+        legs[goal, place] += np.where(self._seen.hides(goals[goal], turns[goal, place]), np.float32(np.inf), 0)
+        found = np.full((len(goals), size), np.inf, np.float32)
+        within = found[:, : len(self._distances)]
+        for leg, corners in zip(legs.T, listed.T, strict=True):
+            np.minimum(within, leg[:, None] + self._distances[corners], out=within)
+        return found
+
+    def _clamped(self, p: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+        """Move finite points that are outside to the nearest point of the domain; also return how far they move."""
+        beyond = np.isfinite(p).all(axis=1, keepdims=True) & (np.abs(p) > self._rounded_ends)
+        nearest = np.where(beyond, np.copysign(self._half.astype(p.dtype), p), p)
+        with np.errstate(invalid="ignore"):
+            return nearest, np.where(beyond.any(axis=1), np.hypot(*(p - nearest).T), p.dtype.type(0))
+
+    def _bounds(self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n"]:
+        p, q = p.astype(np.float32), q.astype(np.float32)
         lower = np.maximum(_SHRUNK * self._lengths(self._sure, p, q) - self._less, np.float32(0))
         is_clear = self._free.encloses(p) & self._free.encloses(q)
         upper = _STRETCHED * np.where(is_clear, self._lengths(self._free, p, q), np.float32(np.inf)) + self._more
-        return np.stack([lower, upper], axis=1)
+        return np.stack([lower, upper])
 
     def _lengths(
         self, around: Scene, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]
     ) -> Float[np.ndarray, "n"]:
-        lengths = _length(p - q)
-        hidden = np.flatnonzero(around.hides(p, q))
-        p, q = p[hidden], q[hidden]
-        (of_p, legs_p), (of_q, legs_q) = (self._legs(around, each) for each in (p, q))
-        ways = legs_p[:, :, None] + (legs_q[:, None] + self._distances[of_p[:, :, None], of_q[:, None]])
-        shortest, open_ = np.full(len(p), np.inf, np.float32), np.arange(len(p))
-        while len(open_):  # try the shortest path first, and drop the corners that its ends do not see
-            i, j = np.divmod(ways[open_].reshape(len(open_), -1).argmin(axis=1), of_q.shape[1])
-            length = ways[open_, i, j]
-            hidden_p = around.hides(p[open_], around.corners[of_p[open_, i]].astype(np.float32))
-            hidden_q = around.hides(q[open_], around.corners[of_q[open_, j]].astype(np.float32))
-            ways[open_[hidden_p], i[hidden_p]] = np.inf
-            ways[open_[hidden_q], :, j[hidden_q]] = np.inf
-            is_done = (length == np.inf) | ~(hidden_p | hidden_q)
-            shortest[open_[is_done]] = length[is_done]
-            open_ = open_[~is_done]
-        lengths[hidden] = shortest
-        return lengths
+        swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
+        p, q = np.where(swaps, q, p), np.where(swaps, p, q)
+        single_p, single_q = p.astype(np.float32), q.astype(np.float32)
+
+        def paths(hidden: Int[np.ndarray, "hidden"]) -> tuple[Any, Any, Any]:
+            (of_p, turns_p, legs_p), (of_q, turns_q, legs_q) = (
+                self._legs(around, each[hidden]) for each in (single_p, single_q)
+            )
+            onward = legs_q[:, None] + self._distances[of_p[:, :, None], of_q[:, None]]
+            return turns_p, turns_q, legs_p[:, :, None] + onward
+
+        length, via_p, via_q = _shortest(around, single_p, single_q, paths)
+        if p.dtype == np.float32:
+            return length
+
+        def legs(p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+            is_straight = ((via_p == single_q) & (via_q == single_p)).all(axis=1)
+            return np.where(is_straight, _length(p - q), _length(p - via_p) + _length(q - via_q))
+
+        # Add the change of both legs due to the part of the points that 32 bits lose.
+        return length + (legs(p, q) - legs(single_p, single_q))
 
     def _legs(
         self, around: Scene, p: Float[np.ndarray, "n 2"]
-    ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest"]]:
-        above = p.T - self._frame[Frame.LO][:, None]
+    ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest 2"], Float[np.ndarray, "n longest"]]:
+        """Return the corners that the leaves of points list, their positions, and their distances to the points."""
+        above = np.clip(p, self._frame[Frame.LO], self._ends).T - self._frame[Frame.LO][:, None]
         places = [fraction_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
-        return listed, _length(p[:, None] - around.corners[listed].astype(np.float32))
+        turns = around.corners[listed].astype(np.float32)
+        return listed, turns, _length(p[:, None] - turns)
+
+
+def _in_blocks(
+    answer: Callable[..., np.ndarray],
+    ends: ArrayLike,
+    outside: float,
+    p: Float[np.ndarray, "n 2"],
+    q: Float[np.ndarray, "n 2"],
+    *others: Any,
+) -> Float[np.ndarray, "*answers n"]:
+    """Apply a function to rows in blocks; answer ``outside`` for points outside the domain, and NaN for NaN."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        farthest = np.maximum(np.abs(p), np.abs(q))
+        known = np.where((farthest > ends).any(axis=1), outside, 0.0).astype(p.dtype)
+        known[np.isnan(farthest).any(axis=1)] = np.nan
+        inside = np.flatnonzero(known == 0)
+        blocks = [inside[first : first + _PAIRS] for first in range(0, max(1, len(inside)), _PAIRS)]
+        parts = [answer(*(each[block] for each in (p, q, *others))) for block in blocks]
+    answers = np.broadcast_to(known, (*parts[0].shape[:-1], len(p))).copy()
+    answers[..., inside] = np.concatenate(parts, axis=-1)
+    return answers
+
+
+def _shortest(
+    around: Scene,
+    p: Float[np.ndarray, "n 2"],
+    q: Float[np.ndarray, "n 2"],
+    paths: Callable[..., tuple[Any, Any, Any]],
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
+    """Return lengths of shortest paths, their first turns and their last turns.
+
+    The turns of a straight path, or if there is none, are ``q`` and ``p``. For pairs that do not see each other,
+    ``paths`` returns possible first turns and last turns, and the length of the path through each pair of these.
+    """
+    lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()
+    hidden = np.flatnonzero(around.hides(p, q))
+    turns_p, turns_q, ways = paths(hidden)
+    lengths[hidden], open_ = np.inf, np.arange(len(hidden))
+    while len(open_):  # try the shortest path first, and drop the corners that its ends do not see
+        i, j = np.divmod(ways[open_].reshape(len(open_), -1).argmin(axis=1), ways.shape[2])
+        length, rows, first, last = ways[open_, i, j], hidden[open_], turns_p[open_, i], turns_q[open_, j]
+        hidden_p, hidden_q = around.hides(p[rows], first), around.hides(q[rows], last)
+        ways[open_[hidden_p], i[hidden_p]] = np.inf
+        ways[open_[hidden_q], :, j[hidden_q]] = np.inf
+        found = (length < np.inf) & ~(hidden_p | hidden_q)
+        lengths[rows[found]], via_p[rows[found]], via_q[rows[found]] = length[found], first[found], last[found]
+        open_ = open_[(length < np.inf) & ~found]
+    return lengths, via_p, via_q
 
 
 def _length(v: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:

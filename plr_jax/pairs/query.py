@@ -26,7 +26,7 @@ from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size, ragged_indices, size_in_eighths
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.hiding import NearWalls, occluders_of
+from plr_jax.pairs.hiding import NearWalls, decided, is_across_occluder, occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, Scene, crossings, walls_with_sides, winding
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types
@@ -38,8 +38,7 @@ _LEAVES_AT_ONCE = 32
 _AT_ONCE = 2**14  # pairs of points that fit into caches
 _TESTED = 2**10  # pairs tested against all walls together
 _MANY, _FEW = 2**11, 2**7  # open pairs per round, while there are many and then
-_LARGEST = np.finfo(np.float32).max  # replaces `inf`, which would become NaN with other last bits
-_BELOW, _TINY = np.float32(1 - 2.0**-10), np.float32(1e-30)
+_LAST_KEY = np.float32(np.inf).view(np.uint32)  # the key of no path
 
 Columns = TypeVar("Columns")
 
@@ -95,12 +94,17 @@ class PairTables:
     is_certain: bool = field(default=False, metadata={"static": True})
 
 
+def table_size(num_corners: int) -> int:
+    """Return the number of rows of tables of corners: out of few sizes, with a row of ``inf`` for padding."""
+    return size_in_eighths(num_corners + 1)
+
+
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     """Build the tables of a file of ``num_bytes`` bytes, from which some of their sizes follow."""
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
-    size, rows = size_in_eighths(count + 1), size_in_eighths(len(cells))
+    size, rows = table_size(count), size_in_eighths(len(cells))
     seen, free = (Scene.of(stored, is_certain) for is_certain in (False, True))
     sure = Scene.of(stored, False, hides_surely=True).walls
     # 1. Pad the lists to one length, a multiple of eight.
@@ -215,17 +219,17 @@ def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Flo
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs of points ``x`` and ``y`` and their leaves; ``leaf_y`` is None if paths from ``y`` to corners are known.
+    """Pairs of points ``x`` and ``y``, and their leaves; for prepared goals, ``leaf_y`` is the index of the goal.
 
-    ``at_least`` is a lower bound of the path length through each corner that the leaf of ``x`` lists. If paths from
-    ``y`` to corners are known, and ``x`` sees the corner, it is the length.
+    ``keys`` hold, for each corner that the leaf of ``x`` lists, a lower bound of the path length through it and, in
+    the last bits, its place in the list (:func:`_place_bits`).
     """
 
     x: Float[Array, "n 2"]
     y: Float[Array, "n 2"]
     leaf_x: UInt32[Array, "n"]
-    leaf_y: UInt32[Array, "n"] | None
-    at_least: Float[Array, "n longest"]
+    leaf_y: UInt32[Array, "n"]
+    keys: UInt32[Array, "n longest"]
 
 
 @jax.tree_util.register_dataclass
@@ -238,17 +242,15 @@ class _Search:
         via_x: Place in the first point's list of corners of that path's first turn; the list's length if it is
             straight.
         via_y: Place in the second point's list of its last turn, likewise.
-        least: Lower bound of the lengths of paths not yet examined.
-        done_x: A bit for each corner of the first point's list: whether it is examined.
-        done_y: A bit for each corner of the second point's list: whether it is hidden.
+        key: Smallest key of the corners of the first point's list that are not yet examined.
+        hidden_y: A bit for each corner of the second point's list: whether it is hidden.
     """
 
     length: Float[Array, "n"]
     via_x: UInt32[Array, "n"]
     via_y: UInt32[Array, "n"]
-    least: Float[Array, "n"]
-    done_x: UInt32[Array, "n words"]
-    done_y: UInt32[Array, "n words"]
+    key: UInt32[Array, "n"]
+    hidden_y: UInt32[Array, "n words"]
 
 
 @jax.tree_util.register_dataclass
@@ -308,32 +310,35 @@ def _ways(
     y: Float[Array, "n 2"],
     goal: UInt32[Array, "n"] | None = None,
 ) -> Ways:
-    leaf_x, leaf_y, size = lookup(tables.partition, x), None, len(tables.distances)
+    leaf_x, size = lookup(tables.partition, x), len(tables.distances)
+    leaf_y = lookup(tables.partition, y) if goal is None else goal
     listed, longest = tables.listed[leaf_x].astype(jnp.uint32), tables.x.shape[1]
     # 1. Bound the path length through each corner of the first point's list.
-    if to_corners is not None and goal is not None:
-        onward = _at(to_corners.ravel(), goal[:, None] * size + listed)
+    if to_corners is not None:
+        onward = _at(to_corners.ravel(), leaf_y[:, None] * size + listed)
     else:
-        leaf_y, last_bits = lookup(tables.partition, y), np.uint32(padded_size(size) - 1)
+        last_bits = np.uint32(padded_size(size) - 1)
         packed = _at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
         last, other = packed & last_bits, jax.lax.bitcast_convert_type(packed & ~last_bits, jnp.float32)
         dx, dy = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, y.T, strict=True))
         by_last = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(dx * dx + dy * dy)
         onward = jnp.minimum(by_last, other)
-    at_least = jax.lax.optimization_barrier(_legs(tables, leaf_x, x) + onward)
+    at_least = jax.lax.bitcast_convert_type(_legs(tables, leaf_x, x) + onward, jnp.uint32)
+    keys = jax.lax.optimization_barrier(at_least & ~_place_bits(longest) | np.arange(longest, dtype=np.uint32)[None])
     # 2. Finish the pairs that see one another.
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _norm(x - y))
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     behind = jnp.full(x.shape[0], longest, jnp.uint32)
-    search = _Search(straight, behind, behind, at_least.min(axis=1), words, words)
+    search = _Search(straight, behind, behind, keys.min(axis=1), words)
     # 3. Search in rounds.
-    search = _after_all_rounds(partial(_after_round, tables), _Pairs(x, y, leaf_x, leaf_y, at_least), search)
+    pairs = _Pairs(x, y, leaf_x, leaf_y, keys)
+    search = _after_all_rounds(partial(_after_round, tables, to_corners), pairs, search)
     is_straight = (search.via_x == longest)[:, None]
     from_x = jnp.where(is_straight, y, _corner_of(tables, leaf_x, jnp.minimum(search.via_x, longest - 1)))
     from_y = x
-    if leaf_y is not None:
+    if goal is None:
         from_y = jnp.where(is_straight, x, _corner_of(tables, leaf_y, jnp.minimum(search.via_y, longest - 1)))
-    return Ways(search.length, jnp.minimum(search.length, search.least), from_x, from_y)
+    return Ways(search.length, jnp.minimum(search.length, _bound_of(search.key, longest)), from_x, from_y)
 
 
 def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: _Pairs, search: _Search) -> _Search:
@@ -341,7 +346,7 @@ def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: 
 
     # The search ends: each round drops a corner from a list of each open pair of points.
     def is_open(search: _Search) -> Bool[Array, "n"]:
-        return search.least < search.length
+        return _bound_of(search.key, pairs.keys.shape[1]) < search.length
 
     def while_open(than: int, after: Callable[[_Search], _Search], search: _Search) -> _Search:
         return jax.lax.while_loop(lambda search: is_open(search).sum() > than, after, search)
@@ -364,65 +369,54 @@ def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: 
     return while_open(0, partial(round_of_first, _FEW), search)
 
 
-def _after_round(tables: PairTables, pairs: _Pairs, search: _Search) -> _Search:
+def _after_round(
+    tables: PairTables, to_corners: Float[Array, "goals size"] | None, pairs: _Pairs, search: _Search
+) -> _Search:
     """Examine the most promising corner that each first point's leaf lists."""
-    x, leaf_x, leaf_y = pairs.x, pairs.leaf_x, pairs.leaf_y
-    first, at_first, second = _smallest(pairs.at_least, search.done_x)
-    via_x = _corner_of(tables, leaf_x, first)
-    hidden_x = _is_leg_hidden(tables, leaf_x, first, x, via_x)
-    if leaf_y is None:
-        better = ~hidden_x & (at_first < search.length)
-        return replace(
-            search,
-            length=jnp.where(better, at_first, search.length),
-            via_x=jnp.where(better, first, search.via_x),
-            least=second,
-            done_x=_with_bit(search.done_x, first, True),
-        )
-    y, listed = pairs.y, tables.listed[leaf_y].astype(jnp.uint32)
-    corner = tables.listed[leaf_x, first].astype(jnp.uint32)
-    onward = _legs(tables, leaf_y, y) + _at(
-        tables.distances.ravel(), corner[:, None] * len(tables.distances) + listed
-    )
-    last, rest, _ = _smallest(onward, search.done_y)
-    hidden_y = _is_leg_hidden(tables, leaf_y, last, y, _corner_of(tables, leaf_y, last))
+    x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
+    first = search.key & _place_bits(pairs.keys.shape[1])
+    next_key = jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY).min(axis=1)
+    via_x, corner = _corner_of(tables, leaf_x, first), tables.listed[leaf_x, first].astype(jnp.uint32)
+    if to_corners is not None:
+        hidden = _is_leg_hidden(tables, leaf_x, first, x, via_x)
+        length = _norm(x - via_x) + _at(to_corners.ravel(), leaf_y * size + corner)
+        better = ~hidden & (length < search.length)
+        length, via_x = jnp.where(better, length, search.length), jnp.where(better, first, search.via_x)
+        return replace(search, length=length, via_x=via_x, key=next_key)
+    # Find the last corner of the shortest path from there. Corners that are known to be hidden are left out.
+    columns = np.arange(pairs.keys.shape[1], dtype=np.uint32)[None]
+    bits = search.hidden_y[:, :, None] >> np.arange(32, dtype=np.uint32)[None, None]
+    is_left_out = (bits.reshape(bits.shape[0], -1)[:, : columns.size] & 1).astype(bool)
+    listed = tables.listed[leaf_y].astype(jnp.uint32)
+    onward = _legs(tables, leaf_y, y) + _at(tables.distances.ravel(), corner[:, None] * size + listed)
+    onward = jax.lax.optimization_barrier(jnp.where(is_left_out, jnp.inf, onward))
+    rest = onward.min(axis=1)
+    last = jnp.where(onward == rest[:, None], columns, columns.size - 1).min(axis=1)
+    both = ((leaf_x, leaf_y), (first, last), (x, y), (via_x, _corner_of(tables, leaf_y, last)))
+    hidden_x, hidden_y = jnp.split(_is_leg_hidden(tables, *map(jnp.concatenate, both)), 2)
     length = jnp.where(hidden_x | hidden_y, jnp.inf, _norm(x - via_x) + rest)
-    is_done = hidden_x | ~hidden_y | (rest == jnp.inf)
     better = length < search.length
+    word = np.arange(search.hidden_y.shape[1], dtype=np.uint32)[None] == (last >> 5)[:, None]
+    bit = jnp.where(word & hidden_y[:, None], jnp.uint32(1) << (last & 31)[:, None], 0)
     return _Search(
         length=jnp.where(better, length, search.length),
         via_x=jnp.where(better, first, search.via_x),
         via_y=jnp.where(better, last, search.via_y),
-        least=jnp.where(is_done, second, jnp.minimum(at_first, second)),
-        done_x=_with_bit(search.done_x, first, is_done),
-        done_y=_with_bit(search.done_y, last, hidden_y),
+        key=jnp.where(hidden_x | ~hidden_y | (rest == jnp.inf), next_key, search.key),
+        hidden_y=search.hidden_y | bit,
     )
 
 
-def _with_bit(
-    words: UInt32[Array, "n words"], place: UInt32[Array, "n"], if_so: Bool[Array, "n"] | bool
-) -> UInt32[Array, "n words"]:
-    number = jnp.arange(words.shape[1], dtype=jnp.uint32)[None]
-    bit = jnp.where(if_so, jnp.uint32(1) << (place & 31), 0)
-    return words | jnp.where(number == (place >> 5)[:, None], bit[:, None], 0)
+def _place_bits(longest: int) -> np.uint32:
+    """Return the bits of a key that hold a place in a list; the other bits are those of a float.
+
+    Compilers find a minimum fast, but its place slowly. Bits of floats of at least 0 are in the order of the floats.
+    """
+    return np.uint32(padded_size(longest) - 1)
 
 
-def _smallest(
-    values: Float[Array, "n longest"], done: UInt32[Array, "n words"]
-) -> tuple[UInt32[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    """Return place and value of each row's smallest entry that is not done, and the smallest of its other entries."""
-    # Compilers find a minimum fast but its place slowly. So the place is packed into the last bits of the excess over
-    # a bound slightly below the minimum, where it cannot reorder values that differ by more than rounding.
-    columns = np.arange(values.shape[1], dtype=np.uint32)[None]
-    is_done = done[:, columns[0] // 32] & (np.uint32(1) << columns % 32) != 0
-    values = jax.lax.optimization_barrier(jnp.where(is_done, jnp.inf, values))
-    base = _BELOW * jnp.minimum(values.min(axis=1, keepdims=True), _LARGEST) - _TINY
-    mask = np.uint32(2 ** (values.shape[1] - 1).bit_length() - 1)
-    bits = jax.lax.bitcast_convert_type(jnp.minimum(values - base, _LARGEST), jnp.uint32) & ~mask | columns
-    smallest = jax.lax.optimization_barrier(jax.lax.bitcast_convert_type(bits, jnp.float32)).min(axis=1)
-    place = jax.lax.bitcast_convert_type(smallest, jnp.uint32) & mask
-    others = jax.lax.optimization_barrier(jnp.where(columns == place[:, None], jnp.inf, values))
-    return place, jnp.take_along_axis(values, place[:, None], axis=1)[:, 0], others.min(axis=1)
+def _bound_of(key: UInt32[Array, "n"], longest: int) -> Float[Array, "n"]:
+    return jax.lax.bitcast_convert_type(key & ~_place_bits(longest), jnp.float32)
 
 
 def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
@@ -453,14 +447,7 @@ def _is_leg_hidden(
 ) -> Bool[Array, "n"]:
     if tables.near is None:
         return is_hidden(tables, x, corner)
-    (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
-    ax, ay, bx, by = tables.near(leaf, place)
-    ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
-    beside_p, beside_q = ex * (py - ay) - ey * (px - ax), ex * (qy - ay) - ey * (qx - ax)
-    a_is_left, b_is_left = dx * (ay - py) >= dy * (ax - px), dx * (by - py) >= dy * (bx - px)
-    crossed = jnp.where(beside_p * beside_q < 0, a_is_left.astype(jnp.float32) - b_is_left, 0)
-    crossed = jax.lax.optimization_barrier(crossed)
-    return (crossed.min(axis=1) < 0) & (crossed.max(axis=1) > 0)
+    return tables.near.hide(leaf, place, x, corner)
 
 
 def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
@@ -468,35 +455,7 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
     size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
     if is_symbolic_dim(size) or size <= _TESTED:
         return hidden | _is_across_walls(tables, x, y)
-    number = jnp.cumsum(~hidden)  # rank of each undecided pair, from 1
-
-    def test_next(done: Array, hidden: Bool[Array, "n"]) -> Bool[Array, "n"]:
-        lanes = jnp.searchsorted(number, done * _TESTED + 1 + jnp.arange(_TESTED))  # past the end if fewer are left
-        across = _is_across_walls(tables, *(_at(p, lanes, "clip") for p in (x, y)))
-        return hidden.at[lanes].set(across, mode="drop", unique_indices=True)
-
-    return jax.lax.fori_loop(0, -(-number[-1] // _TESTED), test_next, hidden)
-
-
-def is_across_occluder(
-    occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
-) -> Bool[Array, "n"]:
-    """Return whether segments between points cross a segment inside an obstacle, even after rounding.
-
-    Points must be clear of this occluder's line, on opposite sides: rounding may confuse the sides of its ends.
-    """
-    (px, py), (qx, qy) = x.T, y.T
-    dx, dy = qx - px, qy - py
-    moment = dx * py - dy * px
-
-    def meets(hidden, group):
-        for ax, ay, bx, by, nx, ny, offset in group:
-            p, q = nx * px + ny * py - offset, nx * qx + ny * qy - offset
-            a_is_left, b_is_left = dx * ay - dy * ax >= moment, dx * by - dy * bx >= moment
-            hidden |= (jnp.maximum(p, q) > 1) & (jnp.minimum(p, q) < -1) & (a_is_left != b_is_left)
-        return hidden, None
-
-    return jax.lax.scan(meets, jnp.zeros(x.shape[0], bool), occluders)[0]
+    return decided(hidden, ~hidden, _TESTED, partial(_is_across_walls, tables), (x, y))
 
 
 def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:

@@ -4,6 +4,7 @@ import pytest
 from pair_helpers import MAZE, WALL
 
 from plr_jax import construct_pairs
+from plr_jax.pairs import pair_plr
 
 
 @pytest.fixture(scope="session")
@@ -14,3 +15,16 @@ def maze():
 @pytest.fixture(scope="session")
 def wall():
     return construct_pairs(WALL, max_bytes=512)
+
+
+@pytest.fixture
+def compiled(monkeypatch):
+    """Answer few pairs by the compiled function too, not in NumPy."""
+    monkeypatch.setattr(pair_plr, "_FEW_TESTS", 0)
+
+
+@pytest.fixture(params=["few", "compiled"])
+def either_way(request):
+    """Answer few pairs in NumPy, then by the compiled function."""
+    if request.param == "compiled":
+        request.getfixturevalue("compiled")

@@ -47,8 +47,14 @@ def test_answers_and_their_bounds_are_those_of_the_graph_and_symmetric(rooms, pa
     np.testing.assert_array_equal(lower, answers)
     assert (lower <= truth).all() and (truth <= upper).all() and (upper <= lower * (1 + 2e-6)).all()
     np.testing.assert_array_equal(pairs(Y, X), answers)
+    np.testing.assert_array_equal(jax.jit(pairs.__call__)(X, Y), answers)  # few pairs are answered in NumPy
     free = np.resize(np.argwhere(ROOMS)[:, ::-1], X.shape)
     np.testing.assert_array_equal(pairs(free, free + 0.75), 0)
+
+
+def test_labels_answer_few_pairs_as_tables_do(rooms, answers, monkeypatch):
+    monkeypatch.setattr(grid_corners, "MOST_IN_TABLE", 0)
+    np.testing.assert_array_equal(construct_grid_pairs(rooms)(X, Y), answers)
 
 
 @pytest.mark.parametrize(("connectivity", "seed"), [(4, 0), (8, 1)])

@@ -1,8 +1,7 @@
-"""Queries of grids: cells that see each other, blocks of corners, and windows around agents."""
+"""Queries of grids: cells that see each other, and blocks of corners."""
 
 from itertools import pairwise
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -59,45 +58,3 @@ def test_cells_with_more_corners_than_a_word_has_bits(connectivity):
     )
     assert np.diff(taut_corners(free, connectivity)[0]).max() > 32 * BLOCK
     np.testing.assert_allclose(construct_grid_pairs(graph)(x, y), graph.between(x, y), rtol=1e-6)
-
-
-FREE = mosaic(5, 2, 10)
-
-
-def asked_cell_by_cell(graph, goals, positions, radius):
-    """The windows by a search from each goal, cut at whole steps."""
-    offsets = np.argwhere(np.ones((2 * radius + 1, 2 * radius + 1)))[:, ::-1] - radius
-    windows = np.floor(positions)[:, None] + offsets
-    lengths = graph.between(windows.reshape(-1, 2), np.repeat(goals, len(offsets), axis=0))
-    whole = np.where(np.isfinite(lengths), lengths + 1e-9, -1).astype(int)
-    return whole.reshape(len(goals), 2 * radius + 1, 2 * radius + 1)
-
-
-@pytest.mark.parametrize("connectivity", [4, 8])
-@pytest.mark.parametrize("radius", [1, *(pytest.param(radius, marks=pytest.mark.full) for radius in (0, 4))])
-def test_windows_are_what_searches_find(connectivity, radius):
-    graph = GridGraph(FREE, connectivity=connectivity)
-    pairs, rng = construct_grid_pairs(graph), np.random.default_rng(radius)
-    goals, positions = rng.uniform(-1, len(FREE) + 1, (2, 300, 2))
-    positions[:100] = goals[:100] + rng.uniform(-3, 3, (100, 2))  # goals in sight, or in the window
-    inside = ((positions >= 0) & (positions < len(FREE))).all(axis=1)
-    found = np.asarray(pairs.window(goals, positions, radius))
-    assert found.dtype == np.int32 and (found[~inside] == -1).all() and (found[inside] >= 0).any()
-    np.testing.assert_array_equal(found[inside], asked_cell_by_cell(graph, goals, positions, radius)[inside])
-    again = jax.jit(lambda pairs, x, y: pairs.window(x, y, radius))(pairs, goals, positions)
-    np.testing.assert_array_equal(again, found)
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (([[0, 0]], [[0, 0]], -1), "radius must be an integer >= 0"),
-        (([[0, 0]], [0, 0], 1), r"must be points \(x, y\), \(n, 2\) both"),
-        (([[0, 0]], [[0, 0], [1, 1]], 1), r"got \(1, 2\) and \(2, 2\)"),
-        (([[0, 0, 0]], [[0, 0, 0]], 1), r"goals must have shape"),
-    ],
-)
-def test_bad_input_is_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        construct_grid_pairs(GridGraph(FREE)).window(*arguments)

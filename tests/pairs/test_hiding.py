@@ -8,8 +8,7 @@ import shapely
 from plr_jax import Box, Workspace, scenes
 from plr_jax._arrays import padded
 from plr_jax.pairs import hiding
-from plr_jax.pairs.hiding import NearWalls, near_entries, occluders_of
-from plr_jax.pairs.query import is_across_occluder
+from plr_jax.pairs.hiding import NearWalls, is_across_occluder, near_entries, occluders_of
 
 
 def random_case(seed, leaves, corners, walls):
@@ -64,10 +63,34 @@ def test_the_walls_of_an_entry_are_read_at_its_place():
         near is not None and NearWalls.of(boxes, leaf, listed, points, walls[:8], 1e-6, (9, 8)) is None
     )  # most are near
     place = np.arange(len(leaf)) - np.searchsorted(leaf, leaf)
-    ends = np.moveaxis(np.asarray(near(*(jnp.asarray(each.astype(np.uint32)) for each in (leaf, place)))), 0, 2)
-    for entry, read in enumerate(ends):
+    for entry, first in enumerate(np.asarray(near.first)[leaf, place]):
         own = walls[pairs[1][pairs[0] == entry]].astype(np.float32)
-        np.testing.assert_array_equal(read[: len(own)], own)
+        begin = first % 2**31
+        np.testing.assert_array_equal(np.asarray(near.ends).T[begin : begin + len(own)], own)
+        assert (first >= 2**31) == (len(own) > 16)
+
+
+@pytest.mark.parametrize("n", [40, 2000])  # all walls at once, and few walls first
+def test_corners_are_hidden_by_obstacles_of_an_inward_and_an_outward_wall(n):
+    boxes, leaf, listed, points, walls = random_case(2, 9, 6, 400)
+    walls[:, 2:] = walls[:, :2] + 0.15 * (walls[:, 2:] - walls[:, :2])
+    near = NearWalls.of(boxes, leaf, listed, points, walls, 1e-6, (9, 8))
+    rng = np.random.default_rng(3)
+    entry = rng.integers(len(leaf), size=n)
+    x = boxes[0][leaf[entry]] + rng.random((n, 2)) * (boxes[1] - boxes[0])[leaf[entry]]
+    corner, place = points[listed[entry]], (np.arange(len(leaf)) - np.searchsorted(leaf, leaf))[entry]
+
+    def left_of(a, b, p):
+        return np.sign((b - a)[..., 0] * (p - a)[..., 1] - (b - a)[..., 1] * (p - a)[..., 0])
+
+    a, b, p, q = walls[:, :2], walls[:, 2:], x[:, None], corner[:, None]
+    sides = left_of(p, q, a)
+    crosses = (left_of(a, b, p) != left_of(a, b, q)) & (sides != left_of(p, q, b))
+    expected = (crosses & (sides > 0)).any(axis=1) & (crosses & (sides < 0)).any(axis=1)
+    numbers = (jnp.asarray(each.astype(np.uint32)) for each in (leaf[entry], place))
+    found = near.hide(*numbers, *(jnp.asarray(each, jnp.float32) for each in (x, corner)))
+    np.testing.assert_array_equal(found, expected)
+    assert 0.05 < expected.mean() < 0.95 and near.most > 32
 
 
 @pytest.mark.parametrize("limit", ["_MOST_TESTS", "_MOST_PAIRS"])

@@ -20,6 +20,7 @@ from plr_jax.plr.tree import Cells, tree_of
 INSIDE = np.array([0.1, 0.1])
 
 
+@pytest.mark.usefixtures("either_way")
 def test_the_maze_is_exact_in_a_kilobyte_symmetric_to_the_last_bit_and_zero_on_the_diagonal(maze):
     assert maze.num_bytes == len(maze.to_bytes()) <= 1024
     x, y = two_batches(MAZE, 4000)
@@ -28,6 +29,7 @@ def test_the_maze_is_exact_in_a_kilobyte_symmetric_to_the_last_bit_and_zero_on_t
     np.testing.assert_array_equal(maze(x, x), np.zeros(4000))
 
 
+@pytest.mark.usefixtures("either_way")
 @pytest.mark.full
 def test_hand_drawn_distances_promote_no_shapes_and_types(wall):
     around = math.hypot(2, 4) + 2 + math.hypot(2, 4)
@@ -44,6 +46,7 @@ def test_hand_drawn_distances_promote_no_shapes_and_types(wall):
         np.testing.assert_allclose(plr.waypoint(x[:1]), [(4, 8)], atol=1e-5)
 
 
+@pytest.mark.usefixtures("either_way")
 @pytest.mark.full
 def test_64_bits_are_answered_in_64(maze):
     """And beside corners the way is that of the points, not of what 32 bits leave of them."""
@@ -58,6 +61,7 @@ def test_64_bits_are_answered_in_64(maze):
         assert (np.abs(ahead - 2 * here + behind) < 1e-14).mean() > 0.9 < (ahead != here).mean()
 
 
+@pytest.mark.usefixtures("either_way")
 def test_outside_is_infinite_nan_stays_and_the_corners_of_the_domain_are_inside(maze):
     far = [(1.1, 0.5), (0.5, -0.1), (np.inf, 0.5), (1e300, 0.5)]
     with np.errstate(over="raise"):
@@ -104,7 +108,8 @@ def test_large_batches_are_answered_as_small_ones(maze):
 def test_tables_are_made_once_when_they_are_first_needed(maze):
     x, y = two_batches(MAZE, 100, seed=4)
     expected = maze(x, y)
-    for ask in (lambda pairs: pairs(x, y), lambda pairs: jax.jit(pairs.__call__)(x, y)):
+    many = [np.tile(points, (200, 1)) for points in (x, y)]  # more than NumPy answers
+    for ask in (lambda pairs: pairs(*many)[:100], lambda pairs: jax.jit(pairs.__call__)(x, y)):
         pairs = pairs_from_bytes(maze.to_bytes())
         assert "tables" not in vars(pairs) and repr(pairs) == repr(maze)
         assert "tables" not in vars(pairs.with_label("new"))
@@ -140,6 +145,7 @@ def test_an_outline_of_nothing_is_found_out_when_its_region_is_needed():
         stored_ring(points, (1000, 1000)).outline.contains(np.ones((1, 2)))
 
 
+@pytest.mark.usefixtures("either_way")
 @pytest.mark.full
 def test_prepared_goals_are_answered_as_the_points_are_in_any_batch_and_by_compiled_functions(maze):
     x, y = two_batches(MAZE, 60, seed=9)
@@ -214,6 +220,7 @@ def test_properties(maze):
     assert "num_corners=12" in repr(maze) and maze.resident_bytes > maze.num_bytes
 
 
+@pytest.mark.usefixtures("either_way")
 def test_lines_past_a_contact_are_straight_and_bounds_hold_there():
     """Where two obstacles touch, the free wedge between them ends. Lines pass its end, however near."""
     wedge = [[(5, 5), (0, 5.3), (0, 9), (5, 9)], [(5, 5), (0, 4.7), (0, 1), (5, 1)]]
@@ -228,6 +235,7 @@ def test_lines_past_a_contact_are_straight_and_bounds_hold_there():
         assert np.isinf(answers((8, 5), (1, 5)))
 
 
+@pytest.mark.usefixtures("either_way")
 @pytest.mark.parametrize("gap", [0, 6e-9, 5e-8])
 def test_gaps_that_32_bits_do_not_resolve_are_open_and_contacts_are_not(gap):
     """A path turns at the tip of a triangle, in the gap to a rectangle, or around the triangle's other end."""
@@ -239,6 +247,7 @@ def test_gaps_that_32_bits_do_not_resolve_are_open_and_contacts_are_not(gap):
         assert answers((0.5, 0.6), (0.8, 0.45)) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.usefixtures("either_way")
 def test_lines_along_a_wall_do_not_pass_a_tip_that_touches_it():
     """The tip parts free space. A line along the wall runs through the contact, from one part into the other."""
     pairs = construct_pairs(Workspace(((0, 0), (8, 6)), [[(8, 3), (0, 2), (0, 5)]]), max_bytes=2**11)

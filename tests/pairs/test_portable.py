@@ -61,6 +61,7 @@ def test_distances_are_exact_in_free_space(workspace, pairs):
     assert (lower >= truth - 1e-5 * scale - 3e-6 * farthest).all()
 
 
+@pytest.mark.usefixtures("compiled")
 def test_answers_are_those_of_jax_but_for_rounding(workspace, pairs):
     f, (x, y), scale = pairs.numpy(), ends(pairs), workspace.bounds.width.max()
     found, theirs = f(x, y), np.asarray(pairs(x, y))

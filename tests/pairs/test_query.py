@@ -9,6 +9,7 @@ from piece_helpers import TEN, box, fan_workspace, general_workspace, lattice_wo
 
 from plr_jax import VisibilityGraph, Workspace, construct_pairs, scenes
 
+pytestmark = pytest.mark.usefixtures("compiled")
 ROOMS = [
     *(kind(np.random.default_rng(seed)) for kind in (general_workspace, lattice_workspace) for seed in range(4)),
     *(fan_workspace(np.random.default_rng(seed)) for seed in range(100, 104)),  # corners at contacts

@@ -1,0 +1,175 @@
+"""Windows of distances around agents on a grid, in JAX.
+
+1. Ask for the distances of some cells on the rim of each window. Between two rim cells whose distances differ by the
+   number of steps between them, the distances of the other rim cells follow.
+2. Spread the distances of the rim into the window, by sweeps.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Int32, Num, Shaped
+
+from plr_jax.pairs.grid_corners import FAR, STRAIGHT, open_length
+from plr_jax.pairs.grid_query import Cells, GridTables, cells_of, is_free, lengths_between_cells
+
+_RIM_CELLS_AT_ONCE = 2**13  # rim cells whose distances are computed together
+_AGENTS = 1024  # agents whose squares are computed together
+
+# Agents are the last axis, so that processors vectorize over them.
+Square = Int32[Array, "width width n"]
+Rim = Int32[Array, "rim n"]
+_Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
+_Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
+
+
+@partial(jax.jit, static_argnames="radius")
+def distances_around(
+    tables: GridTables, goals: Num[Array, "n 2"], positions: Num[Array, "n 2"], radius: int
+) -> Int32[Array, "n width width"]:
+    """Return whole steps to goals from each cell of squares around positions; -1 without a path."""
+    (goal, goal_inside), (position, inside) = (cells_of(tables.shape, points) for points in (goals, positions))
+    offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
+    row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
+    on_grid = (row >= 0) & (row < tables.shape[0]) & (column >= 0) & (column < tables.shape[1])
+    in_grid = jnp.stack([jnp.where(on_grid, one, 0).ravel() for one in (row, column)], axis=-1)
+    free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
+
+    # Number the rim of a square from cell to neighbor cell, starting at a corner.
+    side, zero, far = np.arange(2 * radius), np.zeros(2 * radius, int), np.full(2 * radius, 2 * radius)
+    around = np.concatenate([zero, side, far, far - side]), np.concatenate([side, far, far - side, zero])
+    if radius == 0:
+        around = np.zeros(1, int), np.zeros(1, int)
+    cells = jnp.stack([row[around], column[around]], axis=-1)
+    # Ask first for the corners toward and away from the goal: lengths between them mostly follow.
+    turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
+    asked_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
+    lengths = _lengths_of_rim(tables, cells, free[around], goal, asked_first)
+    is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
+    known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
+    reached = _spread(tables.connectivity, jnp.where(free, known, FAR), free)
+    answered = free & inside & goal_inside & (reached < FAR)
+    return jnp.moveaxis(jnp.where(answered, reached // STRAIGHT[tables.connectivity], -1), -1, 0)
+
+
+def _lengths_of_rim(
+    tables: GridTables,
+    cells: Int32[Array, "rim n 2"],
+    free: Bool[Array, "rim n"],
+    goal: Cells,
+    asked_first: Bool[Array, "rim n"],
+) -> Rim:
+    """Return lengths in units to goals from cells on the rims of squares; at least ``FAR`` without a path.
+
+    If the lengths of two rim cells differ by the number of steps between them, the lengths of the cells between
+    follow. Else the cell in the middle is queried.
+    """
+    straight = int(open_length(tables.connectivity, 0, 1))
+    beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
+    place = jnp.arange(len(cells), dtype=jnp.int32)
+
+    def nearest_known(lengths: Rim, known: Bool[Array, "rim n"], first: _Known, reverse: bool) -> tuple[Rim, Rim]:
+
+        def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
+            place, length, is_known = cell
+            nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
+            return nearest, nearest
+
+        return lax.scan(step, first, (place, lengths, known), reverse=reverse)[1]
+
+    def step(state: tuple[Rim, Bool[Array, "rim n"], Bool[Array, "rim n"]]):
+        lengths, known, wanted = state
+        lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
+        # Both ends of each run of free cells are known. The rim is a cycle.
+        begin, end = lax.argmax(known, 0, jnp.int32), len(cells) - 1 - lax.argmax(known[::-1], 0, jnp.int32)
+        at_begin, at_end = (jnp.take_along_axis(lengths, one[None], axis=0)[0] for one in (begin, end))
+        before, first = nearest_known(lengths, known, (end - len(cells), at_end), reverse=False)
+        after, last = nearest_known(lengths, known, (begin + len(cells), at_begin), reverse=True)
+        is_settled = (jnp.abs(last - first) == straight * (after - before)) | (first >= FAR)
+        from_first = jnp.sign(last - first) * straight * (place[:, None] - before)
+        new = free & ~known & is_settled
+        wanted = free & ~known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
+        return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), known | new, wanted
+
+    start = free & (asked_first | beside_blocked)
+    none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
+    return lax.while_loop(lambda state: state[2].any(), step, none)[0]
+
+
+def _asked(
+    tables: GridTables,
+    cells: Int32[Array, "rim n 2"],
+    goal: Cells,
+    lengths: Rim,
+    wanted: Bool[Array, "rim n"],
+) -> Rim:
+    size = min(_RIM_CELLS_AT_ONCE, wanted.size)
+    every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
+    none = jnp.zeros_like(lengths[0])
+    count, until = lax.scan(lambda count, row: (count + row, count + row), none, wanted.astype(jnp.int32))
+    end = jnp.cumsum(count)
+    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)  # wanted cells, agent by agent
+    number = number.at[jnp.where(wanted, end - count + until - 1, len(number))].set(every, mode="drop")
+    flat = cells.reshape(-1, 2)
+
+    def with_some(some: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
+        asked = lax.dynamic_slice(number, (some * size,), (size,))
+        of = jnp.minimum(asked, wanted.size - 1)
+        start = goal[of % len(goal)]
+        # Padding asks for the distance of a cell to itself, which is quick.
+        ends = start, jnp.where((asked < wanted.size)[:, None], flat[of], start)
+        found = lengths_between_cells(tables, *ends)
+        return lengths.at[asked].set(found, mode="drop")
+
+    return lax.fori_loop(0, -(-end[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
+
+
+def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
+    straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
+    turns = (-1, 1) if connectivity == 8 else ()
+
+    def beside(row: Shaped[Array, "width n"], border: int, right: int) -> Shaped[Array, "width n"]:
+        return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
+
+    def swept(lengths: Square, free: Bool[Array, "width width n"], turns: tuple[int, ...], reverse: bool) -> Square:
+
+        def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
+            (last_row, last_free), (row, is_free) = last, here
+            row = jnp.minimum(row, last_row + straight)
+            for right in turns:
+                is_legal = last_free & beside(is_free, False, right)
+                row = jnp.minimum(row, jnp.where(is_legal, beside(last_row, FAR, right) + diagonal, FAR))
+            row = jnp.where(is_free, row, FAR)
+            return (row, is_free), row
+
+        border = jnp.full_like(lengths[0], FAR), jnp.zeros_like(free[0])
+        return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
+
+    def spread(part: tuple[Square, Bool[Array, "width width n"]]) -> Square:
+        lengths, free = part
+
+        def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
+            best = state[0]
+            for reverse in (False, True):
+                best = swept(best, free, turns, reverse)
+            best = best.swapaxes(0, 1)
+            for reverse in (False, True):
+                best = swept(best, free.swapaxes(0, 1), (), reverse)
+            best = best.swapaxes(0, 1)
+            return best, (best < state[0]).any()
+
+        return lax.while_loop(lambda state: state[1], step, (lengths, jnp.asarray(True)))[0]
+
+    # Take as many agents at once as fit into caches.
+    agents = lengths.shape[-1]
+    size = min(_AGENTS, max(agents, 1))
+
+    def in_parts(table: Shaped[Array, "width width n"], fill: int) -> Shaped[Array, "parts width width size"]:
+        filled = jnp.pad(table, ((0, 0), (0, 0), (0, -agents % size)), constant_values=fill)
+        return jnp.moveaxis(filled.reshape(*table.shape[:2], -1, size), 2, 0)
+
+    done = jnp.moveaxis(lax.map(spread, (in_parts(lengths, FAR), in_parts(free, False))), 0, 2)
+    return done.reshape(*lengths.shape[:2], -1)[..., :agents]
