@@ -33,6 +33,7 @@ from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.query import (
     PointPlacement,
+    SmallBatches,
     TableStack,
     bound_points,
     evaluate_points,
@@ -120,8 +121,12 @@ class PLR(FileBacked):
         """Return the approximate distance at each point; see :func:`evaluate`."""
         tables, placed = self._tables_and_points(x)
         if outside == "inf":
-            return evaluate_points(tables, placed)
-        return evaluate_points_anywhere(tables, placed, as_outside(outside))
+            return self._answer(evaluate_points, (tables,), placed)
+        return self._answer(evaluate_points_anywhere, (tables,), placed, as_outside(outside))
+
+    @cached_property
+    def _answer(self) -> SmallBatches:
+        return SmallBatches()
 
     def _tables_and_points(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
         if isinstance(x, jax.Array):
@@ -173,7 +178,7 @@ class PLR(FileBacked):
             ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
         """
         band, (tables, placed) = self._require_band(), self._tables_and_points(x)
-        return bound_points(tables, band, self._straight, placed)
+        return self._answer(bound_points, (tables, band, self._straight), placed)
 
     @property
     def lower(self) -> "LowerBound":
@@ -221,7 +226,7 @@ class PLR(FileBacked):
         """
         as_sourced(self.leaf)
         tables, placed = self._tables_and_points(x)
-        source = waypoints_of_points(tables, placed)
+        source = self._answer(waypoints_of_points, (tables,), placed)
         return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
 
     def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
@@ -511,5 +516,5 @@ def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
-    tables, placement = plr._tables_and_placement
-    return np.asarray(find_leaves(tables, x if placement is None else placement(x))).astype(np.int64)
+    tables, placed = plr._tables_and_points(np.asarray(x, np.float64))
+    return np.asarray(plr._answer(find_leaves, (tables,), placed)).astype(np.int64)
