@@ -76,7 +76,7 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
         points = np.asarray(value)
     except ValueError as error:
         raise ValueError(f"Points must be an array of numbers, got {shortened(value)}.") from error
-    is_float = points.dtype == np.float64 or points.dtype == np.float32
+    is_float = points.dtype in (np.float32, np.float64)
     if not is_float and points.dtype.name.startswith(("bfloat", "float8")):  # no floats to NumPy
         points = points.astype(np.float32)
     if points.dtype.kind not in "iubf":
