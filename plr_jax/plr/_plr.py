@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.tree_util import GetAttrKey
@@ -82,7 +81,7 @@ class PLR(FileBacked):
         bounds = certificate.bounds().astype(np.float32)
         rows = bounds.shape[1] if bounds.shape[1] == 1 else padded_size(bounds.shape[1])
         with jax.ensure_compile_time_eval():
-            return jnp.asarray(padded(bounds.T, rows).T)
+            return jax.device_put(padded(bounds.T, rows).T)
 
     @cached_property
     def _straight(self) -> Float[Array, "_"] | None:

@@ -91,7 +91,7 @@ def build_trie(
         )
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
     entries = padded(entries, size_in_eighths(len(entries)))
-    return Trie(jnp.asarray(entries), jnp.asarray(bits.astype(np.uint32)), jnp.asarray(np.uint32(num_rows)))
+    return Trie(jax.device_put(entries), jax.device_put(bits.astype(np.uint32)), jax.device_put(np.uint32(num_rows)))
 
 
 def _pages(
@@ -154,7 +154,7 @@ class _SameShapeGroup:
         arrays, shapes = [], []
         for column in (list(map(np.asarray, column)) for column in columns):
             is_shared = all(np.array_equal(column[0], each) for each in column[1:])
-            arrays.append(jnp.asarray(column[0] if is_shared else np.stack(column).ravel()))
+            arrays.append(jax.device_put(column[0] if is_shared else np.stack(column).ravel()))
             shapes.append(None if is_shared else column[0].shape)
         # 2. Deduplicate rows of leaf parameters, by a hash of their bits.
         rows, distinct, num_rows = [], [], 0
@@ -176,7 +176,9 @@ class _SameShapeGroup:
         trie = build_trie([plr.cells for plr in plrs], rows, levels)
         structure = jax.tree_util.tree_structure(frames[0])
         first_bits = int(levels[1].sum())
-        return cls(tuple(arrays), trie, jnp.asarray(arrange_parameters(table)), tuple(shapes), structure, first_bits)
+        return cls(
+            tuple(arrays), trie, jax.device_put(arrange_parameters(table)), tuple(shapes), structure, first_bits
+        )
 
     def pick(self, which: UInt32[AnyArray, "*batch"]) -> Tables:
         """Return lookup tables with which each point is looked up in PLR number ``which`` of the group."""
@@ -300,8 +302,8 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
             _SameShapeGroup.of([plrs[i] for i in members], [tables[i] for i in members], [frames[i] for i in members])
         )
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
-    parts = jnp.asarray(in_parts(np.array(corners))) if np.any(corners) else None
-    arrays = jnp.asarray(group), jnp.asarray(place), parts
+    parts = jax.device_put(in_parts(np.array(corners))) if np.any(corners) else None
+    arrays = jax.device_put(group), jax.device_put(place), parts
     return PLRStack(tuple(groups), *arrays, dim=plrs[0].dim, unresolved=unresolved)
 
 
