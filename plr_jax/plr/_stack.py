@@ -337,8 +337,8 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
         step = jax.grad(lambda x: plr(x, outside="clamp"))(x)
 
-    Outside of ``jit``, NumPy answers the first small batches of each shape, to the same bits as compiled code. A shape
-    that is asked often is compiled.
+    Outside of ``jit``, NumPy answers the first small batches of each shape, to the same bits as compiled code. Shapes
+    that are asked often are compiled.
 
     ``jax.export`` turns a query into a program that runs without this package, for batches of any size. It takes some
     hundred kilobytes and needs the package ``flatbuffers``. Close over the PLR or pass the leaves of

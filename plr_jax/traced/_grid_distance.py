@@ -156,7 +156,8 @@ def grid_distance(
         count = 0
     if point is None:
         return GridDistances(*_pairs(mask, moves, count))
-    return GridDistance(*_paths(mask, point, moves, count), (h, w))
+    paths, is_complete, is_nan = _paths(mask, point, moves, count)
+    return GridDistance(paths, is_complete, is_nan, (h, w))
 
 
 # Each call is one compiled program: compiling even a single operation takes 30 ms.
@@ -189,11 +190,11 @@ def _cells(field: GridDistance) -> Float[Array, "h w"]:
 
 @jax.jit
 def _distance(field: GridDistance | GridDistances, *points: Float[Array, "*#batch 2"]) -> Float[Array, "*batch"]:
-    points = jnp.broadcast_arrays(*points)
-    is_nan = reduce(or_, [jnp.isnan(x).any(axis=-1) for x in points]) | ~field.is_complete
+    ends = jnp.broadcast_arrays(*points)
+    is_nan = reduce(or_, [jnp.isnan(x).any(axis=-1) for x in ends]) | ~field.is_complete
     if isinstance(field, GridDistance):
         is_nan |= field.is_nan
-    distance = field.paths.distance(*(_finite(x).reshape(-1, 2) for x in points))
+    distance = field.paths.distance(*(_finite(x).reshape(-1, 2) for x in ends))
     return jnp.where(is_nan, jnp.nan, distance.reshape(is_nan.shape))
 
 
