@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jax.tree_util import GetAttrKey
@@ -33,6 +32,7 @@ from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.query import (
     PointPlacement,
+    SmallBatches,
     TableStack,
     bound_points,
     evaluate_points,
@@ -82,7 +82,7 @@ class PLR(FileBacked):
         bounds = certificate.bounds().astype(np.float32)
         rows = bounds.shape[1] if bounds.shape[1] == 1 else padded_size(bounds.shape[1])
         with jax.ensure_compile_time_eval():
-            return jnp.asarray(padded(bounds.T, rows).T)
+            return jax.device_put(padded(bounds.T, rows).T)
 
     @cached_property
     def _straight(self) -> Float[Array, "_"] | None:
@@ -121,8 +121,12 @@ class PLR(FileBacked):
         """Return the approximate distance at each point; see :func:`evaluate`."""
         tables, placed = self._tables_and_points(x)
         if outside == "inf":
-            return evaluate_points(tables, placed)
-        return evaluate_points_anywhere(tables, placed, as_outside(outside))
+            return self._answer(evaluate_points, (tables,), placed)
+        return self._answer(evaluate_points_anywhere, (tables,), placed, as_outside(outside))
+
+    @cached_property
+    def _answer(self) -> SmallBatches:
+        return SmallBatches()
 
     def _tables_and_points(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
         if isinstance(x, jax.Array):
@@ -174,7 +178,7 @@ class PLR(FileBacked):
             ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
         """
         band, (tables, placed) = self._require_band(), self._tables_and_points(x)
-        return bound_points(tables, band, self._straight, placed)
+        return self._answer(bound_points, (tables, band, self._straight), placed)
 
     @property
     def lower(self) -> "LowerBound":
@@ -222,7 +226,7 @@ class PLR(FileBacked):
         """
         as_sourced(self.leaf)
         tables, placed = self._tables_and_points(x)
-        source = waypoints_of_points(tables, placed)
+        source = self._answer(waypoints_of_points, (tables,), placed)
         return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
 
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
@@ -545,5 +549,5 @@ def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
-    tables, placement = plr._tables_and_placement
-    return np.asarray(find_leaves(tables, x if placement is None else placement(x))).astype(np.int64)
+    tables, placed = plr._tables_and_points(np.asarray(x, np.float64))
+    return np.asarray(plr._answer(find_leaves, (tables,), placed)).astype(np.int64)

@@ -39,8 +39,8 @@ from plr_jax.plr.frame import (
     spread_bits,
     unresolved_types,
 )
-from plr_jax.plr.query import evaluate_tables
-from plr_jax.plr.tables import PerPointTable, Tables, Trie, arrange_parameters
+from plr_jax.plr.query import SmallBatches, evaluate_tables
+from plr_jax.plr.tables import AnyArray, PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 
 _FIRST_BITS = 10  # index bits of first pages: a thousand PLRs' take 4 MB, and most points need no other page
@@ -91,7 +91,7 @@ def build_trie(
         )
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
     entries = padded(entries, size_in_eighths(len(entries)))
-    return Trie(jnp.asarray(entries), jnp.asarray(bits.astype(np.uint32)), jnp.asarray(np.uint32(num_rows)))
+    return Trie(jax.device_put(entries), jax.device_put(bits.astype(np.uint32)), jax.device_put(np.uint32(num_rows)))
 
 
 def _pages(
@@ -140,9 +140,9 @@ class _SameShapeGroup:
         first_bits: Number of index bits of the first level of the trie.
     """
 
-    arrays: tuple[Array, ...]
+    arrays: tuple[AnyArray, ...]
     trie: Trie
-    leaf_parameters: Float[Array, "count rows"] | Float[Array, "numbers"]
+    leaf_parameters: Float[AnyArray, "count rows"] | Float[AnyArray, "numbers"]
     shapes: tuple[tuple[int, ...] | None, ...] = field(metadata={"static": True})
     structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})
     first_bits: int = field(metadata={"static": True})
@@ -154,7 +154,7 @@ class _SameShapeGroup:
         arrays, shapes = [], []
         for column in (list(map(np.asarray, column)) for column in columns):
             is_shared = all(np.array_equal(column[0], each) for each in column[1:])
-            arrays.append(jnp.asarray(column[0] if is_shared else np.stack(column).ravel()))
+            arrays.append(jax.device_put(column[0] if is_shared else np.stack(column).ravel()))
             shapes.append(None if is_shared else column[0].shape)
         # 2. Deduplicate rows of leaf parameters, by a hash of their bits.
         rows, distinct, num_rows = [], [], 0
@@ -176,9 +176,11 @@ class _SameShapeGroup:
         trie = build_trie([plr.cells for plr in plrs], rows, levels)
         structure = jax.tree_util.tree_structure(frames[0])
         first_bits = int(levels[1].sum())
-        return cls(tuple(arrays), trie, jnp.asarray(arrange_parameters(table)), tuple(shapes), structure, first_bits)
+        return cls(
+            tuple(arrays), trie, jax.device_put(arrange_parameters(table)), tuple(shapes), structure, first_bits
+        )
 
-    def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
+    def pick(self, which: UInt32[AnyArray, "*batch"]) -> Tables:
         """Return lookup tables with which each point is looked up in PLR number ``which`` of the group."""
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
@@ -206,9 +208,9 @@ class PLRStack:
     """
 
     groups: tuple[_SameShapeGroup, ...]
-    group: UInt32[Array, "plrs"]
-    place: UInt32[Array, "plrs"]
-    corners: Float[Array, "plrs 3 dim"] | None
+    group: UInt32[AnyArray, "plrs"]
+    place: UInt32[AnyArray, "plrs"]
+    corners: Float[AnyArray, "plrs 3 dim"] | None
     dim: int = field(metadata={"static": True})
     unresolved: tuple[str, ...] = field(metadata={"static": True})
 
@@ -241,9 +243,13 @@ class PLRStack:
         corners, outside = self.corners, as_outside(outside)
         if corners is None or isinstance(corners, Tracer) or isinstance(index, jax.Array) or isinstance(x, jax.Array):
             require_resolved(jax.dtypes.canonicalize_dtype(x.dtype), self.unresolved)
-            return _evaluate(self, index, x, outside)
+            return self._answer(_evaluate, (self, index), x, outside)
         from_corner = x - self._exact_corners[np.where((index >= 0) & (index < len(self)), index, 0)]
-        return _evaluate(replace(self, corners=None), index, from_corner, outside)
+        return self._answer(_evaluate, (replace(self, corners=None), index), from_corner, outside)
+
+    @cached_property
+    def _answer(self) -> SmallBatches:
+        return SmallBatches()
 
     @cached_property
     def _exact_corners(self) -> Float[np.ndarray, "plrs dim"]:
@@ -278,11 +284,11 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     frames = [
         replace(
             each,
-            bits=jnp.zeros_like(each.bits),
+            bits=np.zeros_like(each.bits),
             blocks=None,
             pages=None,
-            leaf_of_slot=jnp.zeros(0, np.uint16),
-            leaf_parameters=jnp.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32),
+            leaf_of_slot=np.zeros(0, np.uint16),
+            leaf_parameters=np.zeros((each.leaf.num_leaf_parameters(each.dim), 0), np.float32),
         )
         for each in tables
     ]
@@ -296,30 +302,30 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
             _SameShapeGroup.of([plrs[i] for i in members], [tables[i] for i in members], [frames[i] for i in members])
         )
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
-    parts = jnp.asarray(in_parts(np.array(corners))) if np.any(corners) else None
-    arrays = jnp.asarray(group), jnp.asarray(place), parts
+    parts = jax.device_put(in_parts(np.array(corners))) if np.any(corners) else None
+    arrays = jax.device_put(group), jax.device_put(place), parts
     return PLRStack(tuple(groups), *arrays, dim=plrs[0].dim, unresolved=unresolved)
 
 
-@partial(jax.jit, static_argnames="outside")
-def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside) -> Float[Array, "*batch"]:
-    shape = jnp.broadcast_shapes(index.shape, x.shape[:-1])
-    index, x = jnp.broadcast_to(index, shape), jnp.broadcast_to(x, (*shape, x.shape[-1]))
+@partial(jax.jit, static_argnums=3)
+def _evaluate(stacked: PLRStack, index: AnyArray, x: AnyArray, outside: Outside) -> Float[AnyArray, "*batch"]:
+    xp, shape = x.__array_namespace__(), np.broadcast_shapes(index.shape, x.shape[:-1])
+    index, x = xp.broadcast_to(index, shape), xp.broadcast_to(x, (*shape, x.shape[-1]))
     is_one = (index >= 0) & (index < len(stacked))
-    known = jnp.where(is_one, index, 0).astype(jnp.uint32)
+    known = xp.where(is_one, index, 0).astype(np.uint32)
     if stacked.corners is not None:
-        x = x.astype(jnp.promote_types(x.dtype, jnp.float32))
-        for part in jnp.moveaxis(stacked.corners[known].astype(x.dtype), -2, 0):
+        x = x.astype(jnp.promote_types(x.dtype, np.float32))
+        for part in xp.moveaxis(stacked.corners[known].astype(x.dtype), -2, 0):
             x = x - part
     has_kinds = len(stacked.groups) > 1
     place, group = (stacked.place[known], stacked.group[known]) if has_kinds else (known, np.uint32(0))
     value = None
     for number, alike in enumerate(stacked.groups):
         here = group == number
-        of_group = evaluate_tables(alike.pick(jnp.where(here, place, jnp.uint32(0))), x, outside)
-        value = of_group if value is None else jnp.where(here, of_group, value)
+        of_group = evaluate_tables(alike.pick(xp.where(here, place, np.uint32(0))), x, outside)
+        value = of_group if value is None else xp.where(here, of_group, value)
     assert value is not None
-    return jnp.where(is_one, value, jnp.nan)
+    return xp.where(is_one, value, np.nan)
 
 
 def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
@@ -330,6 +336,9 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     leave the domain should pass ``outside="clamp"``, so that a descent step leads back::
 
         step = jax.grad(lambda x: plr(x, outside="clamp"))(x)
+
+    Outside of ``jit``, NumPy answers the first small batches of each shape, to the same bits as compiled code. Shapes
+    that are asked often are compiled.
 
     ``jax.export`` turns a query into a program that runs without this package, for batches of any size. It takes some
     hundred kilobytes and needs the package ``flatbuffers``. Close over the PLR or pass the leaves of

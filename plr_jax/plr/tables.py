@@ -18,12 +18,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import prod
 from operator import ge
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, UInt16, UInt32
+from jaxtyping import Array, Float, Int, Shaped, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size
 from plr_jax.geometry.box import Box
@@ -50,6 +49,14 @@ from plr_jax.plr.frame import (
 )
 from plr_jax.plr.tree import Cells
 
+AnyArray: TypeAlias = Array | np.ndarray
+"""Tables are JAX arrays; NumPy views of them answer small batches."""
+
+
+def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
+    """Return ``table[index]`` without a bounds check."""
+    return table[index] if isinstance(table, np.ndarray) else table.at[index].get(mode="promise_in_bounds")
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
@@ -60,9 +67,9 @@ class Trie:
     the index of the first page of one PLR, or of each point's PLR.
     """
 
-    entries: UInt32[Array, "entries"]
-    bits: UInt32[Array, "levels 2 dim"]
-    start: UInt32[Array, "*batch"]
+    entries: UInt32[AnyArray, "entries"]
+    bits: UInt32[AnyArray, "levels 2 dim"]
+    start: UInt32[AnyArray, "*batch"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +80,9 @@ class PerPointTable:
     read.
     """
 
-    flat: Array
+    flat: AnyArray
     shape: tuple[int, ...]
-    start: UInt32[Array, "*batch"]
+    start: UInt32[AnyArray, "*batch"]
     dtype: Any
 
     def astype(self, dtype: Any) -> "PerPointTable":
@@ -87,14 +94,16 @@ class PerPointTable:
     def __getitem__(self, key: Any) -> Any:
         first, *rest = key if isinstance(key, tuple) else (key,)
         if isinstance(first, slice):
-            return jnp.stack([self[(i, *rest)] for i in range(*first.indices(self.shape[0]))])
+            return self.flat.__array_namespace__().stack(
+                [self[(i, *rest)] for i in range(*first.indices(self.shape[0]))]
+            )
         size = prod(self.shape[1:])
         inner = replace(self, shape=self.shape[1:], start=self.start + np.uint32(int(first) * size))
         if rest:
             return inner[tuple(rest)]
         if inner.shape:
             return inner
-        return self.flat.at[inner.start].get(mode="promise_in_bounds").astype(self.dtype)
+        return gather(self.flat, inner.start).astype(self.dtype)
 
 
 @jax.tree_util.register_dataclass
@@ -109,10 +118,10 @@ class FoldedDomain:
         mirrors: For each mirror, its pivot and all axes that it reverses: points with a negative pivot are mirrored.
     """
 
-    frame: Float[Array, "7 dim"] | PerPointTable
-    center: Float[Array, "2 dim"] | PerPointTable
-    corners: Float[Array, "2 dim"] | PerPointTable
-    axes: Float[Array, "dim dim"] | PerPointTable | None
+    frame: Float[AnyArray, "7 dim"] | PerPointTable
+    center: Float[AnyArray, "2 dim"] | PerPointTable
+    corners: Float[AnyArray, "2 dim"] | PerPointTable
+    axes: Float[AnyArray, "dim dim"] | PerPointTable | None
     mirrors: tuple[tuple[int, tuple[int, ...]], ...] = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True})
 
@@ -139,8 +148,8 @@ class Blocks:
         axes: Number of axes that each array of words describes.
     """
 
-    words: tuple[UInt32[Array, "blocks"], ...]
-    shift: UInt32[Array, "dim"]
+    words: tuple[UInt32[AnyArray, "blocks"], ...]
+    shift: UInt32[AnyArray, "dim"]
     axes: tuple[int, ...] = field(metadata={"static": True})
     width: int = field(metadata={"static": True})
 
@@ -223,8 +232,8 @@ class Pages:
             of a word at which the start begins (equal for all axes).
     """
 
-    words: UInt32[Array, "blocks"]
-    bits: UInt32[Array, "3 dim"]
+    words: UInt32[AnyArray, "blocks"]
+    bits: UInt32[AnyArray, "3 dim"]
 
 
 def build_pages(
@@ -335,12 +344,12 @@ class Tables:
         unresolved: Float types that are too coarse for the domain; see :func:`unresolved_types`.
     """
 
-    frame: Float[Array, "7 dim"] | PerPointTable
-    bits: UInt32[Array, "2 dim"]
+    frame: Float[AnyArray, "7 dim"] | PerPointTable
+    bits: UInt32[AnyArray, "2 dim"]
     blocks: Blocks | None
     pages: Pages | None
-    leaf_of_slot: UInt16[Array, "slots"] | UInt32[Array, "slots"]
-    leaf_parameters: Float[Array, "count padded"] | Float[Array, "numbers"]
+    leaf_of_slot: UInt16[AnyArray, "slots"] | UInt32[AnyArray, "slots"]
+    leaf_parameters: Float[AnyArray, "count padded"] | Float[AnyArray, "numbers"]
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedDomain | None = None

@@ -1,11 +1,14 @@
 """The public function :func:`grid_distance`: distances on a grid of cells that may be traced by JAX."""
 
+from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, Literal, overload
+from functools import partial, reduce
+from operator import or_
+from typing import Literal, overload
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from plr_jax._arrays import require_integer, shortened
@@ -38,8 +41,7 @@ class GridDistance:
     @property
     def cells(self) -> Float[Array, "h w"]:
         """Distances of the centers of all cells to the goal, computed at each access."""
-        h, w = self.shape
-        return jnp.where(self.is_nan | ~self.is_complete, jnp.nan, self.paths.cells()[:h, :w])
+        return _cells(self)
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
         """Return the distance of each point to the goal.
@@ -55,9 +57,7 @@ class GridDistance:
         Raises:
             ValueError: If ``x`` has a wrong shape or is not real.
         """
-        x = _as_points("x", x)
-        is_nan = jnp.isnan(x).any(axis=-1) | self.is_nan | ~self.is_complete
-        return jnp.where(is_nan, jnp.nan, _distance(self.paths, _finite(x)))
+        return _distance(self, _as_points("x", x))
 
     def __repr__(self) -> str:
         return f"GridDistance({self.shape[0]} x {self.shape[1]} cells, {type(self.paths).__name__})"
@@ -83,11 +83,10 @@ class GridDistances:
         """
         x, y = _as_points("x", x), _as_points("y", y)
         try:
-            x, y = jnp.broadcast_arrays(x, y)
+            jnp.broadcast_shapes(x.shape, y.shape)
         except ValueError:
             raise ValueError(f"x and y must broadcast, got shapes {x.shape} and {y.shape}.") from None
-        is_nan = (jnp.isnan(x) | jnp.isnan(y)).any(axis=-1) | ~self.is_complete
-        return jnp.where(is_nan, jnp.nan, _distance(self.paths, _finite(x), _finite(y)))
+        return _distance(self, x, y)
 
     def __repr__(self) -> str:
         return f"GridDistances({type(self.paths).__name__})"
@@ -156,20 +155,23 @@ def grid_distance(
     else:
         count = 0
     if point is None:
-        pairs, is_complete = _pairs(mask, moves, count)
-        return GridDistances(pairs, is_complete)
-    paths, is_complete = _paths(mask, _finite(point), moves, count)
-    return GridDistance(paths, is_complete, jnp.isnan(point).any(), (h, w))
+        return GridDistances(*_pairs(mask, moves, count))
+    paths, is_complete, is_nan = _paths(mask, point, moves, count)
+    return GridDistance(paths, is_complete, is_nan, (h, w))
+
+
+# Each call is one compiled program: compiling even a single operation takes 30 ms.
 
 
 @partial(jax.jit, static_argnames=("moves", "count"))
 def _paths(
     free: Mask, goal: Float[Array, "2"], moves: Moves, count: int
-) -> tuple[Steps | CornerPaths, Bool[Array, ""]]:
+) -> tuple[Steps | CornerPaths, Bool[Array, ""], Bool[Array, ""]]:
+    is_nan, goal = jnp.isnan(goal).any(), _finite(goal)
     if moves != "any-angle":
-        return Steps.to_goal(free, goal, moves), jnp.array(True)
+        return Steps.to_goal(free, goal, moves), jnp.array(True), is_nan
     corners, is_complete = convex_corners(free, count)
-    return CornerPaths.to_goal(corners, goal), is_complete
+    return CornerPaths.to_goal(corners, goal), is_complete, is_nan
 
 
 @partial(jax.jit, static_argnames=("moves", "count"))
@@ -181,13 +183,24 @@ def _pairs(free: Mask, moves: Moves, count: int) -> tuple[StepPairs | CornerPair
 
 
 @jax.jit
-def _distance(paths: Any, *points: Points) -> Float[Array, "*batch"]:
-    return paths.distance(*(x.reshape(-1, 2) for x in points)).reshape(points[0].shape[:-1])
+def _cells(field: GridDistance) -> Float[Array, "h w"]:
+    h, w = field.shape
+    return jnp.where(field.is_nan | ~field.is_complete, jnp.nan, field.paths.cells()[:h, :w])
 
 
-def _as_mask(free: ArrayLike) -> Mask:
+@jax.jit
+def _distance(field: GridDistance | GridDistances, *points: Float[Array, "*#batch 2"]) -> Float[Array, "*batch"]:
+    ends = jnp.broadcast_arrays(*points)
+    is_nan = reduce(or_, [jnp.isnan(x).any(axis=-1) for x in ends]) | ~field.is_complete
+    if isinstance(field, GridDistance):
+        is_nan |= field.is_nan
+    distance = field.paths.distance(*(_finite(x).reshape(-1, 2) for x in ends))
+    return jnp.where(is_nan, jnp.nan, distance.reshape(is_nan.shape))
+
+
+def _as_mask(free: ArrayLike) -> Bool[Array | np.ndarray, "h w"]:
     try:
-        mask = jnp.asarray(free)
+        mask = _as_array(free)
     except (TypeError, ValueError):
         raise ValueError(f"free must be an array of booleans (h, w), got {shortened(free)}.") from None
     if mask.dtype != bool or mask.ndim != 2 or not mask.size:
@@ -196,9 +209,9 @@ def _as_mask(free: ArrayLike) -> Mask:
     return mask
 
 
-def _as_points(name: str, value: ArrayLike) -> Points:
+def _as_points(name: str, value: ArrayLike) -> Float[Array | np.ndarray, "*batch 2"]:
     try:
-        points = jnp.asarray(value)
+        points = _as_array(value)
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} must be points (..., 2), got {shortened(value)}.") from None
     is_real = jnp.issubdtype(points.dtype, jnp.floating) or jnp.issubdtype(points.dtype, jnp.integer)
@@ -207,7 +220,18 @@ def _as_points(name: str, value: ArrayLike) -> Points:
             f"{name} must be real numbers of shape (..., 2), rows (x, y), got {points.dtype} of shape {points.shape}."
         )
     is_wide = jnp.issubdtype(points.dtype, jnp.floating) and points.dtype.itemsize >= 4
-    return points if is_wide else points.astype(jnp.zeros(()).dtype)  # JAX's default float type
+    return points if is_wide else points.astype(jax.dtypes.canonicalize_dtype(np.float64))
+
+
+def _as_array(value: ArrayLike) -> Array | np.ndarray:
+    """Return an array; NumPy converts booleans and floats, for which JAX would compile a program."""
+    if not isinstance(value, jax.Array):
+        # A list of traced numbers is no NumPy array, nor is a ragged one.
+        with suppress(jax.errors.TracerArrayConversionError, ValueError), np.errstate(over="ignore"):
+            array = np.asarray(value)
+            if array.dtype.kind in "bf":
+                return array.astype(jax.dtypes.canonicalize_dtype(array.dtype), copy=False)
+    return jnp.asarray(value)
 
 
 def _finite(x: Points) -> Points:

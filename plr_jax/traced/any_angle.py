@@ -257,7 +257,6 @@ class CornerPaths:
         from_goal = _length(seen, goal[None], corners.points(goal.dtype))
         return cls(corners, relax_from_seen(lengths, from_goal), goal)
 
-    @jax.jit
     def cells(self) -> Float[Array, "h w"]:
         x = jnp.asarray(cell_centers(self.corners.free.shape), self.goal.dtype)
         return self._distance(x, self.corners.seen_from_centers(x.dtype)).reshape(self.corners.free.shape)

@@ -44,9 +44,9 @@ def test_arrays_of_several_plrs_are_not_saved_as_one(plr, x, tmp_path, unchecked
 
 
 def test_a_second_plr_of_its_size_class_compiles_nothing(plr, leaf, x):
-    plr(x)
+    evaluate_points(plr.tables, x)
     compiled = evaluate_points._cache_size()
-    construct(lambda x: 1 + 2 * walled(x), UNIT, leaf=leaf, max_leaves=98)(x)
+    evaluate_points(construct(lambda x: 1 + 2 * walled(x), UNIT, leaf=leaf, max_leaves=98).tables, x)
     assert evaluate_points._cache_size() == compiled
 
 
