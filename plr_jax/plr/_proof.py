@@ -9,8 +9,7 @@ from jaxtyping import Float
 from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, ChangingFn, DistanceFn
 from plr_jax.plr._file import DecodedFile, body_of_leaves, filled_coefficients
-from plr_jax.plr.cell_memory import sources_by_level
-from plr_jax.plr.certificate import Certificate, LeafBounds, LeafFunctions, Proof, prove_bounds
+from plr_jax.plr.certificate import Certificate, Errors, LeafBounds, LeafFunctions, Proof, prove_bounds
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import BudgetTooSmall
 from plr_jax.plr.leaves import Cone, ConeLeaves, NodeCosts, updated_cones
@@ -20,24 +19,16 @@ from plr_jax.plr.leaves.base import check_limits
 _COARSEST = 1e-4
 
 
-def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Certificate:
-    """Prove error bounds of all leaves; ``root``: the oracle's ``cell_sources`` of the slightly enlarged domain."""
+def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
+    """Prove error bounds of all leaves; ``visible``: the sources of the leaves' cells, slightly enlarged."""
     domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
-    if root.slack > _COARSEST * domain.width.min():
+    if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
-            f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {root.slack:.2g} in "
+            f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {visible.slack:.2g} in "
             f"{domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move the "
             "origin, divide the domain, or build the PLR without a proof."
         )
     coefficients = filled_coefficients(contents)
-    # The sources of all leaves, found down the tree, then sorted by leaf.
-    tree, parts, leaves = contents.tree, [], []
-    for nodes, of_nodes in sources_by_level(tree, root, domain):
-        is_leaf = tree.child[nodes] < 0
-        parts.append(of_nodes.of_cells(np.flatnonzero(is_leaf)))
-        leaves.append(nodes[is_leaf])
-    order = np.argsort(np.concatenate(leaves))
-    visible = parts[0].append(*parts[1:]).of_cells(order[np.argsort(np.argsort(tree.node_of_leaf))])
     if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:
         lo, hi = cells.boxes(domain)
         at = np.unique(visible.cell)[blind[0]]
@@ -49,7 +40,14 @@ def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Ce
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     functions = LeafFunctions(leaf, *cells.boxes(domain), coefficients)
     rounding = leaf.rounding_bounds(domain, cells, coefficients)
-    return certificate_of_bounds(contents, prove_bounds(functions, visible), rounding, proof)
+    found: list[Certificate] = []
+
+    def sufficient(least: Errors, most: Errors) -> tuple[Errors, Errors]:
+        if not found:
+            found.append(certificate_of_bounds(contents, LeafBounds(least, most), rounding, proof))
+        return found[0].sufficient_bounds(least, most, rounding)
+
+    return certificate_of_bounds(contents, prove_bounds(functions, visible, sufficient), rounding, proof)
 
 
 def certificate_of_bounds(

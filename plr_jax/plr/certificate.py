@@ -99,7 +99,7 @@ _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
 # Bounds are tight enough if they exceed attained errors by at most this share of the range of a leaf's errors,
 # clipped to these shares of the largest error of all leaves.
 _OF_RANGE = 0.04
-LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3
+LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +134,13 @@ def prove_bounds(
         np.minimum.at(least, leaf, met)
         np.maximum.at(most, leaf, met)
         below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.cone_minus_leaf_bounds(leaf))
+        if functions.model.has_exact_cone_bounds:
+            # If all of a piece sees all its sources, its distance is the least cone, so the lower bound is attained.
+            num_sources = np.diff(visible.first_pair)
+            is_clear = np.bincount(visible.piece, visible.by_all, len(leaf)) == num_sources
+            is_single = is_clear & (num_sources == 1)
+            np.minimum.at(least, leaf[is_clear], below[is_clear])
+            np.maximum.at(most, leaf[is_single], above[is_single])
         # Bounds beyond these are tightened further.
         largest = max(most.max(initial=0.0), -least.min(initial=0.0))
         spare = (

@@ -9,7 +9,7 @@
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -309,8 +309,20 @@ def _changes(
 
 _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
-ConeTree: TypeAlias = tuple[Tree, StoredCones]
-"""A tree, and the file form of its leaves in the order of its traversal."""
+
+class ConeTree(NamedTuple):
+    """A tree, and its leaves in the order of its traversal: their file form, box among ``boxes``, and cone's source.
+
+    ``boxes`` are the leaf boxes of all trees. Sources are numbered among all corners and goals, -1 for none.
+    """
+
+    tree: Tree
+    stored: StoredCones
+    boxes: ConeBoxes
+    box: Int[np.ndarray, "leaves"]
+    source: Int[np.ndarray, "leaves"]
+
+
 Run: TypeAlias = Callable[[Forest, Callable[[Forest], Forest | None]], Forest]
 """Function that repeats a step on trees until the step returns None, and returns the last trees."""
 
@@ -370,8 +382,9 @@ def best_cones(
         def fits(view: Int[np.ndarray, "leaves"], member: int = member) -> bool:
             return files[member].num_bytes(views(member, view), limits) <= limits.max_bytes
 
-        view = views(member, prefer_visible_sources(leaves, options, fits))
-        members.append((tree, files[member].stored(view)))
+        view = prefer_visible_sources(leaves, options, fits)
+        box = np.searchsorted(options.key, _keys(leaves))
+        members.append(ConeTree(tree, files[member].stored(views(member, view)), options.boxes, box, view))
     return members
 
 
