@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, ChangingFn, DistanceFn
@@ -24,8 +24,8 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
     domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
-            f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {visible.slack:.2g} in "
-            f"{domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move the "
+            f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {visible.slack:.2g} "
+            f"in {domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move the "
             "origin, divide the domain, or build the PLR without a proof."
         )
     coefficients = filled_coefficients(contents)
@@ -40,26 +40,18 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     functions = LeafFunctions(leaf, *cells.boxes(domain), coefficients)
     rounding = leaf.rounding_bounds(domain, cells, coefficients)
-    found: list[Certificate] = []
+    encoded = partial(Certificate.of, rounding=rounding, proof=proof, **_weights(contents))
 
     def sufficient(least: Errors, most: Errors) -> tuple[Errors, Errors]:
-        if not found:
-            found.append(certificate_of_bounds(contents, LeafBounds(least, most), rounding, proof))
-        return found[0].sufficient_bounds(least, most, rounding)
+        return encoded(LeafBounds(least, most)).sufficient_bounds(least, most, rounding)
 
-    return certificate_of_bounds(contents, prove_bounds(functions, visible, sufficient), rounding, proof)
+    return encoded(prove_bounds(functions, visible, sufficient))
 
 
-def certificate_of_bounds(
-    contents: DecodedFile,
-    bounds: LeafBounds,
-    rounding: Float[np.ndarray, "leaves"],
-    proof: Proof,
-    before: Certificate | None = None,
-) -> Certificate:
-    """Encode proven bounds of leaves, widened by rounding errors of queries, as :meth:`Certificate.of` explains."""
+def _weights(contents: DecodedFile) -> dict[str, Any]:
+    """Return the volume of leaves and the bytes of the file without proof, which classes of bounds depend on."""
     volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
-    return Certificate.of(bounds, rounding, proof, volume, len(body_of_leaves(contents).to_bytes()), before)
+    return {"volume": volume, "num_bytes": len(body_of_leaves(contents).to_bytes())}
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,5 +119,7 @@ def updated_contents(
     functions = LeafFunctions(model, *new.tree.leaves[rebuilt].boxes(domain), coefficients[rebuilt])
     proven = prove_bounds(functions, found.visible, sufficient)
     bounds.lower[rebuilt], bounds.upper[rebuilt] = proven.lower, proven.upper
-    new = replace(new, certificate=certificate_of_bounds(new, bounds, rounding, certificate.proof, certificate))
+    new = replace(
+        new, certificate=Certificate.of(bounds, rounding, certificate.proof, before=certificate, **_weights(new))
+    )
     return new, replace(origin, oracle=oracle, bounds=bounds, node_costs=found.node_costs)
