@@ -12,17 +12,17 @@ from tqdm import tqdm
 from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
+from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of, require_certifiable
 from plr_jax.plr._file import DecodedFile, encode
 from plr_jax.plr._plr import PLR
 from plr_jax.plr._proof import certificate_of
+from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
 from plr_jax.plr.sampling import sample_pattern
-from plr_jax.plr.tree import grown_domain
 from plr_jax.plr.work import BuildResults, Checkpoint, Chunk, digest_of
 
 # Goals that one worker builds together. More goals share more work, but each takes about 10 MB of memory.
@@ -145,11 +145,11 @@ def construct_many(
 
 def _family_files(task: FamilyTask, leaf: LeafModel, proof: Proof, oracles: Sequence[FamilyFn]) -> list[bytes]:
     files = []
-    for oracle, (tree, stored) in zip(oracles, task(oracles), strict=True):
-        contents = DecodedFile(task.domain, leaf, tree, stored)
+    for oracle, found in zip(oracles, task(oracles), strict=True):
+        contents = DecodedFile(task.domain, leaf, found.tree, found.stored)
         if proof is not Proof.NONE:
-            root = oracle.cell_sources(grown_domain(task.domain))
-            contents = replace(contents, certificate=certificate_of(contents, root, proof))
+            visible = CellMemory(require_certifiable(oracle, task.domain), task.domain).sources_of_leaves(found.tree)
+            contents = replace(contents, certificate=certificate_of(contents, visible, proof))
         files.append(encode(contents))
     return files
 
