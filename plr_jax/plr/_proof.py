@@ -25,8 +25,8 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
             f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {visible.slack:.2g} "
-            f"in {domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move the "
-            "origin, divide the domain, or build the PLR without a proof."
+            f"in {domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move "
+            "the origin, divide the domain, or build the PLR without a proof."
         )
     coefficients = filled_coefficients(contents)
     if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:
