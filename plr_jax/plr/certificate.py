@@ -135,7 +135,7 @@ def prove_bounds(
     num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
     least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # attained errors
-    aside: list[tuple[CellSources, Int[np.ndarray, "pieces"], Errors, Errors]] = []
+    aside: list[tuple[Any, ...]] = []
     for round_ in range(_MOST_ROUNDS):
         # 1. Bound the errors of pieces, and collect attained errors: at centers, and if all of a piece sees all its
         #    sources, at corners, as the distance is the least of their cones. Then exact lower bounds are attained
