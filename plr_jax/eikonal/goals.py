@@ -1,4 +1,4 @@
-"""Which of several goals are nearest in a straight line."""
+"""The nearest of several goals in a straight line."""
 
 from typing import Any
 

@@ -53,7 +53,7 @@ def tobler(slope: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
 
 @dataclass(frozen=True, eq=False)
 class CostDistance:
-    """What :func:`cost_distance` returns; arrays have the shape of the raster, and its coordinates if it has some.
+    """A result of :func:`cost_distance`; arrays have the shape of the raster, and its coordinates if it has some.
 
     Attributes:
         distance: Cost distance to the nearest source; ``inf`` where no source can be reached.

@@ -45,7 +45,7 @@ from plr_jax.plr.sampling import (
     least_squares,
     sample_pattern,
 )
-from plr_jax.plr.tree import Cells, grown_domain
+from plr_jax.plr.tree import grown_domain
 from plr_jax.plr.work import Checkpoint, ParallelOracle, digest_of
 
 if TYPE_CHECKING:
@@ -275,9 +275,9 @@ def _build_leaves(
 
     # 4. Prove its error bounds.
     if proof is not Proof.NONE and memory is not None:
-        root = memory.sources(Cells.root(domain.dim))
         try:
-            contents = replace(contents, certificate=certificate_of(contents, root, proof))
+            certificate = certificate_of(contents, memory.sources_of_leaves(tree), proof)
+            contents = replace(contents, certificate=certificate)
         except KeyboardInterrupt:
             message = "Interrupted during the proof: the PLR is complete, but has no certificate."
             warnings.warn(message, ConstructionInterrupted, stacklevel=4)
@@ -456,8 +456,9 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             "certified=True."
         )
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
-    root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
-    certified = with_certificate(plr, certificate_of(plr._contents, root, proof))
+    memory = CellMemory(require_certifiable(oracle, plr.domain), plr.domain)
+    visible = memory.sources_of_leaves(plr._contents.tree)
+    certified = with_certificate(plr, certificate_of(plr._contents, visible, proof))
     if isinstance(plr.leaf, Cone) and isinstance(oracle, ChangingFn):
         certified.build_inputs = BuildInputs(oracle, certified.num_bytes)
     return certified

@@ -12,16 +12,16 @@ from tqdm import tqdm
 from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
+from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of, require_certifiable
 from plr_jax.plr._file import DecodedFile, encode
 from plr_jax.plr._plr import PLR
 from plr_jax.plr._proof import certificate_of
+from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
-from plr_jax.plr.tree import grown_domain
 from plr_jax.plr.work import BuildResults, Checkpoint, Chunk, digest_of
 
 # Goals that one worker builds in turn, so that progress is stored from time to time.
@@ -152,7 +152,8 @@ def _files(
             continue
         contents = DecodedFile(task.domain, leaf, *found)
         if task.limits.proof is not Proof.NONE:
-            root = oracle.cell_sources(grown_domain(task.domain))
-            contents = replace(contents, certificate=certificate_of(contents, root, task.limits.proof))
+            memory = CellMemory(require_certifiable(oracle, task.domain), task.domain)
+            visible = memory.sources_of_leaves(contents.tree)
+            contents = replace(contents, certificate=certificate_of(contents, visible, task.limits.proof))
         files.append(encode(contents))
     return files

@@ -2,15 +2,14 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, ChangingFn, DistanceFn
 from plr_jax.plr._file import DecodedFile, body_of_leaves, filled_coefficients
-from plr_jax.plr.cell_memory import sources_by_level
-from plr_jax.plr.certificate import Certificate, LeafBounds, LeafFunctions, Proof, prove_bounds
+from plr_jax.plr.certificate import Certificate, Errors, LeafBounds, LeafFunctions, Proof, prove_bounds
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import BudgetTooSmall
 from plr_jax.plr.leaves import Cone, ConeLeaves, NodeCosts, updated_cones
@@ -20,24 +19,16 @@ from plr_jax.plr.leaves.base import check_limits
 _COARSEST = 1e-4
 
 
-def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Certificate:
-    """Prove error bounds of all leaves; ``root``: the oracle's ``cell_sources`` of the slightly enlarged domain."""
+def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
+    """Prove error bounds of all leaves; ``visible``: the sources of the leaves' cells, slightly enlarged."""
     domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
-    if root.slack > _COARSEST * domain.width.min():
+    if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
-            f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {root.slack:.2g} in "
-            f"{domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move the "
-            "origin, divide the domain, or build the PLR without a proof."
+            f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {visible.slack:.2g} "
+            f"in {domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move "
+            "the origin, divide the domain, or build the PLR without a proof."
         )
     coefficients = filled_coefficients(contents)
-    # The sources of all leaves, found down the tree, then sorted by leaf.
-    tree, parts, leaves = contents.tree, [], []
-    for nodes, of_nodes in sources_by_level(tree, root, domain):
-        is_leaf = tree.child[nodes] < 0
-        parts.append(of_nodes.of_cells(np.flatnonzero(is_leaf)))
-        leaves.append(nodes[is_leaf])
-    order = np.argsort(np.concatenate(leaves))
-    visible = parts[0].append(*parts[1:]).of_cells(order[np.argsort(np.argsort(tree.node_of_leaf))])
     if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:
         lo, hi = cells.boxes(domain)
         at = np.unique(visible.cell)[blind[0]]
@@ -49,19 +40,18 @@ def certificate_of(contents: DecodedFile, root: CellSources, proof: Proof) -> Ce
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     functions = LeafFunctions(leaf, *cells.boxes(domain), coefficients)
     rounding = leaf.rounding_bounds(domain, cells, coefficients)
-    return certificate_of_bounds(contents, prove_bounds(functions, visible), rounding, proof)
+    encoded = partial(Certificate.of, rounding=rounding, proof=proof, **_weights(contents))
+
+    def sufficient(least: Errors, most: Errors) -> tuple[Errors, Errors]:
+        return encoded(LeafBounds(least, most)).sufficient_bounds(least, most, rounding)
+
+    return encoded(prove_bounds(functions, visible, sufficient))
 
 
-def certificate_of_bounds(
-    contents: DecodedFile,
-    bounds: LeafBounds,
-    rounding: Float[np.ndarray, "leaves"],
-    proof: Proof,
-    before: Certificate | None = None,
-) -> Certificate:
-    """Encode proven bounds of leaves, widened by rounding errors of queries, as :meth:`Certificate.of` explains."""
+def _weights(contents: DecodedFile) -> dict[str, Any]:
+    """Return the volume of leaves and the bytes of the file without proof, which classes of bounds depend on."""
     volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
-    return Certificate.of(bounds, rounding, proof, volume, len(body_of_leaves(contents).to_bytes()), before)
+    return {"volume": volume, "num_bytes": len(body_of_leaves(contents).to_bytes())}
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,5 +119,7 @@ def updated_contents(
     functions = LeafFunctions(model, *new.tree.leaves[rebuilt].boxes(domain), coefficients[rebuilt])
     proven = prove_bounds(functions, found.visible, sufficient)
     bounds.lower[rebuilt], bounds.upper[rebuilt] = proven.lower, proven.upper
-    new = replace(new, certificate=certificate_of_bounds(new, bounds, rounding, certificate.proof, certificate))
+    new = replace(
+        new, certificate=Certificate.of(bounds, rounding, certificate.proof, before=certificate, **_weights(new))
+    )
     return new, replace(origin, oracle=oracle, bounds=bounds, node_costs=found.node_costs)

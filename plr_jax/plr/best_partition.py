@@ -62,18 +62,24 @@ def expand(
     margin: float = np.inf,
     share: float = 0.0,
 ) -> None:
-    """Compute the halves of all boxes that cost more than a price, level by level, and add them to ``levels``.
+    """Compute the halves of all boxes that may be split at a price, level by level, and add them to ``levels``.
 
     ``price`` has a price for each box of the first level, which its halves inherit; ``inf`` excludes a box. Halves
     are pruned if they cost more than ``margin`` times the halves along the other axis. Largest errors have the weight
     ``least_share`` in costs, and ``share`` in that comparison.
+
+    A split of a box into two leaves costs one price more than the box as a leaf. A half is of use only if the box's
+    part of the tree then costs less than the box as a leaf, or less than parents allow. So ``most`` bounds the useful
+    cost of each box without one price, and boxes are split only if two prices are less than ``most`` plus one.
     """
+    most = np.full(len(price), np.inf)
     for depth in range(limits.max_depth):
         if depth == len(levels):
             break
         level = levels[depth]
+        costs = level.costs(least_share)
         is_new = may_halve(level.boxes.cells, limits) & (level.child[:, 0] == UNKNOWN)
-        axis, parent = np.nonzero(is_new & (level.costs(least_share) > price))
+        axis, parent = np.nonzero(is_new & (np.minimum(costs, most) > price))
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
             if margin < np.inf:
@@ -84,10 +90,16 @@ def expand(
                 axis, which = np.nonzero((halves > margin * halves[::-1]) & (halves < np.inf))
                 level.child[axis, :, parent[which]] = PRUNED
         if depth + 1 < len(levels):
-            box, halves = np.flatnonzero(price < np.inf), np.full(len(levels[depth + 1].key), np.inf)
-            for child in level.child[:, :, box].reshape(4, -1):
-                np.minimum.at(halves, child[child >= 0], price[box[child >= 0]])
-            price = halves
+            box, below = np.flatnonzero(price < np.inf), levels[depth + 1].costs(least_share)
+            of_halves, most_of_halves = np.full(len(below), np.inf), np.full(len(below), -np.inf)
+            for lower, upper in level.child[:, :, box]:
+                known = np.flatnonzero(lower >= 0)
+                of_box, pair = price[box[known]], (lower[known], upper[known])
+                allowed = np.minimum(costs, most)[box[known]] - of_box
+                for half, other in (pair, pair[::-1]):
+                    np.minimum.at(of_halves, half, of_box)
+                    np.maximum.at(most_of_halves, half, allowed - np.minimum(below[other], of_box))
+            price, most = of_halves, most_of_halves
     check_memory(float(sum(len(level.key) for level in levels)))
 
 
@@ -240,7 +252,7 @@ class PriceSearch:
     def _select_boxes(self, price: float, least_share: float) -> bool:
         """Select the boxes that the first one gives if all boxes that cost more than ``price`` are halved.
 
-        Return whether no other selected box of a cost above 0 may be halved, so that no lower price selects more.
+        Return whether no selected box of a cost above 0 may still be halved, so that no lower price selects more.
         """
         here, own, is_all = np.zeros(1, np.int64), [], True
         for depth, level in enumerate(self.levels):
@@ -248,7 +260,8 @@ class PriceSearch:
                 break
             cost = level.boxes.integral[here] + least_share * level.boxes.error[here]
             is_worth, child = cost > price, level.child[:, :, here]
-            rest = np.flatnonzero(~is_worth & (cost > 0) & (cost < np.inf))
+            is_whole = ~is_worth | (child[:, 0] == UNKNOWN).all(axis=0)
+            rest = np.flatnonzero(is_whole & (cost > 0) & (cost < np.inf))
             is_all &= not (len(rest) and may_halve(level.boxes.cells[here[rest]], self._limits).any())
             child[:, :, ~is_worth & (cost < np.inf)] = UNKNOWN
             own.append(MemberBoxes(here, child))

@@ -1,17 +1,15 @@
 """Compute and cache the sources of cells: the points to which shortest paths from a cell may go first."""
 
 from collections.abc import Iterator
-from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, take_ragged
 from plr_jax._types import CellSources, CellwiseFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr.tree import Cells, Tree, grown_domain
 
-_Key: TypeAlias = tuple[int, ...]
 _POINTS_AT_ONCE = 1 << 16  # pairs of a convex piece of free space and a point that are tested at once
 _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source
 
@@ -21,43 +19,57 @@ class CellMemory:
 
     def __init__(self, oracle: CellwiseFn, domain: Box) -> None:
         self._domain = domain
-        self._parts = [oracle.cell_sources(grown_domain(domain))]
-        self._place: dict[_Key, tuple[int, int]] = {_keys(Cells.root(2))[0]: (0, 0)}
+        self._parts: list[CellSources] = []
+        # Sorted hashes of known cells; the part that holds each cell, and the cell's index in that part.
+        self._hashes, self._place = np.zeros(0, np.uint64), np.zeros((2, 0), np.int64)
+        self.remember(Cells.root(2), oracle.cell_sources(grown_domain(domain)))
+
+    def remember(self, cells: Cells, visible: CellSources) -> None:
+        """Add cells and their sources."""
+        hashes, part = np.append(self._hashes, cells.hashes()), np.full(len(cells), len(self._parts))
+        place = np.append(self._place, np.stack([part, np.arange(len(cells))]), axis=1)
+        order = np.argsort(hashes, kind="stable")
+        self._hashes, self._place = hashes[order], place[:, order]
+        self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
         """Return the sources of cells, each of which is known already or is a half of a known cell."""
-        keys = _keys(cells)
-        new = [i for i, key in enumerate(keys) if key not in self._place]
-        if new:
-            self._remember(cells[np.array(new)], [keys[i] for i in new])
-        return self._recall(keys)
+        new = cells[np.flatnonzero(~self._knows(cells))]
+        if len(new):
+            # Halve known cells along the first axis if possible, else along the second.
+            wholes = [Cells(np.maximum(new.depth - each, 0), new.position >> each) for each in np.eye(2, dtype=int)]
+            axis = np.where((new.depth[:, 0] > 0) & self._knows(wholes[0]), 0, 1)
+            whole = wholes[0].append(wholes[1])[axis * len(new) + np.arange(len(new))]
+            _, first, parent = np.unique(whole.hashes(), return_index=True, return_inverse=True)
+            order = np.argsort(parent, kind="stable")
+            is_upper = new.position[np.arange(len(new)), axis] % 2 == 1
+            lo, hi = new[order].grown_boxes(self._domain)
+            halves = self._recall(whole[first]).parts(parent[order], axis[order], is_upper[order], lo, hi)
+            self.remember(new[order], halves)
+        return self._recall(cells)
+
+    def sources_of_leaves(self, tree: Tree) -> CellSources:
+        """Return the sources of a tree's leaves, which are searched down the tree if some leaves are not known."""
+        if not self._knows(tree.leaves).all():
+            for nodes, visible in sources_by_level(tree, self.sources(Cells.root(2)), self._domain):
+                is_leaf = np.flatnonzero(tree.child[nodes] < 0)
+                self.remember(tree.cells[nodes[is_leaf]], visible.of_cells(is_leaf))
+        return self._recall(tree.leaves)
 
     def distances(self, cells: Cells, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
         return distances_in_cells(self.sources(cells), x)
 
-    def _remember(self, cells: Cells, keys: list[_Key]) -> None:
-        parents, axis = np.empty(len(cells), object), np.zeros(len(cells), np.int64)
-        for i, (d0, d1, p0, p1) in enumerate(keys):
-            parents[i] = (d0 - 1, d1, p0 >> 1, p1)
-            if d0 == 0 or parents[i] not in self._place:
-                parents[i], axis[i] = (d0, d1 - 1, p0, p1 >> 1), 1
-        is_upper = cells.position[np.arange(len(cells)), axis] % 2 == 1
-        distinct = sorted(set(parents), key=self._place.__getitem__)
-        number = {key: i for i, key in enumerate(distinct)}
-        parent = np.array([number[key] for key in parents])
-        order = np.argsort(parent, kind="stable")
-        lo, hi = cells[order].grown_boxes(self._domain)
-        part = self._recall(distinct).parts(parent[order], axis[order], is_upper[order], lo, hi)
-        for place, i in enumerate(order.tolist()):
-            self._place[keys[i]] = len(self._parts), place
-        self._parts.append(part)
+    def _knows(self, cells: Cells) -> Bool[np.ndarray, "cells"]:
+        hashes = cells.hashes()
+        at = np.minimum(np.searchsorted(self._hashes, hashes), len(self._hashes) - 1)
+        return self._hashes[at] == hashes
 
-    def _recall(self, keys: list[_Key]) -> CellSources:
-        part, place = np.array([self._place[key] for key in keys]).T
+    def _recall(self, cells: Cells) -> CellSources:
+        part, place = self._place[:, np.searchsorted(self._hashes, cells.hashes())]
         order = np.argsort(part, kind="stable")
         runs = np.split(order, np.flatnonzero(np.diff(part[order])) + 1)
-        parts = [self._parts[part[run[0]]].of_cells(place[run]) for run in runs]
-        return parts[0].append(*parts[1:]).of_cells(np.argsort(order))
+        first, *others = (self._parts[part[run[0]]].of_cells(place[run]) for run in runs)
+        return first.append(*others).of_cells(np.argsort(order)) if others else first
 
 
 def sources_by_level(
@@ -97,7 +109,3 @@ def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) 
         seen = unsure[visible.see(source[unsure], x[place][unsure])]
         np.minimum.at(found, tuple(each[seen] for each in place), length[seen])
     return found
-
-
-def _keys(cells: Cells) -> list[_Key]:
-    return list(map(tuple, np.concatenate([cells.depth, cells.position], axis=1).tolist()))

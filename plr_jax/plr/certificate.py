@@ -96,10 +96,11 @@ class LeafFunctions:
 
 # Rounds of halving, and pieces in a round. Beyond these limits bounds are valid, but not tight.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
-# Bounds are tight enough if they exceed attained errors by at most this share of the range of a leaf's errors,
-# clipped to these shares of the largest error of all leaves.
+# Bounds of leaves are tight enough if they exceed attained errors by at most this share of the range of a leaf's
+# errors, clipped to these shares of the largest error of all leaves.
 _OF_RANGE = 0.04
-LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-3, 5e-3
+_LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
+_SPARE_OF_CLASS = 1e-5  # the same if classes share bounds, since few leaves determine these
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,46 +115,76 @@ Errors: TypeAlias = Float[np.ndarray, "leaves"]
 """Distance minus the leaf's function, one value a leaf."""
 
 
+def tight_bounds(least: Errors, most: Errors) -> tuple[Errors, Errors]:
+    """Return bounds that are tight enough if each leaf has its own, given the leaf's attained errors."""
+    largest = max(most.max(initial=0.0), -least.min(initial=0.0))
+    spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
+    return least - spare, most + spare
+
+
 def prove_bounds(
     functions: LeafFunctions,
     visible: CellSources,
-    sufficient: Callable[[Errors, Errors], tuple[Errors, Errors]] | None = None,
+    sufficient: Callable[[Errors, Errors], tuple[Errors, Errors]] = tight_bounds,
 ) -> LeafBounds:
     """Prove bounds of the distance minus each leaf's function, from the sources of the leaves' cells (``visible``).
 
-    ``sufficient``, if given, maps each leaf's smallest and largest attained error to bounds that are tight enough.
-    Rounding in double precision is far below the ``slack`` of the sources, which the bounds include.
+    ``sufficient`` maps each leaf's smallest and largest attained error to bounds that are tight enough. Rounding in
+    double precision is far below the ``slack`` of the sources, which the bounds include.
     """
-    num_leaves = visible.num_cells
+    num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
     least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # attained errors
-    leaf = visible.cell
+    aside: list[tuple[Any, ...]] = []
     for round_ in range(_MOST_ROUNDS):
+        # 1. Bound the errors of pieces, and collect attained errors: at centers, and if all of a piece sees all its
+        #    sources, at corners, as the distance is the least of their cones. Then exact lower bounds are attained
+        #    too; exact upper bounds, if there is only one source.
         here = functions.lo[leaf], functions.hi[leaf], functions.coefficients[leaf]
         met = visible.distance - functions.model.values(*here, visible.center)
         np.minimum.at(least, leaf, met)
         np.maximum.at(most, leaf, met)
         below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.cone_minus_leaf_bounds(leaf))
-        # Bounds beyond these are tightened further.
-        largest = max(most.max(initial=0.0), -least.min(initial=0.0))
-        spare = (
-            np.clip(_OF_RANGE * (most - least), LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
-            + visible.slack
-        )
-        low_enough, high_enough = least - spare, most + spare
-        if sufficient is not None:
-            low, high = sufficient(least - visible.slack, most + visible.slack)
-            low_enough = np.minimum(low_enough, low + visible.slack)
-            high_enough = np.maximum(high_enough, high - visible.slack)
-        open_ = (below < low_enough[leaf]) | (above > high_enough[leaf])
-        open_ &= round_ < _MOST_ROUNDS - 1 and np.count_nonzero(open_) <= _MOST_PIECES
-        np.minimum.at(lower, leaf[~open_], below[~open_])
-        np.maximum.at(upper, leaf[~open_], above[~open_])
-        if not open_.any():
+        num_sources = np.diff(visible.first_pair)
+        is_clear = np.bincount(visible.piece, visible.by_all, len(leaf)) == num_sources
+        if functions.model.has_exact_cone_bounds:
+            is_single = is_clear & (num_sources == 1)
+            np.minimum.at(least, leaf[is_clear], below[is_clear])
+            np.maximum.at(most, leaf[is_single], above[is_single])
+            is_clear &= ~is_single
+        rows = np.flatnonzero(is_clear)
+        if len(rows):
+            pairs, piece = take_ragged(visible.first_pair, rows)
+            source, first = visible.source[pairs], np.cumsum(num_sources[rows]) - num_sources[rows]
+            for x in visible.pieces[:, rows].transpose(2, 1, 0):
+                ways = np.linalg.norm(x[piece] - visible.sources.points[source], axis=1)
+                distance = np.minimum.reduceat(visible.sources.distances[source] + ways, first)
+                met = distance - functions.model.values(*(each[rows] for each in here), x)
+                np.minimum.at(least, leaf[rows], met)
+                np.maximum.at(most, leaf[rows], met)
+        # 2. Halve the pieces whose bounds are not tight enough. If there are none, test the pieces of earlier rounds
+        #    again, since attained errors have changed.
+        low, high = sufficient(least - slack, most + slack)
+        low, high = np.minimum(low + slack, least - slack), np.maximum(high - slack, most + slack)
+        is_open = (below < low[leaf]) | (above > high[leaf])
+        if aside and not is_open.any():
+            several, leaves, *bounds = zip(*aside, (visible, leaf, below, above), strict=True)
+            visible, leaf, aside = several[0].append(*several[1:]), np.concatenate(leaves), []
+            below, above = map(np.concatenate, bounds)
+            is_open = (below < low[leaf]) | (above > high[leaf])
+        if round_ == _MOST_ROUNDS - 1 or not 0 < np.count_nonzero(is_open) <= _MOST_PIECES:
             break
-        visible = _halve_pieces(visible, np.flatnonzero(open_))
-        leaf = leaf[open_][visible.cell // 2]
-    return LeafBounds(lower - visible.slack, upper + visible.slack)
+        is_final = (below >= least[leaf] - slack) & (above <= most[leaf] + slack)
+        rest = np.flatnonzero(~is_open & ~is_final)
+        aside.append((visible.of_pieces(rest), leaf[rest], below[rest], above[rest]))
+        np.minimum.at(lower, leaf[is_final], below[is_final])
+        np.maximum.at(upper, leaf[is_final], above[is_final])
+        visible = _halve_pieces(visible, np.flatnonzero(is_open))
+        leaf = leaf[is_open][visible.cell // 2]
+    for _, of_leaf, *bounds in (*aside, (visible, leaf, below, above)):
+        np.minimum.at(lower, of_leaf, bounds[0])
+        np.maximum.at(upper, of_leaf, bounds[1])
+    return LeafBounds(lower - slack, upper + slack)
 
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
@@ -383,10 +414,10 @@ class Certificate:
 
         These bounds exceed the errors slightly, or belong to the narrowest class that contains the errors.
         """
-        spare = LEAST_OF_LARGEST * self.scale
-        least, most = least - spare, most + spare
         if self.proof is not Proof.CLASSES:
-            return least, most
+            return tight_bounds(least, most)
+        spare = _SPARE_OF_CLASS * self.scale
+        least, most = least - spare, most + spare
         lower, upper = self._classes
         holds = (least + spare - rounding >= lower[:, None]) & (most - spare + rounding <= upper[:, None])
         place, is_held = holds.argmax(axis=0), holds.any(axis=0)

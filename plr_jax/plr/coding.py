@@ -73,7 +73,8 @@ class BitWriter:
 
     def write_unary(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
         """Append each value ``v`` as ``v`` zeros and a one."""
-        return self.write(np.int64(1) << values, values + 1)
+        widths = np.stack([values, np.ones_like(values)], axis=1).ravel()
+        return self.write(np.arange(len(widths)) % 2, widths)
 
     def write_floats(self, values: Float[np.ndarray, "n"]) -> "BitWriter":
         return self.write(values.astype(np.float32).view(np.uint32).astype(np.int64), 32)

@@ -42,6 +42,7 @@ class LeafModel(ABC):
             ``plr/tables.py``).
         is_cell_relative: Whether functions take local coordinates. The first ``dim`` parameters are then numbers of
             the cell: along each axis 1 is the domain, and ``2 i`` and ``2 i + 1`` are the halves of ``i``.
+        has_exact_cone_bounds: Whether :meth:`cone_minus_leaf_bounds` are the least and largest difference.
     """
 
     name: str
@@ -49,6 +50,7 @@ class LeafModel(ABC):
     least_bytes: int | float = 1
     has_deep_trees: bool = False
     is_cell_relative: bool = False
+    has_exact_cone_bounds: bool = False
 
     @abstractmethod
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]:

@@ -174,6 +174,7 @@ class Plane(LinearLeafModel):
     name = "plane"
     num_samples = 192
     least_bytes = 2
+    has_exact_cone_bounds = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         """Return the bytes of the coefficients, but at least 32 KB.

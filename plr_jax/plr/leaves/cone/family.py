@@ -24,9 +24,9 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.best_partition import LEAST_SHARE, LEAST_SHARE_PROVEN, MAX_ASPECT_BITS
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits
-from plr_jax.plr.leaves.cone.codec import ConeFiles
-from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, ConeTree, LeafOptions, change_sources, query_resolution
-from plr_jax.plr.tree import MAX_DEPTH, Cells, tree_of_axes
+from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
+from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, LeafOptions, change_sources, query_resolution
+from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree, tree_of_axes
 
 _LEAST_HALVINGS, _MOST_HALVINGS = 7, 9  # of the grid of samples, along each axis
 _SAMPLES_A_LEAF, _MOST_LEAVES = 16, 8192  # with more leaves, cones of one goal have smaller errors
@@ -41,7 +41,7 @@ Shape: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class Lattice:
-    """All dyadic boxes that are not too narrow, with up to ``halvings`` halvings along each axis, large ones first.
+    """A lattice of all dyadic boxes that are not too narrow, with up to ``halvings`` halvings along each axis, large ones first.
 
     Boxes of one shape have successive numbers, row by row. Box 0 is the whole domain.
     """
@@ -321,7 +321,7 @@ class FamilyTask:
     limits: Limits
     num_leaves: float
 
-    def __call__(self, oracle: FamilyFn) -> ConeTree | None:
+    def __call__(self, oracle: FamilyFn) -> tuple[Tree, StoredCones] | None:
         """Return the best cones for one goal; None if no sample reaches it."""
         goal = goal_samples(oracle, self.shared)
         if (goal.source < 0).all():

@@ -41,6 +41,7 @@ class Cone(LeafModel):
     name = "cone"
     least_bytes = 0.5
     has_deep_trees = True
+    has_exact_cone_bounds = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         return num_leaves // 2 + 256  # the constant is for some tens of sources
@@ -62,7 +63,9 @@ class Cone(LeafModel):
         if not len(visible.cell):
             sampler.root()  # raises the error for this
         run = partial(grow, limits=limits)
-        return best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
+        found = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
+        sampler.memory.remember(found.boxes.cells, found.boxes.visible)  # which a proof needs
+        return found.tree, found.stored
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         write_cones(body, domain, stored)

@@ -309,8 +309,20 @@ def change_sources(
 
 _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
-ConeTree: TypeAlias = tuple[Tree, StoredCones]
-"""A tree, and the file form of its leaves in the order of its traversal."""
+
+class ConeTree(NamedTuple):
+    """A tree, and its leaves in the order of its traversal: their file form, box among ``boxes``, and cone's source.
+
+    ``boxes`` are the leaf boxes. Sources are numbered among the goal and all corners, -1 for none.
+    """
+
+    tree: Tree
+    stored: StoredCones
+    boxes: ConeBoxes
+    box: Int[np.ndarray, "leaves"]
+    source: Int[np.ndarray, "leaves"]
+
+
 Run: TypeAlias = Callable[[PricedTree, Callable[[PricedTree], PricedTree | None]], PricedTree]
 """Function that repeats a step on a tree until the step returns None, and returns the last tree."""
 
@@ -341,5 +353,6 @@ def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, patter
     def fits(view: Int[np.ndarray, "leaves"]) -> bool:
         return files.num_bytes(view, limits) <= limits.max_bytes
 
-    view = prefer_visible_sources(leaves, source_options(levels, [leaves], pattern), fits)
-    return tree, files.stored(view)
+    options = source_options(levels, [leaves], pattern)
+    view = prefer_visible_sources(leaves, options, fits)
+    return ConeTree(tree, files.stored(view), options.boxes, np.searchsorted(options.key, _keys(leaves)), view)

@@ -260,10 +260,10 @@ def updated_cones(
     best = _best_tree_within_limits(search)
     if best is None:
         visible = oracle.cell_sources(grown_domain(leaves.domain))
-        tree, new = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_quietly)
-        visible = oracle.sources_of_boxes(*tree.leaves.grown_boxes(leaves.domain))
-        unknown = np.zeros((2, len(tree.leaves)))
-        return UpdatedCones(tree, new, LeafBounds(*unknown), np.arange(len(tree.leaves)), visible, None)
+        found = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_quietly)
+        visible, unknown = found.boxes.visible.of_cells(found.box), np.zeros((2, len(found.box)))
+        rebuilt = np.arange(len(found.box))
+        return UpdatedCones(found.tree, found.stored, LeafBounds(*unknown), rebuilt, visible, None)
     new = search.files.stored(search.prefer_visible_sources(best, pattern))
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
     stays, rebuilt = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
