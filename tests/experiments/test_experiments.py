@@ -47,6 +47,7 @@ FAMILIES = {
     "living": ("--only", "maps", "doors"),
     "lifelong": ("--only", "replanned"),
     "fleets": (),
+    "pedestrians": (),
     "scale": (),
 }
 
