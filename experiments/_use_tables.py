@@ -323,11 +323,11 @@ def pedestrians(results: dict[str, Any], hard_points: dict[str, Any]) -> str:
         *(("all left, s", "{last}"), ("mean, s", "{mean}"), ("stuck", "{stuck}")),
         words=2,
     )
-    agents = parts[1].values()
+    runs = next(iter(parts[1].values()))
     return table + (
         f"\nRoutes: random points that an agent can reach; JuPedSim answers one query after another, cones "
-        f"{results['routes']['queries']:,} in a call. Evacuations: means of {max(len(row['cones']) for row in agents)} "
-        f"crowds of {max(row['agents'] for row in agents)} agents, to the same exits. Cones of "
+        f"{results['routes']['queries']:,} in a call. Evacuations: means of {len(runs['cones'])} "
+        f"crowds of {runs['agents']} agents, to the same exits. Cones of "
         f"{results['cones']['max_bytes']:,} bytes: {'; '.join(notes)}. Bounds of pairs and of cones at {asked:,} "
         f"random points and points beside walls (`hard_points`): {broken} broken.\n"
     )
