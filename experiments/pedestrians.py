@@ -21,10 +21,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from experiments._c_headers import compiled_header
+from experiments._c_headers import compiled_header, median_seconds
 from experiments._measures import timed
 from experiments._runner import Section, run
-from experiments.benchmarks._timing import interleaved
 from plr_jax import VisibilityGraph, Workspace, construct, plot, scenes, trace
 
 MAX_BYTES, DEPTH = 8_192, 1e-3
@@ -121,7 +120,7 @@ def _mean_and_largest(values: np.ndarray) -> dict[str, float]:
 
 
 def _microseconds(bridge: Any, area: Workspace, goal: np.ndarray, x: np.ndarray) -> dict[str, float]:
-    """Microseconds of a query: whole paths, waypoints and distances, in batches and one by one."""
+    """CPU microseconds of a query: whole paths, waypoints and distances, in batches and one by one."""
     engine, end = bridge.jupedsim.RoutingEngine(area.free_space), tuple(goal)
     _, plr = _built(area, goal)
     numpy, few = plr.numpy(), x[:_AGENTS]
@@ -134,8 +133,7 @@ def _microseconds(bridge: Any, area: Workspace, goal: np.ndarray, x: np.ndarray)
         "waypoint": (_AGENTS, lambda: [numpy.waypoint(start) for start in few]),
         "distance": (_AGENTS, lambda: [numpy(start) for start in few]),
     }
-    seconds = interleaved({name: call for name, (_, call) in calls.items()}, num_turns=7)
-    return {name: 1e6 * seconds[name].median / number for name, (number, _) in calls.items()}
+    return {name: 1e6 * median_seconds(call) / number for name, (number, call) in calls.items()}
 
 
 def evacuations(seed: int, smoke: bool) -> dict[str, Any]:
