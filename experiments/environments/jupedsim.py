@@ -5,20 +5,20 @@ radius from walls, and have sharp corners: round ones take more bytes, and agent
 """
 
 from collections.abc import Sequence
+from importlib import import_module
 from itertools import chain
 from typing import Any, NamedTuple
 
-import jupedsim  # pyright: ignore[reportMissingImports]
 import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
 from plr_jax import VisibilityGraph, Workspace, construct_many, trace
 
+jupedsim: Any = import_module("jupedsim")  # type checkers take the name for this very file
 RADIUS = 0.2
 """Radius of an agent in meters, JuPedSim's default."""
 _STEPS = 10  # steps of the simulation, of 0.01 s, from one steering to the next
-
 Points = Float[np.ndarray, "n 2"]
 
 
