@@ -290,3 +290,44 @@ def shaping(learning: dict[str, Any], speed: dict[str, Any]) -> str:
         f"distance to the goal is {detours['around']:.1f} cells, and {detours['straight']:.1f} cells in a straight "
         f"line; the mean ratio is {detours['mean_ratio']:.2f}.\n"
     )
+
+
+def pedestrians(results: dict[str, Any], hard_points: dict[str, Any]) -> str:
+    """Routes and evacuations of JuPedSim beside those of cones; cones of walkable areas, and their bounds."""
+    rows, notes = [], []
+    parts = [{row["map"]: row for row in results[name]["rows"]} for name in ("routes", "evacuations", "cones")]
+    for name, route in parts[0].items():
+        crowds, cones, took = parts[1][name], parts[2][name], route["microseconds"]
+        for router, of_path in (("JuPedSim", "JuPedSim"), ("cones", "paths")):
+            runs = {key: [crowd[key] for crowd in crowds[router]] for key in ("last", "mean", "stuck")}
+            cells = {key: f"{np.mean(runs[key]):.1f}" for key in ("last", "mean")} | {"stuck": sum(runs["stuck"])}
+            over = {f"over_{key}": f"{route[router][key]:.6f}" for key in ("mean", "largest")}
+            clear = "{mean:.3f} ({largest:.3f})".format(**route[router]["over_clear"]) if router == "JuPedSim" else ""
+            crosses = f"{route[router]['crosses']} of {route['pairs']}"
+            crosses += f", {route[router]['deepest']:.2g} m" if route[router]["crosses"] else ""
+            rows.append({"map": name, "router": router, "us": took[of_path], "crosses": crosses, **cells, **over})
+            rows[-1]["clear"] = clear
+        notes.append(
+            f"{name}, {cones['vertices']} vertices: {np.median(cones['seconds']):.2g} CPU s (first in a process "
+            f"{cones['seconds'][0]:.2g}), mean error {cones['mean']:.1e} m, largest {cones['largest']:.2g} m, "
+            f"{np.median(cones['nanoseconds']):.0f} ns a point in C; one by one in NumPy, a distance takes "
+            f"{took['distance']:.2g} us, a waypoint {took['waypoint']:.0f} us, in batches of "
+            f"{results['routes']['agents']} {took['agents']:.2g} us"
+        )
+    broken = sum(row["broken"] + row["broken of cones"] for row in hard_points["buildings"])
+    asked = sum(row["pairs"] for row in hard_points["buildings"])
+    table = formatted(
+        rows,
+        *(("map", "{map}"), ("router", "{router}"), ("length / exact", "{over_mean}"), ("largest", "{over_largest}")),
+        *(("/ exact that keeps 0.2 m", "{clear}"), ("cross walls, deepest", "{crosses}"), ("us a path", "{us:.3g}")),
+        *(("all left, s", "{last}"), ("mean, s", "{mean}"), ("stuck", "{stuck}")),
+        words=2,
+    )
+    runs = next(iter(parts[1].values()))
+    return table + (
+        f"\nRoutes: random points that an agent can reach; JuPedSim answers one query after another, cones "
+        f"{results['routes']['queries']:,} in a call. Evacuations: means of {len(runs['cones'])} "
+        f"crowds of {runs['agents']} agents, to the same exits. Cones of "
+        f"{results['cones']['max_bytes']:,} bytes: {'; '.join(notes)}. Bounds of pairs and of cones at {asked:,} "
+        f"random points and points beside walls (`hard_points`): {broken} broken.\n"
+    )

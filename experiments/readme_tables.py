@@ -116,6 +116,7 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "heuristics": (uses.heuristics, "table2"),
     "race": (uses.race, "race"),
     "teams": (uses.teams, "teams"),
+    "pedestrians": (uses.pedestrians, "pedestrians", "hard_points"),
     "scale": (uses.scale, "scale"),
 }
 

@@ -47,6 +47,11 @@ NUM_ENVIRONMENTS, NUM_STEPS = 8, 10
 SIZE, BLOCKED = 6, 0.2
 RESOLUTION = 4
 """,
+    "6_pedestrians": """
+MAX_BYTES = 512
+NUM_POINTS, NUM_PAIRS, NUM_AGENTS = 500, 12, 3
+RESOLUTION = 40
+""",
 }
 PARAMETERS = {"tags": ["parameters"]}
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -161,5 +166,5 @@ def test_is_committed_as_it_ran_small_and_clean(path):
     assert re.findall(r"/(?:home|root|tmp|work|Users)/\S*", re.sub(r'"image/png": "[^"]*"', "", text)) == []
 
 
-def test_there_are_five():
-    assert [path.name[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5"]
+def test_there_are_six():
+    assert [path.name[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5", "6"]

@@ -13,7 +13,7 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry import GeometryCollection, LinearRing, MultiPolygon, Polygon
-from shapely.geometry.base import BaseGeometry
+from shapely.geometry.base import BaseGeometry, BaseMultipartGeometry
 
 from plr_jax._arrays import as_numbers, index_of, shortened
 from plr_jax._types import ArrayLike
@@ -210,9 +210,9 @@ def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
     return tuple(as_polygon(f"{name} {i}", shape) for i, shape in enumerate(_flatten_collections(shapes)))
 
 
-def _flatten_collections(shapes: Iterable[Any]) -> Iterator[Any]:
+def _flatten_collections(shapes: Iterable[Any], kind: type = GeometryCollection) -> Iterator[Any]:
     for shape in shapes:
-        yield from _flatten_collections(shape.geoms) if isinstance(shape, GeometryCollection) else (shape,)
+        yield from _flatten_collections(shape.geoms, kind) if isinstance(shape, kind) else (shape,)
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
@@ -252,10 +252,11 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
     return polygon
 
 
-def components_region(components: Sequence[Any], bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
+def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
     """Return the bounds and the union of components, as :meth:`Workspace.from_polygons` describes them."""
     outers, holes = [], []
-    for i, part in enumerate(components):
+    components = [components] if isinstance(components, BaseGeometry) else components
+    for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
         if isinstance(part, BaseGeometry):
             outers.append(as_polygon(f"Component {i}", part))
             holes.append([])

@@ -1,6 +1,6 @@
 """A 2-D workspace with polygonal obstacles: which points are free, clearance, visibility, inflation, changes."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -117,14 +117,14 @@ class Workspace:
 
     @classmethod
     def from_polygons(
-        cls, components: Sequence[Any], bounds: Box | ArrayLike | None = None, *, squeeze: bool = False
+        cls, components: Any, bounds: Box | ArrayLike | None = None, *, squeeze: bool = False
     ) -> "Workspace":
         """Build a workspace whose free space is given as polygons with holes.
 
         Args:
-            components: Shapely polygons or multipolygons, or mappings ``{"outer": ring, "holes": [ring, ...]}``,
-                where ``"holes"`` is optional. Holes may overlap and leave the outer ring. Components are united, and
-                parts outside the bounds are cut off.
+            components: One Shapely polygon, multipolygon or collection of them; or a list of these and of mappings
+                ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap and leave
+                the outer ring. Components are united, and parts outside the bounds are cut off.
             bounds: As for the class; None: the bounding box of the components.
             squeeze: As for the class.
 

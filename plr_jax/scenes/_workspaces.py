@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from shapely.geometry.base import BaseGeometry
+
 from plr_jax._files import errors_named, json_of
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.scenes._file import is_scene, load
@@ -16,18 +18,19 @@ from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, read_image, 
 _ENDINGS = (".map", ".json", ".geojson", ".wkt", *YAML_ENDINGS, *PICTURE_ENDINGS)
 
 
-def read_workspace(path: str | os.PathLike[str], **options: Any) -> Workspace:
+def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) -> Workspace:
     """Read a workspace from a file of any supported format, chosen by the file's ending and content.
 
     - picture, such as ``.png``: :func:`read_image`; map of ``map_server``, ``.yaml``: :func:`read_map_server`
     - GeoJSON, ``.json`` or ``.geojson``: :func:`read_geojson`; well-known text, ``.wkt``: :func:`read_wkt`
     - Moving AI grid, ``.map``: :func:`read_map`; polygons with holes, ``.json``: :func:`read_polygons`
     - scene, ``.json``: :func:`load`
+    - instead of a file, Shapely polygons that are free space: :meth:`Workspace.from_polygons`
 
     Options are those of the reader. A file or an option that is not supported raises ``ValueError``.
     """
-    path = Path(path)
-    reader = reader_of(path)
+    path = path if isinstance(path, BaseGeometry) else Path(path)
+    reader = reader_of(path) if isinstance(path, Path) else Workspace.from_polygons
     known = options_of(reader)
     if unknown := ", ".join(name for name in options if name not in known):
         raise ValueError(

@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from grid_helpers import dijkstra
 
-from plr_jax import grid_distance
+from plr_jax import Workspace, grid_distance
 
 pytestmark = pytest.mark.full
 
@@ -125,3 +126,41 @@ def test_mazes_of_jaxgcrl(layout):
     jaxgcrl = bridge("jaxgcrl", "jaxgcrl")
     free = np.array([[cell != 1 for cell in row] for row in getattr(jaxgcrl.ant_maze, layout.upper())])
     check_maze(jaxgcrl.maze_distance(layout), free, lambda cell: 4.0 * np.asarray(cell), 4.0)
+
+
+def test_agents_of_jupedsim_walk_around_a_wall_to_the_nearest_exit():
+    pedestrians = bridge("jupedsim", "jupedsim")
+    hall = Workspace(((0, 0), (12, 6)), [[(5, 0), (6, 0), (6, 4), (5, 4)]])
+    left, right = (
+        [(0.5, 0.5), (1.5, 0.5), (1.5, 1.5), (0.5, 1.5)],
+        [(10.5, 0.5), (11.5, 0.5), (11.5, 1.5), (10.5, 1.5)],
+    )
+    exits = pedestrians.Exits(hall, [left, right])
+    starts = np.array([(4.0, 1.0), (4.0, 2.0), (4.5, 3.0), (7.0, 1.0), (7.0, 2.0)])
+    nearest, targets = exits.targets(starts)
+    np.testing.assert_array_equal(nearest, [0, 0, 0, 1, 1])
+    np.testing.assert_allclose(targets, [(1, 1)] * 3 + [(11, 1)] * 2, atol=1e-5)
+    around = pedestrians.Exits(hall, [right])
+    _, targets = around.targets(starts[:3])
+    np.testing.assert_allclose(targets, [(5 - pedestrians.RADIUS, 4 + pedestrians.RADIUS)] * 3, atol=1e-5)
+    corners = np.linalg.norm(starts[:3] - (5, 4), axis=1) + 1 + np.hypot(5, 3)
+    for is_steered in (False, True):
+        seconds, stuck = pedestrians.evacuate(hall, around, starts[:3], is_steered=is_steered, limit=60)
+        assert len(seconds) == 3 and len(stuck) == 0
+        assert seconds[0] >= (corners.min() - 1) / 1.2  # nobody is faster than 1.2 m/s, to a corner of the exit
+
+
+def test_routes_of_jupedsim_beside_exact_ones():
+    pedestrians = bridge("jupedsim", "jupedsim")
+    hall = Workspace(((0, 0), (12, 6)), [[(5, 0), (6, 0), (6, 4), (5, 4)]])
+    found = pedestrians.compare_routes(hall, np.array([(7.0, 1.0)]), np.array([[(4.0, 1.0), (8.0, 3.0)]]), 512)
+    exact = np.array([2 * np.hypot(1, 3) + 1, np.hypot(1, 2)])
+    for name, routes in found.items():
+        lengths = [np.linalg.norm(np.diff(path, axis=0), axis=1).sum() for path in routes.paths]
+        np.testing.assert_allclose(routes.over_exact, lengths / exact, rtol=1e-9)
+        np.testing.assert_array_equal(routes.depth, 0)
+        assert (routes.over_exact >= 1 - 1e-6).all() and (
+            routes.over_exact < (1.1 if name == "JuPedSim" else 1 + 1e-6)
+        ).all()
+    through = shapely.linestrings([[(4, 1), (7, 1)], [(4, 5), (7, 5)]])
+    np.testing.assert_allclose(pedestrians._depths(hall, through), [0.5, 0], atol=0.005)

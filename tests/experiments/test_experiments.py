@@ -49,6 +49,7 @@ FAMILIES = {
     "living": ("--only", "maps", "doors"),
     "lifelong": ("--only", "replanned"),
     "fleets": (),
+    "pedestrians": (),
     "scale": (),
 }
 

@@ -138,6 +138,19 @@ def test_from_polygons_takes_shapely_polygons_and_bounds_that_cut_them_or_are_wi
         assert shapely.union_all(workspace.obstacles).equals(region - whole)
 
 
+def test_from_polygons_takes_one_geometry_and_collections_and_drops_altitudes():
+    room = shapely.Polygon([(0, 0, 5), (4, 0, 5), (4, 3, 5), (0, 3, 5)], [[(1, 1, 5), (2, 1, 5), (2, 2, 5)]])
+    hallway = shapely.box(4, 1, 6, 2)
+    area = 12 - 0.5 + 2
+    for parts in (shapely.MultiPolygon([room, hallway]), shapely.GeometryCollection([room, hallway])):
+        nested = shapely.GeometryCollection([parts])
+        for components in (parts, [parts], nested, [nested, shapely.Polygon()]):
+            workspace = Workspace.from_polygons(components)
+            assert workspace.free_space.area == area and not workspace.free_space.has_z
+            assert workspace.bounds == Box((0, 0), (6, 3))
+    assert Workspace.from_polygons(room).free_space.area == 11.5
+
+
 def test_free_polygons_that_differ_by_rounding_are_joined():
     """With vertices beside one another, and with one along a side alone."""
     for y0, y1 in ((0, 1), (-1, 2)):

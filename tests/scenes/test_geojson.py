@@ -225,6 +225,17 @@ def test_polygons_in_well_known_text_are_free_space(text, area, tmp_path):
     assert around.free_space.area == pytest.approx(400 - area, abs=1e-12)
 
 
+def test_shapely_polygons_are_free_space_too():
+    geometry = shapely.from_wkt(f"GEOMETRYCOLLECTION (POLYGON {ROOM}, POLYGON {HALLWAY})")
+    assert scenes.read_workspace(geometry).free_space.area == 76
+    wider = scenes.read_workspace(geometry, bounds=((-5, -5), (15, 15)))
+    assert wider.free_space.area == 76 and wider.bounds.width.tolist() == [20, 20]
+    with pytest.raises(
+        ValueError, match=r"expected options of this kind of file \(bounds, squeeze\), got resolution"
+    ):
+        scenes.read_workspace(geometry, resolution=1)
+
+
 def test_a_walkable_area_of_a_building_is_read(data_dir):
     expected = shapely.from_wkt((data_dir / "jupedsim" / "arena.wkt").read_text())
     workspace = scenes.read_workspace(data_dir / "jupedsim" / "arena.wkt")

@@ -41,9 +41,9 @@ Shape: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class Lattice:
-    """A lattice of all dyadic boxes that are not too narrow, with up to ``halvings`` halvings along each axis, large ones first.
+    """A lattice of all dyadic boxes with up to ``halvings`` halvings along each axis, without narrow ones.
 
-    Boxes of one shape have successive numbers, row by row. Box 0 is the whole domain.
+    Large boxes come first. Boxes of one shape have successive numbers, row by row. Box 0 is the whole domain.
     """
 
     halvings: int

@@ -1,0 +1,120 @@
+"""JuPedSim (package ``jupedsim``) with agents that walk where PLRs of cones say; its routes beside those of PLRs.
+
+``evacuate(area, exits, starts, is_steered=True)`` sets the targets of all agents every 0.1 s. Paths keep the agents'
+radius from walls, and have sharp corners: round ones take more bytes, and agents get stuck at them.
+"""
+
+from collections.abc import Sequence
+from importlib import import_module
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+import shapely
+from jaxtyping import Float, Int
+
+from plr_jax import VisibilityGraph, Workspace, construct_many, trace
+
+jupedsim: Any = import_module("jupedsim")  # type checkers take the name for this very file
+RADIUS = 0.2
+"""Radius of an agent in meters, JuPedSim's default."""
+_STEPS = 10  # steps of the simulation, of 0.01 s, from one steering to the next
+Points = Float[np.ndarray, "n 2"]
+
+
+class Exits:
+    """Exits of a walkable area, convex polygons, and for each exit a PLR of cones of the distance to its centroid."""
+
+    def __init__(self, area: Workspace, polygons: Sequence[Any], max_bytes: int = 8192):
+        self.polygons = list(map(shapely.Polygon, polygons))
+        centers = [np.array(polygon.centroid.coords[0]) for polygon in self.polygons]
+        inset = Workspace.from_polygons(area.free_space.buffer(-RADIUS, join_style="mitre"))
+        first = VisibilityGraph(inset, centers[0])
+        oracles = [first, *map(first.with_goal, centers[1:])]
+        self.cones = construct_many(oracles, area.bounds, leaf="cone", max_bytes=max_bytes)
+
+    def targets(self, x: Points) -> tuple[Int[np.ndarray, "n"], Points]:
+        """Return the index of the nearest exit of each point, and the first corner on the path there, or the exit.
+
+        Walls push agents back, so an agent may never arrive at a corner. Corners within ``RADIUS`` do not count.
+        """
+        traces, targets = [trace(plr, x) for plr in self.cones], []
+        for each in traces:
+            is_ahead = np.linalg.norm(each.paths - x[:, None], axis=2) > RADIUS
+            index = np.where(is_ahead.any(axis=1), is_ahead.argmax(axis=1), -1)
+            targets.append(each.paths[np.arange(len(x)), index])
+        nearest = np.argmin([each.lengths for each in traces], axis=0)
+        return nearest, np.array(targets)[nearest, np.arange(len(x))]
+
+
+class Evacuation(NamedTuple):
+    """Times in seconds at which agents left, in ascending order, and positions of agents that never did."""
+
+    seconds: Float[np.ndarray, "left"]
+    stuck: Points
+
+
+def evacuate(area: Workspace, exits: Exits, starts: Points, *, is_steered: bool, limit: float = 900.0) -> Evacuation:
+    """Simulate agents until all have left, or for ``limit`` seconds; all walk to their nearest exit.
+
+    If they are not steered by cones, each follows a journey of JuPedSim, whose only stage is this exit.
+    """
+    simulation = jupedsim.Simulation(model=jupedsim.CollisionFreeSpeedModel(), geometry=area.free_space)
+    stages = [simulation.add_exit_stage(polygon) for polygon in exits.polygons]
+    if is_steered:
+        stages = [simulation.add_direct_steering_stage()] * len(exits.polygons)
+    journeys = {stage: simulation.add_journey(jupedsim.JourneyDescription([stage])) for stage in stages}
+    row = {}
+    for position, stage in zip(starts.tolist(), np.array(stages)[exits.targets(starts)[0]].tolist(), strict=True):
+        where = {"position": tuple(position), "journey_id": journeys[stage], "stage_id": stage}
+        row[simulation.add_agent(jupedsim.CollisionFreeSpeedModelAgentParameters(radius=RADIUS, **where))] = len(row)
+    seconds, x = [], starts.copy()  # rows of agents that have left stay: JAX compiles for each new number of rows
+    while (count := simulation.agent_count()) and simulation.elapsed_time() < limit:
+        if is_steered:
+            for number in chain.from_iterable(map(simulation.agents_in_polygon, exits.polygons)):
+                simulation.mark_agent_for_removal(number)
+            for agent in simulation.agents():
+                x[row[agent.id]] = agent.position
+            _, targets = exits.targets(x)
+            for agent in simulation.agents():
+                agent.target = tuple(targets[row[agent.id]].tolist())
+        simulation.iterate(_STEPS)
+        seconds += [simulation.elapsed_time()] * (count - simulation.agent_count())
+    return Evacuation(np.array(seconds), np.reshape([agent.position for agent in simulation.agents()], (-1, 2)))
+
+
+class Routes(NamedTuple):
+    """Paths, how long they are over the exact distance, and how deep they are inside walls at most."""
+
+    paths: list[Points]
+    over_exact: Float[np.ndarray, "n"]
+    depth: Float[np.ndarray, "n"]
+
+
+def compare_routes(
+    area: Workspace, goals: Points, starts: Float[np.ndarray, "goals n 2"], max_bytes: int = 8192
+) -> dict[str, Routes]:
+    """Return routes to each goal from its own starts: those of JuPedSim's router, and those read from cones."""
+    engine, first = jupedsim.RoutingEngine(area.free_space), VisibilityGraph(area, goals[0])
+    oracles = [first, *map(first.with_goal, goals[1:])]
+    cones = construct_many(oracles, area.bounds, leaf="cone", max_bytes=max_bytes)
+    exact = np.concatenate([oracle(x) for oracle, x in zip(oracles, starts, strict=True)])
+    theirs, ours = [], []
+    for goal, some, plr in zip(goals, starts, cones, strict=True):
+        theirs += [np.array(engine.compute_waypoints(tuple(start), tuple(goal))) for start in some]
+        traces = trace(plr, some)
+        ours += [path[:count] for path, count in zip(traces.paths, traces.counts, strict=True)]
+    found = {}
+    for name, paths in {"JuPedSim": theirs, "cones": ours}.items():
+        lines = shapely.linestrings(
+            np.concatenate(paths), indices=np.repeat(np.arange(len(paths)), [*map(len, paths)])
+        )
+        found[name] = Routes(paths, shapely.length(lines) / exact, _depths(area, lines))
+    return found
+
+
+def _depths(area: Workspace, lines: Any) -> Float[np.ndarray, "n"]:
+    """Return the largest distance of each line's points to the walkable area, sampled every centimeter."""
+    outside = shapely.segmentize(shapely.difference(lines, area.free_space), 0.01)
+    points = [shapely.points(shapely.get_coordinates(each)) for each in outside]
+    return np.array([shapely.distance(area.free_space, each).max(initial=0.0) for each in points])
