@@ -36,10 +36,10 @@ def cost_distance(
         f"\nErrors are shares of the mean distance, on {errors['side']} x {errors['side']} cells. Truth: a march of "
         f"scikit-fmm over {errors['finer']} times as many nodes along each axis; off by: its mean distance from a "
         f"march over half as many. Proven bounds are {min(gaps):.1%} to {max(gaps):.1%} of the mean distance apart "
-        f"and take {min(seconds):.0f} to {max(seconds):.0f} CPU s; {sum(row['broken'] for row in proven)} are broken. "
-        f"By Tobler's function on a mountain, mean errors are at most {max(row['mean'] for row in hike):.1%} beside a "
-        f"raster three times finer. {big['side']:,} x {big['side']:,} cells with {big['sources']} sources take "
-        f"{big['cpu_seconds'] / 60:.1f} CPU minutes and {big['megabytes'] / 1e3:.1f} GB.\n"
+        f"and take {min(seconds):.0f} to {max(seconds):.0f} CPU s; {sum(row['broken'] for row in proven)} are "
+        f"broken. By Tobler's function on a mountain, mean errors are at most {max(row['mean'] for row in hike):.1%} "
+        f"beside a raster three times finer. {big['side']:,} x {big['side']:,} cells with {big['sources']} sources "
+        f"take {big['cpu_seconds'] / 60:.1f} CPU minutes and {big['megabytes'] / 1e3:.1f} GB.\n"
     )
 
 

@@ -47,6 +47,9 @@ NUM_ENVIRONMENTS, NUM_STEPS = 8, 10
 SIZE, BLOCKED = 6, 0.2
 RESOLUTION = 4
 """,
+    "7_cost_distance": """
+SIDE, BOUND_SIDE, PLR_BYTES = 40, 20, 512
+""",
     "6_pedestrians": """
 MAX_BYTES = 512
 NUM_POINTS, NUM_PAIRS, NUM_AGENTS = 500, 12, 3
