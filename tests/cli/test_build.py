@@ -148,7 +148,6 @@ def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(path, monkey
     result = run("build", "maze", "-o", path, "--leaf", "plane")
     assert result.exit_code == 130
     assert re.fullmatch(r"Interrupted: .*out.plr holds the [0-9]+ leaves built so far.\n", result.stderr)
-    assert len(calls) > last_call, "what there is, is proven"
     plr = load(path)
     assert plr.num_leaves > 1 and plr.leaf.name == "plane" and plr.max_error > 0
 
