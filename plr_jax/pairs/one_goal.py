@@ -24,10 +24,11 @@ _NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
 _ROUNDING = 1e-6  # more than a query's error, relative to the distance plus the domain width
 
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
+CornersFn: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "corners"]]
 
 
-def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
-    """Return the PLR of cones of the distance to a goal.
+def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: CornersFn, goal: ArrayLike) -> PLR:
+    """Return the PLR of cones of the distance to a goal; ``to_corners`` gives a goal's distances to all corners.
 
     A cone is the distance to a source (a corner or the goal) plus the source's distance to the goal. Each leaf of the
     pairs gets the source whose cone fits it best, and is halved a few times if none fits well.
@@ -36,7 +37,7 @@ def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
     goal = as_finite_point("The goal", domain.settled(goal), 2)
     if not domain.contains(goal[None])[0]:
         raise ValueError(f"The goal must be in the domain {domain}, got {goal.tolist()}: move it inside.")
-    sources = _sources(stored, pairs, goal)
+    sources = _sources(stored, to_corners(goal), goal)
     cells, owner, done = stored.cells, np.arange(len(stored.cells)), []
     most = max(_HALVINGS, _DEPTH - (len(cells) - 1).bit_length())
     for halvings in range(most + 1):
@@ -57,23 +58,26 @@ def plr_to(stored: PairsFileData, pairs: PairFn, goal: ArrayLike) -> PLR:
     return plr_of_leaves(DecodedFile(domain, leaf_model("cone"), tree, cones))
 
 
-def _sources(stored: PairsFileData, pairs: PairFn, goal: Float[np.ndarray, "2"]) -> Sources:
+def _sources(
+    stored: PairsFileData, to_corners: Float[np.ndarray, "corners"], goal: Float[np.ndarray, "2"]
+) -> Sources:
     """Return the goal and the corners where shortest paths to it turn, with distances and next turns.
 
     The next turn after a corner is the goal if the path there is straight, else a corner nearer to the goal at the
-    end of an edge. A corner with neither is at most the start of a path: its distance is set to ``inf``, so no leaf
-    uses it.
+    end of an edge, from which turns lead on to the goal. A corner with neither is at most the start of a path: its
+    distance is set to ``inf``, so no leaf uses it.
     """
     points = np.concatenate([goal[None], stored.points])
-    distances = np.append(0.0, np.asarray(pairs(stored.points, goal), np.float64))
+    distances = np.append(0.0, to_corners)
     slack = _ROUNDING * (distances + stored.domain.width.max())
     parents = np.where(distances <= np.linalg.norm(points - goal, axis=1) + slack, 0, -1)
     start, end = 1 + np.concatenate([stored.edges, stored.edges[:, ::-1]]).T
     onward = np.linalg.norm(points[start] - points[end], axis=1) + distances[end]
     leads_on = (onward <= distances[start] + slack[start]) & (distances[end] < distances[start])
-    edges = np.flatnonzero(leads_on & (parents[start] < 0) & np.isfinite(onward))
+    edges = np.flatnonzero(leads_on & np.isfinite(onward))
     edges = edges[np.argsort(-onward[edges], kind="stable")]
-    parents[start[edges]] = end[edges]  # the last assignment wins: the shortest path
+    while len(next_edges := edges[(parents[start[edges]] < 0) & (parents[end[edges]] >= 0)]):
+        parents[start[next_edges]] = end[next_edges]  # the last assignment wins: the shortest path
     distances[parents < 0] = np.inf
     return Sources(points, distances, np.where(parents < 0, np.arange(len(points)), parents))
 

@@ -174,7 +174,11 @@ class PairPLR(FileBacked):
         ``y=goal`` instead. ``ValueError`` if the goal is not two finite numbers, is outside the domain, or cannot be
         reached.
         """
-        return plr_to(self.stored, self, goal)
+
+        def to_corners(goal: ArrayLike) -> Float[np.ndarray, "corners"]:
+            return np.asarray(self.prepared(goal).to_corners, np.float64)[: self.num_corners]
+
+        return plr_to(self.stored, self, to_corners, goal)
 
     def numpy(self) -> NumpyPairs:
         """Return the same distances for NumPy, bit for bit as in other languages: see ``pairs/portable.py``."""

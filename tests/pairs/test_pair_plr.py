@@ -199,6 +199,15 @@ def test_leaves_are_halved_for_one_goal_as_often_as_it_takes_and_joined_where_th
     assert maze.to(goal).num_leaves < maze.num_leaves
 
 
+@pytest.mark.full
+def test_corners_whose_turns_lead_nowhere_are_no_sources(data_dir):
+    workspace = scenes.read_workspace(data_dir / "jupedsim" / "arena.wkt")  # with contacts and slivers
+    goal, x = workspace.sample_free(1, 1)[0], workspace.sample_free(5000, 2)
+    plr = construct_pairs(workspace).to(goal)
+    error = np.abs(np.asarray(plr(x)) - VisibilityGraph(workspace, goal)(x))
+    assert error.mean() < 1e-3
+
+
 def test_goals_outside_and_points_that_are_none_are_refused(maze):
     for wrong in ((2.0, 2.0), (np.nan, 0.0), (1.0,)):
         with pytest.raises(ValueError, match=r"goal|Goal"):
