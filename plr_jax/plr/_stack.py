@@ -309,7 +309,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
 
 @partial(jax.jit, static_argnums=3)
 def _evaluate(stacked: PLRStack, index: AnyArray, x: AnyArray, outside: Outside) -> Float[AnyArray, "*batch"]:
-    xp, shape = x.__array_namespace__(), np.broadcast_shapes(index.shape, x.shape[:-1])
+    xp, shape = x.__array_namespace__(), jnp.broadcast_shapes(index.shape, x.shape[:-1])
     index, x = xp.broadcast_to(index, shape), xp.broadcast_to(x, (*shape, x.shape[-1]))
     is_one = (index >= 0) & (index < len(stacked))
     known = xp.where(is_one, index, 0).astype(np.uint32)

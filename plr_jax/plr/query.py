@@ -420,7 +420,7 @@ class SmallBatches:
 
     def __call__(self, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any) -> Any:
         """Return ``compiled(*tables, x, *static)``."""
-        if self.work.get((compiled, x.shape, *static), 0) <= _MOST_WORK and not isinstance(x, Tracer):
+        if not isinstance(x, Tracer) and self.work.get((compiled, x.shape, *static), 0) <= _MOST_WORK:
             answer = self._by_numpy(compiled, tables, x, *static)
             if answer is not None:
                 return answer

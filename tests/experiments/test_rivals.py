@@ -64,7 +64,7 @@ def test_rivals_get_the_same_free_space_and_obstacles_that_overlap_where_ours_to
         assert shapely.symmetric_difference(within, workspace.free_space).area < 1e-6
     squares = [[(1, 1), (2, 1), (2, 2), (1, 2)], [(2, 2), (3, 2), (3, 3), (2, 3)]]
     touching, apart = (
-        _oracle._polygons(Workspace(((0, 0), (4, 4)), squares[:n]), np.array([0.5, 0.5]))["holes"] for n in (2, 1)
+        _oracle.polygons_of(Workspace(((0, 0), (4, 4)), squares[:n]), np.array([0.5, 0.5]))["holes"] for n in (2, 1)
     )
     assert len(touching) == 1
     assert sorted(map(tuple, apart[0])) == sorted(map(tuple, np.array(squares[0], float).tolist()))
