@@ -251,7 +251,9 @@ def _questions(seed: int, smoke: bool) -> tuple[dict[str, Any], dict[str, np.nda
 def _run(python: str, program: str, given: Path) -> tuple[float, np.ndarray]:
     """Run a program in a new process; return its CPU seconds and what it found."""
     begun = _cpu_of_children()
-    environment = {name: each for name, each in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
+    # Bytecode is kept, as for users; compiled programs are not.
+    absent = "JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE"
+    environment = {name: each for name, each in os.environ.items() if name not in absent}
     ran = subprocess.run(
         [python, "-c", _BEFORE + program + _AFTER, given],
         capture_output=True,
