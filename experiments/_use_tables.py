@@ -202,6 +202,18 @@ def readers(results: dict[str, Any]) -> str:
     )
 
 
+def small_machines(results: dict[str, Any]) -> str:
+    """Bytes of compiled C headers, those of quick tables beside compact ones."""
+    table = formatted(
+        (row | {"header": "compact" if row["compact"] else "quick tables"} for row in results["rows"]),
+        *(("map", "{map}"), ("leaf", "{leaf}"), ("header", "{header}"), ("file", "{bytes:,}"), ("code", "{code:,}")),
+        *(("data", "{data:,}"), ("stack", "{stack:,}"), ("ns a point", "{nanoseconds:,.0f}")),
+        ("equal bits", "{equal:.0%}"),
+        words=3,
+    )
+    return f"{table}\nSizes are in bytes, compiled with `-Os` for x86-64. No header uses other memory.\n"
+
+
 def modules(results: dict[str, Any]) -> str:
     """What modules of JavaScript answer, and what that costs."""
     table = formatted(

@@ -106,6 +106,7 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "oracle": (distances.oracle, "benchmark.oracle"),
     "pictures": (uses.pictures, "maps"),
     "readers": (uses.readers, "portable"),
+    "small_machines": (uses.small_machines, "portable.small"),
     "modules": (uses.modules, "page"),
     "pages": (uses.pages, "page"),
     "car": (uses.car, "portable"),
