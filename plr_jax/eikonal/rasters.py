@@ -9,6 +9,7 @@ References:
     Tobler, "Three presentations on geographical analysis and modeling", 1993.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -84,8 +85,8 @@ def cost_distance(
     """Compute the least accumulated cost between every cell of a raster and the nearest source.
 
     ``result = plr_jax.cost_distance(costs, sources)`` has ``result.distance`` and ``result.nearest``, arrays of the
-    raster's shape. Errors are mostly below 0.3 % of the mean distance, and largest at edges of costs. Rasters of more
-    than 1.8 million cells are not divided: there, errors are a few percent where costs jump from cell to cell.
+    raster's shape. Mean errors are mostly below 0.6 % of the mean distance, and largest where costs jump. Rasters of
+    more than 1.8 million cells are not divided: there, errors are a few percent where costs jump from cell to cell.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
@@ -130,6 +131,7 @@ def cost_distance(
         distance, nearest = _over_edges(cost, side, cells, rise, slope_fn, as_bool("from_sources", from_sources))
     if as_bool("bounds", bounds):
         lower, upper = _bounds(cost, box, points, cells, np.isfinite(distance))
+        distance = np.clip(distance, lower, upper)
     if max_bytes is not None:
         plr = construct(GridField(distance, box), box, leaf="continuous", max_bytes=max_bytes)
 
@@ -148,7 +150,9 @@ def _bounds(
 ) -> tuple[Raster, Raster]:
     """Return proven bounds at the centers of cells: by a convex program, and by the costs of actual paths."""
     side, cost_map = box.width / cost.shape[::-1], RasterCost(cost, box, "nearest")
-    plr = solve_eikonal(cost_map.space(), points + box.lo, cost_map=cost_map, max_leaves=_BOUND_LEAVES)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* outside of its bounds")  # of an estimate that is not used here
+        plr = solve_eikonal(cost_map.space(), points + box.lo, cost_map=cost_map, max_leaves=_BOUND_LEAVES)
     centers = box.at((np.stack(np.meshgrid(*map(np.arange, cost.shape[::-1])), axis=-1) + 0.5) / cost.shape[::-1])
     lower, upper = (np.asarray(each, float) for each in plr.bounds(centers))
     # A path over edges begins at the center of a cell, to which its source has a straight way.
