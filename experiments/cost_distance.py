@@ -163,7 +163,8 @@ def _exact(costs: Raster, sources: list[tuple[int, int]]) -> Raster:
     workspace = Workspace.from_mask(np.isfinite(costs))
     first, *others = _points(sources)
     oracle = VisibilityGraph(workspace, first)
-    nearest = NearestGoal([oracle, *map(oracle.with_goal, others)])
+    oracles: list[Any] = [oracle, *map(oracle.with_goal, others)]
+    nearest = NearestGoal(oracles)
     centers = np.stack(np.meshgrid(np.arange(SIDE) + 0.5, np.arange(SIDE) + 0.5), axis=-1)
     return np.where(np.isfinite(costs), nearest(centers.reshape(-1, 2)).reshape(costs.shape), np.inf)
 

@@ -23,7 +23,7 @@ import shapely
 
 from experiments._measures import relative_errors, timed
 from experiments._runner import Section, run
-from experiments.benchmarks._maps import load_map, load_maps
+from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._oracle import RIVALS_PYTHON, polygon_field, polygons_of
 from experiments.costs import BOUNDS, GOAL, WALL, marched, rasters
 from plr_jax import PlaneSpace, VisibilityGraph, Workspace, construct, construct_many, construct_pairs, scenes
@@ -283,7 +283,8 @@ def certified(seed: int, smoke: bool) -> dict[str, Any]:
                 construct(oracle, workspace.bounds, leaf="cone", max_bytes=max_bytes, certified=is_certified)
 
             rows.append({"map": name, "bytes": max_bytes, **_with_and_without(build, smoke)})
-    workspace, goal = load_map("maze")
+    maze = scenes.maze()
+    workspace, goal = maze.workspace, maze.goals[0]
     oracle, goals = VisibilityGraph(workspace, goal), workspace.sample_free(2 if smoke else FAMILY, seed + 3)
 
     def build_all(is_certified: bool):

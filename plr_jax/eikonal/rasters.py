@@ -176,7 +176,7 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     if size.shape not in ((), (2,)) or not (np.isfinite(size) & (size > 0)).all():
         raise ValueError(f"cell_size must be one or two positive numbers, got {shortened(cell_size)}.")
     side = np.array(np.broadcast_to(size, 2))
-    lo, order = np.zeros(2), [slice(None), slice(None)]
+    lo, order = np.zeros(2), (slice(None), slice(None))
     if _is_data_array(costs):
         cost[cost == costs.attrs.get("_FillValue", costs.attrs.get("nodata"))] = np.inf
         for axis, name in enumerate(costs.dims[::-1]):
@@ -188,14 +188,15 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
                     spaced = f"got steps from {steps.min():g} to {steps.max():g}"
                     raise ValueError(f"coordinates {name!r} must be evenly spaced, {spaced}.")
                 if along[0] > along[-1]:
-                    order[1 - axis] = slice(None, None, -1)
+                    backward = slice(None, None, -1)
+                    order = (order[0], backward) if axis == 0 else (backward, order[1])
             lo[axis] = along.min() - side[axis] / 2
-    cost = cost[tuple(order)]
+    cost = cost[order]
     cost[np.isnan(cost)] = np.inf
     if (wrong := np.argwhere(cost <= 0)).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
         raise ValueError(f"costs must be positive, got {got}. For barriers use NaN, or give a masked array.")
-    return cost, Box(lo, lo + side * cost.shape[::-1]), tuple(order)
+    return cost, Box(lo, lo + side * cost.shape[::-1]), order
 
 
 def _as_sources(
@@ -217,7 +218,7 @@ def _as_sources(
         cells[points[:, ::-1] == box.width[::-1]] -= 1  # the upper border belongs to the last cell
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
-    wrong = ~((cells >= 0) & (cells < shape)).all(axis=1)
+    wrong: Any = ~((cells >= 0) & (cells < shape)).all(axis=1)
     cells = np.where(wrong[:, None], 0, cells).astype(np.int64)
     wrong |= ~np.isfinite(cost[tuple(cells.T)])
     if wrong.any():
@@ -328,14 +329,13 @@ def _over_edges(
     for number, (i, j) in enumerate(edges):
         length, count = float(np.hypot(*(side[::-1] * (i, j)))), max(abs(i), abs(j))
         weight[..., number] = length * _mean_along(i, j, partial(beside, cost))
-        heights = []
-        for part in range(count + 1) if height is not None else ():
-            (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
-            # One of the two coordinates is whole: between two cells, heights are interpolated.
-            beyond = (i0 + (to_i > 0), j0 + (to_j > 0))
-            rest = max(to_i, to_j) / count
-            heights.append((1 - rest) * beside(height, (i0, j0)) + rest * beside(height, beyond))
-        if heights:
+        if height is not None:
+            heights = []
+            for part in range(count + 1):
+                (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
+                # One of the two coordinates is whole: between two cells, heights are interpolated.
+                beyond, rest = (i0 + (to_i > 0), j0 + (to_j > 0)), max(to_i, to_j) / count
+                heights.append((1 - rest) * beside(height, (i0, j0)) + rest * beside(height, beyond))
             factor = slope_fn(np.diff(heights, axis=0) * (count if from_sources else -count) / length)
             if not (factor > 0).all():
                 raise ValueError("slope_cost must return positive numbers, got some that are not.")

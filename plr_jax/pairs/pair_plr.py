@@ -378,7 +378,8 @@ def _clamped(
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))
     nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
-    return nearest, length_of([(x - nearest)[..., axis] for axis in range(2)])
+    way: Any = length_of([(x - nearest)[..., axis] for axis in range(2)])
+    return nearest, way
 
 
 def _checked(

@@ -16,7 +16,7 @@ still open.
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -203,7 +203,7 @@ class PreparedGoals:
 @jax.jit
 def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
     """Return the length of the shortest path from each point to each corner through a corner that its leaf lists."""
-    leaf = lookup(tables.partition, points)
+    leaf: Any = lookup(tables.partition, points)
     legs_of_points = _legs(tables, leaf, points)
 
     def by_corner(column: Array, found: Float[Array, "n size"]) -> Float[Array, "n size"]:
@@ -310,8 +310,9 @@ def _ways(
     y: Float[Array, "n 2"],
     goal: UInt32[Array, "n"] | None = None,
 ) -> Ways:
-    leaf_x, size = lookup(tables.partition, x), len(tables.distances)
-    leaf_y = lookup(tables.partition, y) if goal is None else goal
+    leaf_x: Any = lookup(tables.partition, x)
+    leaf_y: Any = lookup(tables.partition, y) if goal is None else goal
+    size = len(tables.distances)
     listed, longest = tables.listed[leaf_x].astype(jnp.uint32), tables.x.shape[1]
     # 1. Bound the path length through each corner of the first point's list.
     if to_corners is not None:
