@@ -67,6 +67,12 @@ def scikit_fmm(costs: Raster, sources: list[tuple[int, int]]) -> Raster:
     return np.asarray(skfmm.travel_time(phi, 1 / costs, order=2))
 
 
+def scikit_fmm_divided(costs: Raster, sources: list[tuple[int, int]]) -> Raster:
+    """Return what the march gives over nine nodes a cell, which is what ``cost_distance`` marches over."""
+    fine = np.kron(costs, np.ones((3, 3)))
+    return scikit_fmm(fine, [(3 * row + 1, 3 * column + 1) for row, column in sources])[1::3, 1::3] / 3
+
+
 def scikit_image(costs: Raster, sources: list[tuple[int, int]]) -> Raster:
     from skimage.graph import MCP_Geometric  # pyright: ignore[reportMissingImports]
 
@@ -92,6 +98,7 @@ def _points(sources: list[tuple[int, int]]) -> list[tuple[float, float]]:
 TOOLS: dict[str, Callable[[Raster, list[tuple[int, int]]], Raster]] = {
     "plr_jax": lambda costs, sources: cost_distance(costs, _points(sources)).distance,
     "scikit-fmm": scikit_fmm,
+    "scikit-fmm, 9 nodes a cell": scikit_fmm_divided,
     "scikit-image MCP_Geometric": scikit_image,
     "xarray-spatial": xarray_spatial,
 }

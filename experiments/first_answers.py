@@ -52,7 +52,7 @@ _AFTER = "\nprint(json.dumps(np.asarray(found, float).tolist()))"
 _MAZE = "import plr_jax; w = plr_jax.scenes.maze().workspace; goal = (0.06, 0.07); "
 _PLR = _MAZE + "plr = plr_jax.construct(plr_jax.VisibilityGraph(w, goal), w.bounds, {}); found = plr(given['x'])"
 _NODES = """
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import distance_transform_edt, map_coordinates
 n = 256
 p = (np.arange(n) + 0.5) / n
 free = np.ones((n, n), bool)
@@ -60,7 +60,12 @@ for x0, y0, x1, y1 in given['walls']:
     free &= ~((p[:, None] > y0) & (p[:, None] < y1) & (p > x0) & (p < x1))
 from_goal = np.hypot(p - 0.06, p[:, None] - 0.07)
 """
-_READ = "found = map_coordinates({}, given['x'].T[::-1] * n - 0.5, order=1, mode='nearest')"
+_FILL = """
+def filled(values, blocked):  # walls get the value of the nearest free node
+    nearest = distance_transform_edt(blocked, return_distances=False, return_indices=True)
+    return values[tuple(nearest)]
+"""
+_READ = "found = map_coordinates(filled({}, ~free), given['x'].T[::-1] * n - 0.5, order=1, mode='nearest')"
 _LINKS = """
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
@@ -71,7 +76,7 @@ for a, b, beside, length in (
     ((low, low), (high, high), ((low, high), (high, low)), 2**0.5),
     ((high, low), (low, high), ((low, low), (high, high)), 2**0.5),
 ):
-    is_open = np.logical_and.reduce([free[each] for each in (a, b, *beside)])
+    is_open = free[a] & free[b] & (np.logical_or.reduce([free[each] for each in beside]) if beside else True)
     links.append((number[a][is_open], number[b][is_open], np.full(is_open.sum(), length)))
 i, j, length = map(np.concatenate, zip(*links))
 graph = coo_array((length, (i, j)), (free.size, free.size)).tocsr()
@@ -94,7 +99,6 @@ _OMPL = """
 from ompl import base, geometric, util
 util.setLogLevel(util.LogLevel.LOG_ERROR)
 space = base.RealVectorStateSpace(2)
-space.setBounds(base.RealVectorBounds(2))
 bounds = base.RealVectorBounds(2)
 bounds.setLow(0)
 bounds.setHigh(1)
@@ -107,9 +111,12 @@ setup.setStateValidityChecker(
 start, goal = space.allocState(), space.allocState()
 start[0], start[1], goal[0], goal[1] = 0.93, 0.95, 0.06, 0.07
 setup.setStartAndGoalStates(start, goal)
-setup.setOptimizationObjective(base.PathLengthOptimizationObjective(setup.getSpaceInformation()))
+objective = base.PathLengthOptimizationObjective(setup.getSpaceInformation())
+objective.setCostThreshold(base.Cost(float("inf")))  # the first path will do
+setup.setOptimizationObjective(objective)
 setup.setPlanner(geometric.BITstar(setup.getSpaceInformation()))
-setup.solve(1.0)
+setup.solve(10.0)
+setup.simplifySolution()
 found = [setup.getSolutionPath().length()]
 """
 
@@ -133,17 +140,19 @@ TASKS = (
         _POINT,
         "scikit-fmm, 256 x 256 cells",
         _NODES
+        + _FILL
         + "import skfmm\n"
         + "time = skfmm.travel_time(np.ma.MaskedArray(from_goal - 1.5 / n, ~free), np.ones((n, n)), dx=1 / n)\n"
-        + _READ.format("time.filled(0) + 1.5 / n"),
+        + _READ.format("time.data + 1.5 / n"),
     ),
     Task(
         _POINT,
         "SciPy, Dijkstra over 256 x 256 cells",
         _NODES
+        + _FILL
         + _LINKS
         + "cost = dijkstra(graph, directed=False, indices=number[int(0.07 * n), int(0.06 * n)]).reshape(n, n) / n\n"
-        + _READ.format("np.where(np.isfinite(cost), cost, 0)"),
+        + _READ.format("cost"),
     ),
     Task(_POINT, "extremitypathfinder", _EXTREMITYPATHFINDER.format("[(0.06, 0.07)] * len(given['x'])"), True),
     Task(_POINT, "pyvisgraph", _PYVISGRAPH.format("[(0.06, 0.07)] * len(given['x'])"), True),
@@ -155,7 +164,7 @@ TASKS = (
     Task(_PAIR, "extremitypathfinder", _EXTREMITYPATHFINDER.format("given['y']"), True),
     Task(_PAIR, "pyvisgraph", _PYVISGRAPH.format("given['y']"), True),
     Task(_PATH, "VisibilityGraph", _MAZE + "found = plr_jax.VisibilityGraph(w, goal)([(0.93, 0.95)])"),
-    Task(_PATH, "OMPL, BIT* for one second", _OMPL),
+    Task(_PATH, "OMPL, first path of BIT*, simplified", _OMPL),
     Task(
         _COST,
         "solve_eikonal, estimate",
@@ -164,16 +173,23 @@ TASKS = (
         f"plr = plr_jax.solve_eikonal(space, {GOAL.tolist()}, cost_map=costs, certified=False); "
         "found = plr(given['of_costs'])",
     ),
-    Task(
-        _COST,
-        "scikit-fmm, over the cells",
-        "import skfmm\n"
-        "from scipy.ndimage import map_coordinates\n"
-        "x, y = np.meshgrid((np.arange(200) + 0.5) / 100, (np.arange(100) + 0.5) / 100)\n"
-        "front = np.hypot(x - 0.2, y - 0.2) - 0.015\n"
-        "blocked = (x > 0.9) & (x < 1.0) & (y < 0.6)\n"
-        "time = skfmm.travel_time(np.ma.MaskedArray(front, blocked), 1 / given['costs'], dx=0.01)\n"
-        "found = map_coordinates(time.filled(0), given['of_costs'].T[::-1] * 100 - 0.5, order=1, mode='nearest')",
+    *(
+        Task(
+            _COST,
+            f"scikit-fmm, {parts} x {parts} nodes a cell",
+            "import skfmm\n"
+            "from scipy.ndimage import distance_transform_edt, map_coordinates\n"
+            f"parts, step = {parts}, 0.01 / {parts}\n"
+            + _FILL
+            + "costs = given['costs'].repeat(parts, 0).repeat(parts, 1)\n"
+            "y, x = (np.mgrid[: 100 * parts, : 200 * parts] + 0.5) * step\n"
+            "blocked = (x > 0.9) & (x < 1.0) & (y < 0.6)\n"
+            "front = np.ma.MaskedArray(np.hypot(x - 0.2, y - 0.2) - 1.5 * step, blocked)\n"
+            "time = skfmm.travel_time(front, 1 / costs, dx=step).data + 1.5 * step * costs[20 * parts, 20 * parts]\n"
+            "at = given['of_costs'].T[::-1] / step - 0.5\n"
+            "found = map_coordinates(filled(time, blocked), at, order=1, mode='nearest')",
+        )
+        for parts in (1, 3, 5)
     ),
     Task(
         _GRID,

@@ -1,7 +1,7 @@
 """Cost distance over a raster: the least accumulated cost between each cell and the nearest source.
 
 - If costs do not depend on the direction, scikit-fmm marches over the cells, each divided into an odd number of
-  nodes along both axes. So no direction is favored, as it is by shortest paths over 8 or 16 neighbors.
+  nodes along both axes. So directions hardly matter, as they do for shortest paths over 8 or 16 neighbors.
 - If heights give directed costs, Dijkstra's algorithm runs over edges that are up to six cells long.
 
 References:
@@ -34,10 +34,14 @@ from plr_jax.plr._plr import PLR
 from plr_jax.spaces import RasterCost
 
 _FINE_NODES, _MOST_NODES = 1_500_000, 1 << 24  # least number of nodes; most nodes if cells are divided
+_NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray
+_ATTRIBUTES_OF_COSTS = {*_NO_DATA, "units", "long_name", "standard_name"}  # do not hold for distances
+_X_NAMES, _Y_NAMES = {"x", "lon", "longitude", "easting"}, {"y", "lat", "latitude", "northing"}
+_DEGREES = {"lon", "longitude", "lat", "latitude"}
 _TINY = 1e-9  # distance, in steps, from a source to the front if the front is too near to lie between nodes
 _BOUND_LEAVES = 20_000  # cells of the convex program that proves lower bounds
 _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
-_REACH = 6  # longest edge of a directed search, in cells
+_REACH = 6  # most cells along each axis of an edge of a directed search
 _MOST_DIRECTED = 1 << 22  # cells of a directed search, which take about 2 kB each
 
 Raster = Float[np.ndarray, "rows columns"]
@@ -90,18 +94,20 @@ def cost_distance(
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
-            ``DataArray`` of two dimensions with evenly spaced coordinates. NaN, ``inf``, masked cells and a
-            ``DataArray``'s no-data value are barriers. No path passes between two barriers that touch in a corner.
+            ``DataArray`` of two dimensions, y and x, with evenly spaced coordinates in units of length. NaN, ``inf``,
+            masked cells and a ``DataArray``'s no-data value are barriers. No path passes between two barriers that
+            touch in a corner.
         sources: Points ``(k, 2)``, rows ``(x, y)``; or a boolean mask of the raster's shape, whose cells are numbered
-            as by ``np.argwhere(mask)``. In an array, ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from
-            ``i`` to ``i + 1``, times ``cell_size``. Points of a ``DataArray`` have its coordinates.
-        cell_size: Side of a cell, or both ``(x, y)``; from the coordinates of a ``DataArray``.
-        heights: Height of each cell, in the unit of ``cell_size``, for directed costs; barriers where not finite.
+            as by ``np.argwhere(mask)``. Points of a ``DataArray`` have its coordinates. In an array, row 0 has the
+            lowest y: ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from ``i`` to ``i + 1``, times
+            ``cell_size``. So pass ``costs[::-1]`` if row 0 is the north.
+        cell_size: Side of a cell, or both ``(x, y)``; for arrays only.
+        heights: Height of each cell, in the unit of ``cell_size``, for directed costs; barriers like those of costs.
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of
             arrays, or ``"tobler"``, the seconds of a hiker per meter.
         from_sources: With heights, whether paths lead from the sources to the cells. By default they lead to the
             sources.
-        bounds: Whether to prove bounds of the distance, which takes about a minute; not with heights.
+        bounds: Whether to prove bounds, between which the distance then lies; takes some 20 s, and not with heights.
         max_bytes: If given, the result has a PLR of at most so many bytes.
 
     Raises:
@@ -112,12 +118,14 @@ def cost_distance(
     cost, box, order = _raster(costs, cell_size)
     side, rise = box.width / cost.shape[::-1], None
     if heights is not None:
-        rise = as_numbers("heights", with_inf_for_masked(heights), f"heights of shape {cost.shape}")
+        rise = _values("heights", heights)
         if rise.shape != cost.shape or cost.size > _MOST_DIRECTED:
             most = f"shape {cost.shape}, of at most {_MOST_DIRECTED:,} cells"
             raise ValueError(f"heights must have {most}, got {rise.shape}.")
+        _require_aligned("heights", heights, costs)
         rise = rise[order]
         cost = np.where(np.isfinite(rise), cost, np.inf)
+    _require_aligned("A mask of sources", sources, costs)
     points, cells = _as_sources(sources, cost, box, order)
     # 2. Distances and nearest sources; bounds by a relaxed problem, and by the costs of paths between cells.
     lower = upper = plr = None
@@ -139,7 +147,9 @@ def cost_distance(
     def like_costs(name: str, values: np.ndarray | None) -> Any:
         if values is None or not _is_data_array(costs):
             return values if values is None else values[order]
-        return costs.copy(data=values[order]).rename(name).assign_attrs(long_name=name)
+        result = costs.copy(data=values[order]).rename(name)
+        result.attrs = {key: each for key, each in costs.attrs.items() if key not in _ATTRIBUTES_OF_COSTS}
+        return result
 
     named = {"distance": distance, "nearest": nearest, "lower": lower, "upper": upper}
     return CostDistance(**{name: like_costs(name, values) for name, values in named.items()}, plr=plr)
@@ -166,21 +176,53 @@ def _is_data_array(costs: Any) -> bool:
     return all(hasattr(costs, name) for name in ("dims", "coords", "attrs"))
 
 
+def _values(name: str, raster: Any) -> Raster:
+    """Return a raster as 64-bit floats, ``inf`` where it is masked, NaN or no data."""
+    values = np.array(as_numbers(name, with_inf_for_masked(raster), "a raster of numbers"))
+    if _is_data_array(raster):
+        for key in _NO_DATA:
+            values[values == raster.attrs.get(key)] = np.inf
+    values[np.isnan(values)] = np.inf
+    return values
+
+
+def _require_aligned(name: str, raster: Any, costs: Any) -> None:
+    """Require that a raster with coordinates has those of the costs; ``ValueError`` if not."""
+    if not (_is_data_array(raster) and _is_data_array(costs)):
+        return
+    pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
+    if raster.dims != costs.dims or not all(a.shape == b.shape and np.allclose(a, b) for a, b in pairs):
+        raise ValueError(
+            f"{name} must have the dimensions {costs.dims} and coordinates of costs, got other ones: use "
+            "reindex_like(costs) or interp_like(costs)."
+        )
+
+
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
     """Return costs by ascending coordinates, ``inf`` in barriers; their box; slices that restore the order."""
-    expected = "positive costs of shape (rows, columns)"
-    cost = np.array(as_numbers("costs", with_inf_for_masked(costs), expected))
+    cost = _values("costs", costs)
     if cost.ndim != 2 or cost.size == 0:
-        raise ValueError(f"costs must be {expected}, got shape {cost.shape}.")
+        raise ValueError(
+            f"costs must have shape (rows, columns), got {cost.shape}. For one band of several, use "
+            'costs.squeeze("band") or costs[0].'
+        )
     size = as_numbers("cell_size", cell_size, "one or two positive numbers")
     if size.shape not in ((), (2,)) or not (np.isfinite(size) & (size > 0)).all():
         raise ValueError(f"cell_size must be one or two positive numbers, got {shortened(cell_size)}.")
     side = np.array(np.broadcast_to(size, 2))
     lo, order = np.zeros(2), (slice(None), slice(None))
     if _is_data_array(costs):
-        cost[cost == costs.attrs.get("_FillValue", costs.attrs.get("nodata"))] = np.inf
+        if (size != 1).any():
+            raise ValueError(f"cell_size is for arrays, and this DataArray has coordinates, got {cell_size}.")
+        if str(costs.dims[0]).lower() in _X_NAMES or str(costs.dims[1]).lower() in _Y_NAMES:
+            raise ValueError(f"costs must have the dimensions y and x in this order, got {costs.dims}: transpose it.")
         for axis, name in enumerate(costs.dims[::-1]):
-            along = as_numbers(f"coordinates {name!r}", costs.coords[name].values, "numbers")
+            if str(name).lower() in _DEGREES or str(costs[name].attrs.get("units", "")).startswith("degree"):
+                message = (
+                    f"Coordinates {name!r} seem to be degrees, so that lengths are in degrees: project the raster."
+                )
+                warnings.warn(message, UserWarning, stacklevel=3)
+            along = as_numbers(f"coordinates {name!r}", costs[name].values, "numbers")
             steps = np.diff(along)
             if len(steps):
                 side[axis] = abs(along[-1] - along[0]) / len(steps)
@@ -192,10 +234,11 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
                     order = (order[0], backward) if axis == 0 else (backward, order[1])
             lo[axis] = along.min() - side[axis] / 2
     cost = cost[order]
-    cost[np.isnan(cost)] = np.inf
     if (wrong := np.argwhere(cost <= 0)).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
-        raise ValueError(f"costs must be positive, got {got}. For barriers use NaN, or give a masked array.")
+        raise ValueError(
+            f"costs must be positive, got {got}. For free passage use a small cost, for barriers NaN or a mask."
+        )
     return cost, Box(lo, lo + side * cost.shape[::-1]), order
 
 
@@ -212,6 +255,8 @@ def _as_sources(
             if order[axis].step == -1:
                 cells[:, axis] = shape[axis] - 1 - cells[:, axis]
         points = (cells[:, ::-1] + 0.5) * side
+    elif np.shape(sources) == cost.shape and cost.shape[1] != 2:
+        raise ValueError("A mask of sources must be boolean, got numbers of the raster's shape: use sources != 0.")
     else:
         points = as_points("sources", sources, 2) - box.lo
         cells = np.floor(points / side)[:, ::-1]
@@ -219,14 +264,16 @@ def _as_sources(
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
     wrong: Any = ~((cells >= 0) & (cells < shape)).all(axis=1)
-    cells = np.where(wrong[:, None], 0, cells).astype(np.int64)
-    wrong |= ~np.isfinite(cost[tuple(cells.T)])
     if wrong.any():
-        number = int(np.argmax(wrong))
-        where = (points[number] + box.lo).tolist()
+        where = f"source {int(np.argmax(wrong))} at {(points[np.argmax(wrong)] + box.lo).tolist()}"
+        raise ValueError(f"sources must lie in the raster {box}, rows (x, y), got {where}, one of {wrong.sum()}.")
+    cells = cells.astype(np.int64)
+    wrong = ~np.isfinite(cost[tuple(cells.T)])
+    if wrong.any():
+        where = f"source {int(np.argmax(wrong))} at {(points[np.argmax(wrong)] + box.lo).tolist()}"
         raise ValueError(
-            f"sources must lie in cells with a cost, got source {number} at {where}, one of {wrong.sum()} outside of "
-            f"the raster {box} or in a barrier."
+            f"sources must not lie in barriers, got {where}, one of {wrong.sum()}: move it, or use a mask of sources "
+            "and finite costs."
         )
     return points, cells
 
@@ -235,7 +282,8 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
     """Return distances by fast marching over nodes, an odd number of them along each side of a cell."""
     # 1. Nodes, about as far apart along both axes.
     num_nodes = min(max(9 * cost.size, _FINE_NODES), _MOST_NODES)
-    parts = np.maximum(side * np.sqrt(num_nodes / cost.size / side.prod()) - 1, 0).astype(int)[::-1] // 2 * 2 + 1
+    most = side * np.sqrt(num_nodes / cost.size / side.prod()) + _TINY
+    parts = np.maximum(most - 1, 0).astype(int)[::-1] // 2 * 2 + 1
     cost = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1) if (parts > 1).any() else cost
     step, shape, is_open = side / parts[::-1], np.array(cost.shape), np.isfinite(cost)
     # 2. Straight motions between sources and nodes around them, in a source's cell or beyond one of its sides.
@@ -249,7 +297,7 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
     length = np.linalg.norm((place[:, ::-1] + 0.5) * step - points[source], axis=1)
     at_source = cost[tuple(home.T)]
     straight = length * np.maximum(cost[tuple(place.T)], at_source[source])
-    # 3. The front begins where these cost `begin`, so that it leaves all sources at once.
+    # 3. The front begins where straight motions cost `begin`, so that it leaves all sources at once.
     begin = at_source.min() * float(side.min()) / 2
     phi = (straight - begin) / cost[tuple(place.T)]
     is_home = (place == home[source]).all(axis=1)

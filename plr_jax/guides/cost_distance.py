@@ -1,7 +1,7 @@
 """Guide: cost distance over rasters, for GIS: travel times to the nearest of several sources, and catchments.
 
 `plr_jax.cost_distance` takes a raster of costs per unit of length and sources. Its answers favor no direction, unlike
-shortest paths over 8 or 16 neighbors, which are 3 to 5 % too long on average.
+shortest paths over 8 neighbors, which are 3 to 5 % too long on average.
 
 ```python
 import numpy as np
@@ -21,15 +21,28 @@ The result is a `plr_jax.CostDistance`. Its arrays have the shape of the raster.
 - The sources may also be a boolean mask of the raster's shape, such as the cells of a road.
 - `bounds=True` adds `result.lower` and `result.upper`, which are proven for costs that are constant in each cell.
 - `max_bytes=8192` adds `result.plr`, a `plr_jax.PLR` of the distance: a small file with a gradient, also for C and
-  JavaScript. `plr_jax.descend` follows it along a least-cost path.
-- Large rasters: about 60 bytes of memory a cell. Up to 1.8 million cells, each cell is divided, so that errors stay
-  below a percent where costs jump. In larger rasters, errors there are a few percent.
+  JavaScript.
+- Large rasters: about 100 bytes of memory a cell. Up to 1.8 million cells, each cell is divided, so that mean errors
+  stay below a percent where costs jump. In larger rasters, errors there are a few percent.
+
+# A least-cost path
+
+`plr_jax.descend` follows the PLR to the nearest source, among the same cells as a `plr_jax.RasterCost`:
+
+```python
+result = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, max_bytes=8192)
+raster = plr_jax.RasterCost(minutes_a_meter, ((0, 0), (80 * 30, 60 * 30)), "nearest")
+village, nearest = (70.5 * 30, 50.5 * 30), clinics[result.nearest[50, 70]]  # the center of cell [50, 70]
+walk = plr_jax.descend(result.plr, raster.space(), [village], nearest, cost_map=raster)
+print(walk.paths[0], walk.costs)
+```
 
 # GeoTIFF and xarray
 
 The raster may be an xarray `DataArray` of two dimensions with evenly spaced coordinates, in which sources are then
-given. Distances are in units of these coordinates, so use a projection in meters, not degrees. The results are
-`DataArray`s of the same coordinates and attributes. With `pip install 'plr-jax[gis]'`:
+given. Heights and masks must have the same coordinates. Use a projection in meters, not degrees. The results are
+`DataArray`s of the same coordinates; distances are `inf` where no source can be reached. With
+`pip install 'plr-jax[gis]'`:
 
 ```text
 costs = rioxarray.open_rasterio("friction.tif", masked=True).squeeze("band")

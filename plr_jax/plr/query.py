@@ -401,9 +401,9 @@ def _root_tangent(primals, tangents):
 
 
 # Compiling a query takes about 80 ms. A call then takes 10 us; by NumPy 110 us, and 18 ns more for each point.
-# So NumPy answers the first 32 calls for few points, in 4 ms, and the first call for 100,000 points, in 2 ms.
-_MOST_WORK = 2**17  # in points
-_WORK_OF_CALL = 2**12  # in points
+# So NumPy answers the first 31 calls for few points, or the first call for up to 60,000 points of the plane.
+_MOST_WORK = 2**17  # in coordinates
+_WORK_OF_CALL = 2**12  # in coordinates
 # XLA takes numbers below 2**-126 for 0, NumPy does not. Differences of larger points are 0 or at least 2**-63, and
 # products of these with numbers in tables are 0 or at least 2**-126.
 _LEAST_POINT, _LEAST_IN_TABLES = 2.0**-39, 2.0**-63
@@ -412,7 +412,8 @@ _LEAST_POINT, _LEAST_IN_TABLES = 2.0**-39, 2.0**-63
 class SmallBatches:
     """Answers of one object: small batches are computed by NumPy, until compiling pays off.
 
-    ``work`` counts the points that NumPy has answered, for each function and shape of points.
+    ``work`` counts the coordinates that NumPy was asked for, and 4,096 more for each call; for each function and
+    shape of points.
     """
 
     def __init__(self) -> None:
@@ -427,7 +428,7 @@ class SmallBatches:
         return compiled(*tables, x, *static)
 
     def _by_numpy(self, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any) -> Any:
-        """Return the answer as JAX arrays, or None if only JAX should compute it, on its devices and to its bits."""
+        """Return the answer as JAX arrays, or None if only JAX should compute it, on its devices or with its bits."""
         kind, arrays = (compiled, x.shape, *static), jax.tree.leaves(tables)
         before = self.work.get(kind, 0)
         self.work[kind] = before + x.size + _WORK_OF_CALL

@@ -138,10 +138,11 @@ def test_a_plr_of_stated_bytes():
 @pytest.mark.parametrize(
     ("costs", "sources", "options", "message"),
     [
-        (np.ones(3), [(0, 0)], {}, "costs must be positive costs of shape"),
-        ([[1, 0.0]], [(0.5, 0.5)], {}, "costs must be positive, got 0 in 1 cells. For barriers use NaN"),
-        ([[1, np.nan]], [(0.5, 0.5), (1.5, 0.5)], {}, r"got source 1 at \[1.5, 0.5\]"),
-        ([[1, 1.0]], [(2.5, 0.5)], {}, r"got source 0 at \[2.5, 0.5\]"),
+        (np.ones(3), [(0, 0)], {}, "costs must have shape"),
+        ([[1, 0.0]], [(0.5, 0.5)], {}, "costs must be positive, got 0 in 1 cells. For free passage"),
+        ([[1, np.nan]], [(0.5, 0.5), (1.5, 0.5)], {}, r"in barriers, got source 1 at \[1.5, 0.5\]"),
+        ([[1, 1.0]], [(2.5, 0.5)], {}, r"in the raster .*, got source 0 at \[2.5, 0.5\]"),
+        ([[1, 1.0, 1]], np.ones((1, 3)), {}, "must be boolean"),
         ([[1, 1.0]], np.zeros((1, 2), bool), {}, "at least one source, got none"),
         ([[1, 1.0]], np.ones((2, 2), bool), {}, r"must have the raster's shape \(1, 2\), got \(2, 2\)"),
         ([[1, 1.0]], [(0.5, 0.5)], {"cell_size": -1}, "one or two positive numbers, got -1"),
@@ -161,8 +162,39 @@ def test_wrong_arguments_are_named(costs, sources, options, message):
         cost_distance(costs, sources, **options)
 
 
-def test_coordinates_must_be_evenly_spaced():
+def raster_of(values, x, y=(0.0, 1.0), dims=("y", "x")):
     xarray = pytest.importorskip("xarray")
-    raster = xarray.DataArray(np.ones((1, 3)), dims=("y", "x"), coords={"y": [0.0], "x": [0.0, 1, 3]})
-    with pytest.raises(ValueError, match="'x' must be evenly spaced, got steps from 1 to 2"):
-        cost_distance(raster, [(0, 0)])
+    along = (x, y) if dims[0] == "x" else (y, x)
+    coordinates = {name: np.array(values) for name, values in zip(dims, along, strict=True)}
+    return xarray.DataArray(np.array(values, float), dims=dims, coords=coordinates)
+
+
+@pytest.mark.parametrize(
+    ("costs", "options", "message"),
+    [
+        (lambda: raster_of(np.ones((2, 3)), [0, 1, 3]), {}, "'x' must be evenly spaced, got steps from 1 to 2"),
+        (lambda: raster_of(np.ones((3, 2)), [0, 1, 2], dims=("x", "y")), {}, "y and x in this order"),
+        (lambda: raster_of(np.ones((2, 2)), [0, 1]), {"cell_size": 30}, "cell_size is for arrays"),
+    ],
+)
+def test_coordinates_that_are_not_those_of_a_raster_are_named(costs, options, message):
+    with pytest.raises(ValueError, match=message):
+        cost_distance(costs(), [(0, 0)], **options)
+
+
+def test_heights_and_masks_need_the_coordinates_of_the_costs():
+    costs, heights = raster_of(np.ones((2, 2)), [0, 1]), raster_of([[0, 1], [2, -9999]], [0, 1])
+    with pytest.raises(ValueError, match=r"heights must have the dimensions .* and coordinates of costs"):
+        cost_distance(costs, [(0, 0)], heights=heights[::-1])
+    with pytest.raises(ValueError, match=r"A mask of sources must have the dimensions .* and coordinates of costs"):
+        cost_distance(costs, heights[::-1] == 0)
+    heights.attrs["nodata"] = -9999
+    assert np.isinf(cost_distance(costs, [(0, 0)], heights=heights).distance.values).tolist() == [
+        [False] * 2,
+        [False, True],
+    ]
+
+
+def test_degrees_are_no_lengths():
+    with pytest.warns(UserWarning, match="'lon' seem to be degrees"):
+        cost_distance(raster_of(np.ones((2, 2)), [0, 1], dims=("lat", "lon")), [(0, 0)])
