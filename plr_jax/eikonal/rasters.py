@@ -38,6 +38,8 @@ _NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray
 _ATTRIBUTES_OF_COSTS = {*_NO_DATA, "units", "long_name", "standard_name"}  # do not hold for distances
 _X_NAMES, _Y_NAMES = {"x", "lon", "longitude", "easting"}, {"y", "lat", "latitude", "northing"}
 _DEGREES = {"lon", "longitude", "lat", "latitude"}
+_MOST_PARTS = 31  # nodes along each side of a cell
+_LARGEST_RATIO = 1e5  # of two costs; at 1e6, scikit-fmm returns NaN
 _TINY = 1e-9  # distance, in steps, from a source to the front if the front is too near to lie between nodes
 _BOUND_LEAVES = 20_000  # cells of the convex program that proves lower bounds
 _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
@@ -250,7 +252,7 @@ def _as_sources(
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         if np.shape(sources) != cost.shape:
             raise ValueError(f"A mask of sources must have the raster's shape {cost.shape}, got {np.shape(sources)}.")
-        cells = np.argwhere(np.asarray(sources))
+        cells = np.argwhere(np.ma.filled(sources, False) if np.ma.isMaskedArray(sources) else np.asarray(sources))
         for axis in (0, 1):
             if order[axis].step == -1:
                 cells[:, axis] = shape[axis] - 1 - cells[:, axis]
@@ -280,20 +282,29 @@ def _as_sources(
 
 def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
     """Return distances by fast marching over nodes, an odd number of them along each side of a cell."""
-    # 1. Nodes, about as far apart along both axes.
+    # 1. Nodes, about as far apart along both axes. Costs are divided by the least one, as scikit-fmm ignores some.
+    least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
+    if most > _LARGEST_RATIO * least:
+        raise ValueError(
+            f"costs must differ by a factor of at most {_LARGEST_RATIO:g}, got costs from {least:g} to {most:g}. "
+            "Reduce the largest, or make their cells barriers."
+        )
+    cost = cost / least
     num_nodes = min(max(9 * cost.size, _FINE_NODES), _MOST_NODES)
     most = side * np.sqrt(num_nodes / cost.size / side.prod()) + _TINY
-    parts = np.maximum(most - 1, 0).astype(int)[::-1] // 2 * 2 + 1
+    parts = np.clip(most - 1, 0, _MOST_PARTS - 1).astype(int)[::-1] // 2 * 2 + 1
     cost = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1) if (parts > 1).any() else cost
     step, shape, is_open = side / parts[::-1], np.array(cost.shape), np.isfinite(cost)
-    # 2. Straight motions between sources and nodes around them, in a source's cell or beyond one of its sides.
+    # 2. Straight motions between sources and nodes around them, in a source's cell or beside it. A cell beyond a
+    #    corner counts if no barrier meets that corner.
     home = np.minimum((points / step).astype(np.int64)[:, ::-1], shape - 1)
     reach = (np.arange(-(count // 2) - 1, count // 2 + 2) for count in parts)
     place = home[:, None] + np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, 2)
-    is_beside = (place // parts == home[:, None] // parts).any(axis=2)
-    source, which = np.nonzero(((place >= 0) & (place < shape)).all(axis=2) & is_beside)
-    is_kept = is_open[tuple(place[source, which].T)]
-    source, place = source[is_kept], place[source, which][is_kept]
+    source, which = np.nonzero(((place >= 0) & (place < shape)).all(axis=2))
+    place = place[source, which]
+    (i, j), (home_i, home_j) = place.T, home[source].T
+    is_kept = is_open[i, j] & is_open[i, home_j] & is_open[home_i, j]
+    source, place = source[is_kept], place[is_kept]
     length = np.linalg.norm((place[:, ::-1] + 0.5) * step - points[source], axis=1)
     at_source = cost[tuple(home.T)]
     straight = length * np.maximum(cost[tuple(place.T)], at_source[source])
@@ -302,7 +313,7 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
     phi = (straight - begin) / cost[tuple(place.T)]
     is_home = (place == home[source]).all(axis=1)
     phi[is_home] = np.minimum(phi[is_home], -_TINY * step.min())
-    last = np.argsort(-straight, kind="stable")  # among several sources, the nearest is written last
+    last = np.lexsort((-source, -straight))  # among several sources, the nearest is written last
     node = tuple(place[last].T)
     front, distance, label = (
         np.full(cost.shape, side.max()),
@@ -320,7 +331,7 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
     if len(points) > 1:
         label = _labels(distance, cost, step, label)
     centers = tuple(np.s_[count // 2 :: count] for count in parts)
-    distance = distance[centers]
+    distance = least * distance[centers]
     return distance, label[centers] if len(points) > 1 else np.where(np.isfinite(distance), 0, -1)
 
 
@@ -384,7 +395,8 @@ def _over_edges(
                 # One of the two coordinates is whole: between two cells, heights are interpolated.
                 beyond, rest = (i0 + (to_i > 0), j0 + (to_j > 0)), max(to_i, to_j) / count
                 heights.append((1 - rest) * beside(height, (i0, j0)) + rest * beside(height, beyond))
-            factor = slope_fn(np.diff(heights, axis=0) * (count if from_sources else -count) / length)
+            slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
+            factor = np.broadcast_to(as_numbers("slope_cost", slope_fn(slopes), "numbers"), slopes.shape)
             if not (factor > 0).all():
                 raise ValueError("slope_cost must return positive numbers, got some that are not.")
             weight[..., number] *= np.mean(factor, axis=0)

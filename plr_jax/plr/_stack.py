@@ -240,6 +240,8 @@ class PLRStack:
             raise ValueError(f"index must hold integer indices of PLRs, got an array of {index.dtype}.")
         if x.ndim == 0 or x.shape[-1] != self.dim:
             raise ValueError(f"Points must have shape (..., {self.dim}), got {x.shape}.")
+        if x.ndim == 1 and index.ndim:
+            x = jnp.broadcast_to(x, (*index.shape, self.dim)) if isinstance(x, jax.Array) else x[(None,) * index.ndim]
         corners, outside = self.corners, as_outside(outside)
         if corners is None or isinstance(corners, Tracer) or isinstance(index, jax.Array) or isinstance(x, jax.Array):
             require_resolved(jax.dtypes.canonicalize_dtype(x.dtype), self.unresolved)

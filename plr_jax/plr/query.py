@@ -421,22 +421,24 @@ class SmallBatches:
 
     def __call__(self, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any) -> Any:
         """Return ``compiled(*tables, x, *static)``."""
-        if not isinstance(x, Tracer) and self.work.get((compiled, x.shape, *static), 0) <= _MOST_WORK:
-            answer = self._by_numpy(compiled, tables, x, *static)
+        if not any(isinstance(each, Tracer) for each in (x, *tables)):
+            key = compiled.__name__, x.shape, *static  # a name, since functions of JAX cannot be pickled
+            answer = None if self.work.get(key, 0) > _MOST_WORK else self._by_numpy(key, compiled, tables, x, *static)
             if answer is not None:
                 return answer
         return compiled(*tables, x, *static)
 
-    def _by_numpy(self, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any) -> Any:
+    def _by_numpy(
+        self, key: Hashable, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any
+    ) -> Any:
         """Return the answer as JAX arrays, or None if only JAX should compute it, on its devices or with its bits."""
-        kind, arrays = (compiled, x.shape, *static), jax.tree.leaves(tables)
-        before = self.work.get(kind, 0)
-        self.work[kind] = before + x.size + _WORK_OF_CALL
+        before, arrays = self.work.get(key, 0), jax.tree.leaves(tables)
+        self.work[key] = before + x.size + _WORK_OF_CALL
         if before == 0 and not (
             is_on_one_host(*arrays) and not any(_has_below(np.asarray(each), _LEAST_IN_TABLES) for each in arrays)
         ):
-            self.work[kind] = _MOST_WORK + 1
-        if self.work[kind] > _MOST_WORK or getattr(x, "committed", False) or not is_on_one_host(x):
+            self.work[key] = _MOST_WORK + 1
+        if self.work[key] > _MOST_WORK or getattr(x, "committed", False) or not is_on_one_host(x):
             return None
         points = np.asarray(x)
         points = points.astype(jax.dtypes.canonicalize_dtype(points.dtype), copy=False)
@@ -452,7 +454,7 @@ class SmallBatches:
 
 
 def _has_below(numbers: Shaped[np.ndarray, "..."], least: float) -> bool:
-    return numbers.dtype.kind == "f" and bool(((numbers != 0) & (np.abs(numbers) < least)).any())
+    return jnp.issubdtype(numbers.dtype, jnp.floating) and bool(((numbers != 0) & (np.abs(numbers) < least)).any())
 
 
 find_leaves = jax.jit(lookup)

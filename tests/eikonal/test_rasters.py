@@ -25,6 +25,19 @@ def test_equal_costs_give_euclidean_distances_to_the_nearest_source(cell_size):
     assert is_clear.mean() > 0.8
 
 
+@pytest.mark.parametrize("source", [(4, 4), (4.05, 4.05), (4, 4.5)])
+def test_a_source_at_a_corner_or_side_of_cells_reaches_all_cells_around(source):
+    result = cost_distance(np.ones((9, 9)), [source, source])
+    np.testing.assert_allclose(result.distance, np.linalg.norm(centers((9, 9)) - source, axis=2), atol=0.03)
+    assert (result.nearest == 0).all()  # the first of equal ones
+
+
+def test_costs_of_any_size_are_only_compared_with_one_another():
+    expected = cost_distance(np.ones((4, 5)), [(0.5, 0.5)]).distance
+    for size in (1e-200, 1e200):
+        np.testing.assert_allclose(cost_distance(size * np.ones((4, 5)), [(0.5, 0.5)]).distance / size, expected)
+
+
 def test_paths_refract_where_costs_jump():
     costs = np.ones((60, 60))
     costs[:, 30:] = 4
@@ -143,6 +156,8 @@ def test_a_plr_of_stated_bytes():
         ([[1, np.nan]], [(0.5, 0.5), (1.5, 0.5)], {}, r"in barriers, got source 1 at \[1.5, 0.5\]"),
         ([[1, 1.0]], [(2.5, 0.5)], {}, r"in the raster .*, got source 0 at \[2.5, 0.5\]"),
         ([[1, 1.0, 1]], np.ones((1, 3)), {}, "must be boolean"),
+        ([[1, 1e6]], [(0.5, 0.5)], {}, "differ by a factor of at most 100000, got costs from 1 to 1e"),
+        ([[1, 1.0]], np.ma.masked_array([[True, False]], [[True, False]]), {}, "at least one source"),
         ([[1, 1.0]], np.zeros((1, 2), bool), {}, "at least one source, got none"),
         ([[1, 1.0]], np.ones((2, 2), bool), {}, r"must have the raster's shape \(1, 2\), got \(2, 2\)"),
         ([[1, 1.0]], [(0.5, 0.5)], {"cell_size": -1}, "one or two positive numbers, got -1"),

@@ -1,5 +1,6 @@
 """Many PLRs as one function: of an index and a point, or of a point for each; and their one table."""
 
+import pickle
 from dataclasses import replace
 
 import jax
@@ -149,3 +150,16 @@ def test_too_deep_partitions_and_such_of_too_many_pages_are_refused():
         with pytest.raises(ValueError, match="too deep for a stack"):
             build_trie(partitions, one_row_a_leaf(partitions), levels_of_all(partitions))
     build_trie([thin], one_row_a_leaf([thin]), levels_of_all([thin]))
+
+
+def test_one_point_may_be_asked_of_several_plrs_also_after_other_calls_and_under_jit():
+    first, second = (construct(lambda x, k=k: k + x[:, 0], Box((0, 0), (1, 1)), max_leaves=2) for k in (1, 2))
+    stacked, x = stack([first, second]), np.array([0.25, 0.5])
+    for index in ([0, 1], [[1, 0, 0]]):
+        np.testing.assert_allclose(stacked(np.array(index), x), 1.25 + np.array(index), atol=1e-6)
+        np.testing.assert_allclose(
+            jax.jit(lambda i: stacked(i, x))(np.array(index)), 1.25 + np.array(index), atol=1e-6
+        )
+    assert stacked(np.zeros(0, int), x).shape == (0,)
+    again = pickle.loads(pickle.dumps(stacked))
+    np.testing.assert_array_equal(again(np.array([1]), x), stacked(np.array([1]), x))
