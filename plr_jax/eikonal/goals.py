@@ -1,4 +1,4 @@
-"""The nearest of several goals in a straight line."""
+"""The nearest of several goals, by the least cost of a straight motion."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ def nearest_goals(
 ) -> tuple[Float[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
     """Return Euclidean distances to the nearest goals, nearest first, and the indices of these goals.
 
-    Coordinates count as much as a motion along their axis costs, so no motion costs less than the distance. If there
+    Each axis is scaled by its cost per unit of length, so no motion costs less than the returned distance. If there
     are fewer than ``count`` goals, the other distances are ``inf`` and the other indices are the number of goals.
     """
     scale = motion.scale

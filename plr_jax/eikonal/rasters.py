@@ -336,7 +336,7 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
 
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
-    """Give each node the label of the labeled node to which the steepest way down leads."""
+    """Give each node the label of the source that steepest descent reaches."""
     # 1. The next node: of sixteen around it, the one through which the distance is least.
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
     number, least = toward.copy(), np.full(distance.shape, np.inf)
@@ -354,7 +354,7 @@ def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Near
             part(least, a)[is_better] = through[is_better]
             part(toward, a)[is_better] = part(number, b)[is_better]
     del number, least
-    # 2. Double the way until it ends.
+    # 2. Replace each successor by its successor until nothing changes.
     toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward).ravel()
     while not np.array_equal(further := toward[toward], toward):
         toward = further

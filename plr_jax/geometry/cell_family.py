@@ -23,13 +23,13 @@ Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
 class FamilySamples:
     """At most one sample for each of several boxes, and the corners where paths from the sample may turn first.
 
-    A box that no wall meets has its center as the sample, another the center of its largest free convex piece.
+    The sample is the center of the box if no wall meets the box, else the center of its largest free convex piece.
 
     Attributes:
         x: The sample of each box; NaN if no part of the box is free.
         weight: Free share of each box's area; 0 without a sample.
         sampled: Boxes that have a sample.
-        placed: Samples of these boxes, moved into free space where rounding puts them outside.
+        placed: Rounded samples of these boxes; samples that rounding puts into a wall are moved out of it.
         box: Boxes whose samples see corners; their corners are ``corner[first[i]]`` up to the next box's.
         length: Distance from the sample to each of these corners.
     """
@@ -89,7 +89,7 @@ class FamilySamples:
     def first_turns(
         self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, "corners"]
     ) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance to a goal, and the first vertex of its path: the goal is 0, corners follow.
+        """Return each sample's distance to a goal, and the first vertex of its path: 0, the goal, or corner + 1.
 
         Without a path, return ``inf`` and -1. ``view`` is what the goal sees.
         """

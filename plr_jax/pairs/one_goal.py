@@ -16,9 +16,9 @@ from plr_jax.plr.leaves import ConeFiles, leaf_model
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
-"""Sample points of a leaf in local coordinates."""
+"""Points of a 3 x 3 grid just inside a leaf, in local coordinates."""
 _HALVINGS = 4  # halvings of a leaf that no corner fits well
-_DEPTH = 13  # number of halvings by which a file with few leaves may be refined
+_DEPTH = 13  # halvings that the leaves of a file and further halvings may reach together
 _MAX_AXIS_DEPTH = 13
 _NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
 _ROUNDING = 1e-6  # more than a query's error, relative to the distance plus the domain width
@@ -64,7 +64,7 @@ def _sources(
     """Return the goal and the corners where shortest paths to it turn, with distances and next turns.
 
     The next turn after a corner is the goal if the path there is straight, else a corner nearer to the goal at the
-    end of an edge, from which turns lead on to the goal. A corner with neither is at most the start of a path: its
+    end of an edge, from which turns lead on to the goal. From a corner with neither, paths only start: its
     distance is set to ``inf``, so no leaf uses it.
     """
     points = np.concatenate([goal[None], stored.points])

@@ -10,9 +10,9 @@ entropy codes, and results replace combinations of many values. All parts are se
     tree          a bit for each node, 1 if it is split; then the axis of each split
     levels        for each level of the tree: position and widths of its fields
     fields        integers of leaves or splits, below
-    odd numbers   leaf and index of numbers that a query does not compute from the fields, sorted
+    exceptions    leaf and index of numbers that a query does not compute from the fields, sorted
     planes        smooth leaves that continue a plane: leaf, value at the center and half of the rise along each axis
-    floats        rows of numbers of leaves, or the odd numbers, as 32-bit floats
+    floats        rows of numbers of leaves, or the exceptions, as 32-bit floats
     CRC-32        of all bytes before it, little-endian
 
 Nodes, splits and leaves are numbered in level order. So the children of split ``s`` are the nodes ``2 s + 1`` and
@@ -23,9 +23,9 @@ Nodes, splits and leaves are numbered in level order. So the children of split `
   in the *middle* of these edges, from which a query computes the corner values of one half. A middle has the mean of
   the ends of its edge, or the rounded mean plus a stored difference. At walls, each half has a middle of its own.
 - Smooth leaves have such values too. A query computes the derivatives at the corners of its leaf from the leaves
-  around them. It takes leaves as tied if their values agree; where that is wrong, numbers are odd.
+  around them. It takes leaves as continuous if their values agree; wrong guesses are stored as exceptions.
 
-Odd numbers make all answers equal to those of the file, bit for bit: this module computes numbers as a query does,
+Exceptions make all answers equal to those of the file, bit for bit: this module computes numbers as a query does,
 and stores all that differ, if only by rounding.
 """
 
@@ -52,10 +52,10 @@ _MAGIC = int.from_bytes(b"PLC1", "little")
 _NUM_WORDS = 18
 _RECORD = 64  # bits of digits in a record of a directory
 _FAR, _FOLDED, _TURNED, _CODED, _VALUES = 1, 2, 4, 8, 16  # flags
-_UNITS = np.array([0, 1, 2, 4])  # units of the level's width that a middle takes, by its mark
+_UNITS = np.array([0, 1, 2, 4])  # width of a middle's field by its mark, in multiples of the width of its level
 _FLOAT_BITS = 32  # planes of so many bits are floats
 _MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 28
-_ROUNDING = 1e-6  # of values that are multiples of a power of two but for rounding
+_ROUNDING = 1e-6  # largest distance from a multiple of a power of two that counts as rounding
 
 
 def compact_bytes(program: Program) -> bytes:
@@ -157,7 +157,7 @@ class _Image:
     def _finish_codes(self, numbers: Float[np.ndarray, "leaves terms"], flags: int) -> bytes:
         """Append the numbers that differ from those that a query computes (``numbers``), and return all bytes.
 
-        If a leaf has fewer numbers that are not 0, these are stored, and a flag in the first of them.
+        If it takes less, all numbers of a leaf that are not 0 are stored, and a flag in the first of them.
         """
         bits, given = self.numbers.view(np.uint32), numbers.view(np.uint32)
         is_cleared = np.count_nonzero(bits, axis=1) < np.count_nonzero(bits != given, axis=1)
@@ -168,7 +168,7 @@ class _Image:
         )
 
     def _finish(self, floats: Float[np.ndarray, "floats"], odd: Int[np.ndarray, "2 odd"], flags: int) -> bytes:
-        """Append floats and, if a query computes the others, their leaves and terms; return all bytes."""
+        """Append floats and the leaf and term of each exception; return all bytes."""
         program, folding = self.program, self.program.folding_arrays
         at_odd, index_bits = self._at, len(self.leaves).bit_length()
         self.body.write(odd.T.ravel(), np.tile([index_bits, 9], odd.shape[1]))
@@ -342,7 +342,7 @@ class _Middles:
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
 
 
-_MOST_EDGES = 8  # edges on which a corner of a smooth leaf hangs, one on another
+_MOST_EDGES = 8  # longest chain of hanging corners of smooth leaves
 
 
 def _smooth_numbers(

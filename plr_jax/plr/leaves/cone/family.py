@@ -29,10 +29,12 @@ from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, LeafOptions, change_
 from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree, tree_of_axes
 
 _LEAST_HALVINGS, _MOST_HALVINGS = 7, 9  # of the grid of samples, along each axis
-_SAMPLES_A_LEAF, _MOST_LEAVES = 16, 8192  # with more leaves, cones of one goal have smaller errors
-_BITS_A_LEAF, _BITS_A_SOURCE, _MOST_OF_SOURCES = 4.4, 43, 0.85  # estimates for the number of leaves
-_SOME_SAMPLES = 64  # of a box that are evaluated before it is a leaf
-_MOST_OPTIONS = 4  # sources to which a leaf may change, besides its own: the most frequent ones at its samples
+_SAMPLES_A_LEAF = 16  # least number of samples for each expected leaf
+_MOST_LEAVES = 8192  # for more leaves, the search for one goal finds cones with smaller errors
+_BITS_A_LEAF, _BITS_A_SOURCE = 4.4, 43  # estimates, from which the number of leaves follows
+_MOST_OF_SOURCES = 0.85  # largest share of the file that this estimate leaves to sources
+_SOME_SAMPLES = 64  # samples of a box in its first error estimate; once it becomes a leaf, all are used
+_MOST_OPTIONS = 4  # candidates for a leaf's new source, besides its own: the most frequent ones at its samples
 _AT_ONCE = 1 << 14  # pairs of a sample and a source whose arrays stay in a core's cache
 
 Shape: TypeAlias = tuple[int, int]
@@ -86,7 +88,7 @@ class Lattice:
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
-        """For each shape, the first sample of each box, and what to add for some of its samples.
+        """For each shape, the first sample of each box, and index offsets from there to some of its samples.
 
         Of many samples these are a Hammersley set, which covers all rows and columns of a box about evenly.
         """
@@ -104,7 +106,7 @@ class Lattice:
         return found
 
     def by_shape(self, box: Int[np.ndarray, "some"]) -> Iterator[tuple[Shape, Int[np.ndarray, "alike"], Any, Any]]:
-        """Yield each shape of given boxes, the places of its boxes, their first samples, and what to add for all."""
+        """Yield each shape of given boxes, the places of its boxes, their first samples, and index offsets to all."""
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
         for number in np.unique(of_shape):
@@ -134,8 +136,8 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
 class BoxFits:
     """The best source of every box of a lattice, -1 without a path; its integral of the error, and largest error.
 
-    Boxes that use several sources are ``is_mixed``. Errors of large ones are estimated from some samples at first,
-    and ``is_estimated``.
+    In boxes that are ``is_mixed``, samples use several sources. Errors that are ``is_estimated`` come from some of
+    the samples of a box.
     """
 
     goal: GoalSamples
