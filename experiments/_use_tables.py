@@ -320,10 +320,11 @@ def pedestrians(results: dict[str, Any], hard_points: dict[str, Any]) -> str:
             rows.append({"map": name, "router": router, "us": took[of_path], "crosses": crosses, **cells, **over})
             rows[-1]["clear"] = clear
         notes.append(
-            f"{name}, {cones['vertices']} vertices: {np.median(cones['seconds']):.2g} CPU s (first in a process "
+            f"{name}, {cones['vertices']} vertices: {np.median(cones['seconds']):.2g} CPU s (first "
             f"{cones['seconds'][0]:.2g}), mean error {cones['mean']:.1e} m, largest {cones['largest']:.2g} m, "
             f"{np.median(cones['nanoseconds']):.0f} ns a point in C; one by one in NumPy, a distance takes "
-            f"{took['distance']:.2g} us, a waypoint {took['waypoint']:.0f} us, in batches of "
+            f"{took['distance']:.2g} us, a path {took['path']:.0f} us, "
+            f"a waypoint {took['waypoint']:.0f} us, in batches of "
             f"{results['routes']['agents']} {took['agents']:.2g} us"
         )
     broken = sum(row["broken"] + row["broken of cones"] for row in hard_points["buildings"])
