@@ -38,7 +38,7 @@ _NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray
 _ATTRIBUTES_OF_COSTS = {*_NO_DATA, "units", "long_name", "standard_name"}  # do not hold for distances
 _X_NAMES, _Y_NAMES = {"x", "lon", "longitude", "easting"}, {"y", "lat", "latitude", "northing"}
 _DEGREES = {"lon", "longitude", "lat", "latitude"}
-_MOST_PARTS = 31  # nodes along each side of a cell
+_MOST_STARTS = 4_000_000  # most nodes around all sources
 _LARGEST_RATIO = 1e5  # of two costs; at 1e6, scikit-fmm returns NaN
 _TINY = 1e-9  # distance, in steps, from a source to the front if the front is too near to lie between nodes
 _BOUND_LEAVES = 20_000  # cells of the convex program that proves lower bounds
@@ -292,7 +292,8 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
     cost = cost / least
     num_nodes = min(max(9 * cost.size, _FINE_NODES), _MOST_NODES)
     most = side * np.sqrt(num_nodes / cost.size / side.prod()) + _TINY
-    parts = np.clip(most - 1, 0, _MOST_PARTS - 1).astype(int)[::-1] // 2 * 2 + 1
+    most = np.maximum(np.minimum(most, np.sqrt(_MOST_STARTS / len(points))), 1)
+    parts = (most - 1).astype(int)[::-1] // 2 * 2 + 1
     cost = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1) if (parts > 1).any() else cost
     step, shape, is_open = side / parts[::-1], np.array(cost.shape), np.isfinite(cost)
     # 2. Straight motions between sources and nodes around them, in a source's cell or beside it. A cell beyond a
