@@ -1,4 +1,4 @@
-"""The corners that the cells of a partition see: for one goal, for many goals, or for any goal.
+"""The corners that the cells of a partition see: for one goal, or for any goal.
 
 The free part of a cell consists of convex *pieces*: the whole cell if no wall reaches into it, else parts of
 triangles of free space. Each piece has *sources*: the corners, and the goal, that paths from some point of it may go
@@ -12,7 +12,7 @@ center is, else hidden.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Self, TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -149,19 +149,18 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class SightedSources:
-    """Sources (goals and corners), with viewpoint and turn point (-1: a goal). Ties go to the smallest ``kind``."""
+    """Sources (the goal and corners), with viewpoint and turn point (-1: the goal)."""
 
     sources: Sources
     view: Int[np.ndarray, "sources"]
     turn: Int[np.ndarray, "sources"]
-    kind: Int[np.ndarray, "sources"]
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Data that decide where paths from a convex piece may go first; ``source_table`` is like ``SightedSources``."""
+    """Data that decide where paths from a convex piece may go first."""
 
-    source_table: Any
+    source_table: SightedSources
     shadows: Shadows
     turns: TurnPoints
     triangulation: Triangulation
@@ -208,7 +207,6 @@ class CellSources:
             ``inf`` if it was not computed.
         best: The source that the shortest path from each center goes to first, or one near it; 0 if not computed.
         by_all: Whether every point of the pair's piece is known to see its source.
-        is_family: Whether equal cells of several goals are stored once.
     """
 
     sight: Sight
@@ -222,7 +220,6 @@ class CellSources:
     piece: Int[np.ndarray, "pairs"]
     source: Int[np.ndarray, "pairs"]
     by_all: Bool[np.ndarray, "pairs"]
-    is_family: ClassVar[bool] = False
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: SourceLists, lo: Corners, hi: Corners) -> Self:
@@ -262,10 +259,6 @@ class CellSources:
     def views(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
         """Return the index of each source's viewpoint in the visibility table."""
         return self.sight.source_table.view[source]
-
-    def rank(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the rank of each source; of equally good sources, the one of smallest rank is chosen."""
-        return self.sight.source_table.kind[source]
 
     def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
         """Return some convex pieces, each as a cell of its own."""
@@ -386,7 +379,7 @@ class CellSources:
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
         piece, source = self.piece[pairs], self.source[pairs]
         length = sources.distances[source] + np.linalg.norm(self.center[piece] - sources.points[source], axis=1)
-        order = np.lexsort((self.rank(source), ~self.by_all[pairs], length, piece))
+        order = np.lexsort((source, ~self.by_all[pairs], length, piece))
         order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
         best_pair, distance, best = np.full(len(changed), -1), self.distance.copy(), self.best.copy()
         best_pair[piece[order]], distance[piece[order]], best[piece[order]] = (
@@ -416,7 +409,7 @@ def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, tria
     each = np.arange(len(sources.points))
     turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[0], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
-    return Sight(SightedSources(sources, each, turn, each), Shadows.of(table), turns, triangulation, True)
+    return Sight(SightedSources(sources, each, turn), Shadows.of(table), turns, triangulation, True)
 
 
 def lists_of_goal(regions: TurnRegions) -> SourceLists:
@@ -429,7 +422,7 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     """Return the :class:`Sight` for any goal; its sources are corners with the side that paths bend around."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
-    source_table = SightedSources(sources, turns.vertex >> 1, turns.vertex, turns.vertex)
+    source_table = SightedSources(sources, turns.vertex >> 1, turns.vertex)
     return Sight(source_table, Shadows.of(visibility.table), turns, triangulation, False)
 
 

@@ -331,16 +331,16 @@ class FamilyTask:
         fits = fit_boxes(self.lattice, goal, query_resolution(goal.table[:, 2]))
         files = self.files.of_goal(oracle.sources)
         tree = _largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
-        view, total, most = fits.source[tree.box], fits.integral[tree.box].sum(), fits.largest[tree.box].max()
+        source, total, most = fits.source[tree.box], fits.integral[tree.box].sum(), fits.largest[tree.box].max()
         if fits.is_mixed[tree.box].any():
             shortfall = LEAST_SHORTFALL * float(self.domain.width.max())
             options = _options(self.lattice, fits, tree.box, shortfall)
 
-            def has_room(view: Int[np.ndarray, "leaves"]) -> bool:
-                return files.num_bytes(view, self.limits) <= self.limits.max_bytes
+            def has_room(source: Int[np.ndarray, "leaves"]) -> bool:
+                return files.num_bytes(source, self.limits) <= self.limits.max_bytes
 
-            view = change_sources(view, options, float(total), float(most), has_room)
-        return tree_of_axes(tree.axes, 2), files.stored(view)
+            source = change_sources(source, options, float(total), float(most), has_room)
+        return tree_of_axes(tree.axes, 2), files.stored(source)
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:

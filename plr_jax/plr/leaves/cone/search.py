@@ -93,12 +93,12 @@ def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources
         count, area = len(visible.sources.points), areas(some.pieces)
         key, index = np.unique(some.cell * np.int64(count) + some.best, return_inverse=True)
         box, source = np.divmod(key, count)
-        order = np.lexsort((some.rank(source), -np.bincount(index, area, len(key)), box))
+        order = np.lexsort((source, -np.bincount(index, area, len(key)), box))
         box, source = box[order], source[order]
         is_tried = np.arange(len(box)) - np.searchsorted(box, box) < _MOST_TRIED
         box, source = box[is_tried], source[is_tried]
         largest, of_option = option_errors(some, box, source)
-        order = np.lexsort((some.rank(source), largest, of_option, box))
+        order = np.lexsort((source, largest, of_option, box))
         order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
         best[several], error[several], integral[several] = source[order], largest[order], of_option[order]
     counts = error > negligible
@@ -142,20 +142,18 @@ def option_errors(
 # 3. Visible sources: among the sources that serve a box about as well, choose one that most of the box sees.
 #
 # If a wall hides a leaf's source from a point, the distance there is larger than the cone: were the source visible,
-# the path by it would be as short as the cone. So samples above the cone show where the source is hidden. The
-# alternatives of each box are computed once for all trees that have the box as a leaf.
+# the path by it would be as short as the cone. So samples above the cone show where the source is hidden.
 
 _PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
 LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
-_KEY_BITS = 40  # bits for the index of a box in its level
 
 
 @dataclass(frozen=True, eq=False)
 class LeafBoxes:
-    """The leaves of one goal's tree, in tree order, as boxes: the level (``depth``) of each, and its index there.
+    """The leaves of a tree, in tree order, as boxes: the level (``depth``) of each, its index there, and its source.
 
-    ``source`` is the number of each leaf's source among all corners and goals (*viewpoints*), -1 for none.
+    Sources are numbered as in ``CellSources.sources``; -1 stands for none.
     """
 
     source: Int[np.ndarray, "leaves"]
@@ -168,35 +166,24 @@ def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> tuple[Tree, Leaf
     found = tree_of(tree_of_axes(tree.axes, 2).leaves)
     order = tree.order[found.order]
     depth, box = np.repeat(np.arange(len(tree.leaves)), list(map(len, tree.leaves))), np.concatenate(tree.leaves)
-    return found, LeafBoxes(leaf_views(levels, tree)[order], depth[order], box[order])
+    source = np.concatenate([level.boxes.source[of] for level, of in zip(levels, tree.leaves, strict=False)])
+    return found, LeafBoxes(source[order], depth[order], box[order])
 
 
-def leaf_views(levels: list[BoxLevel], tree: PricedTree) -> Int[np.ndarray, "leaves"]:
-    """Return the numbers of the leaves' best sources among all corners and goals, by level; -1 if there is none."""
-    source = np.concatenate([level.boxes.source[box] for level, box in zip(levels, tree.leaves, strict=False)])
-    source[source >= 0] = levels[0].boxes.visible.views(source[source >= 0])
-    return source
-
-
-@dataclass(frozen=True, eq=False)
-class SourceOptions:
-    """Leaf boxes, and alternative sources for boxes that do not entirely see their best source.
+class LeafOptions(NamedTuple):
+    """Pairs of a leaf, of which some of its best source is hidden, and a source that it may have.
 
     Attributes:
-        key: Level and index of each box, combined.
-        first: Index of each box's first option; most boxes have none.
-        view: Number of the option's source among all corners and goals; ``is_own`` if it is the box's best source,
-            ``by_all`` if all of the box sees it.
-        error: Mean error over the box, at samples.
-        hidden: Share of the box from which a wall hides the source.
-        largest, integral: Proven largest error, and proven integral of the error over the box's free space.
-        area: Area of the box's free space.
+        leaf, source: The leaf, and the source; ``is_own`` if it is the leaf's best source, ``by_all`` if all of the
+            leaf sees it.
+        error: Mean error over the leaf, at samples.
+        hidden: Share of the leaf from which a wall hides the source.
+        largest, integral: Proven largest error, and proven integral of the error over the leaf's free space.
+        area: Area of the leaf's free space.
     """
 
-    key: Int[np.ndarray, "boxes"]
-    boxes: ConeBoxes
-    first: Int[np.ndarray, "boxes_plus_one"]
-    view: Int[np.ndarray, "options"]
+    leaf: Int[np.ndarray, "options"]
+    source: Int[np.ndarray, "options"]
     is_own: Bool[np.ndarray, "options"]
     by_all: Bool[np.ndarray, "options"]
     error: Float[np.ndarray, "options"]
@@ -206,11 +193,14 @@ class SourceOptions:
     area: Float[np.ndarray, "options"]
 
 
-def source_options(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Pattern) -> SourceOptions:
+def boxes_of_leaves(levels: list[BoxLevel], leaves: LeafBoxes) -> ConeBoxes:
+    """Return the boxes of leaves, in the order of the leaves."""
+    first, *others = (level.boxes[leaves.box[leaves.depth == depth]] for depth, level in enumerate(levels))
+    return first.append(*others)[np.argsort(np.argsort(leaves.depth, kind="stable"))]
+
+
+def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
     """Find alternative sources for leaf boxes that do not entirely see theirs; boxes of over 64 sources get none."""
-    key = np.unique(np.concatenate([_keys(tree) for tree in trees]))
-    first, *others = (level.boxes[key[key >> _KEY_BITS == i] - (i << _KEY_BITS)] for i, level in enumerate(levels))
-    boxes = first.append(*others)
     # Pairs of a box and a source that some of its points use, and whether all of the box sees the source.
     visible, count = boxes.visible, len(boxes.visible.sources.points)
     pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
@@ -218,7 +208,7 @@ def source_options(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Patt
     by_all = np.bincount(index, visible.by_all, len(pair)) == np.diff(visible.first_piece)[box]
     is_doubted = np.diff(boxes.visible.first_piece) > 0
     is_doubted[box[by_all & (source == boxes.source[box])]] = False
-    is_doubted &= np.bincount(box, minlength=len(key)) <= _MOST_OPTIONS
+    is_doubted &= np.bincount(box, minlength=len(is_doubted)) <= _MOST_OPTIONS
     box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
     doubted = np.flatnonzero(is_doubted)
     some, place = boxes[doubted], np.searchsorted(doubted, box)
@@ -233,42 +223,19 @@ def source_options(levels: list[BoxLevel], trees: list[LeafBoxes], pattern: Patt
     is_hidden = above > LEAST_SHORTFALL * width
     error, hidden = np.sum(weight[place] * np.abs(above), axis=1), np.sum(weight[place] * is_hidden, axis=1)
     largest, integral = option_errors(some.visible, place, source)
-    area = np.bincount(some.visible.cell, areas(some.visible.pieces), len(doubted)).astype(np.float64)
-    view, is_own = boxes.visible.views(source), source == boxes.source[box]
-    first = np.searchsorted(box, np.arange(len(key) + 1))
-    return SourceOptions(key, boxes, first, view, is_own, by_all, error, hidden, largest, integral, area[place])
-
-
-def _keys(tree: LeafBoxes) -> Int[np.ndarray, "leaves"]:
-    return (tree.depth << _KEY_BITS) + tree.box
-
-
-class LeafOptions(NamedTuple):
-    """Pairs of a leaf and a source that it may have instead; columns as in :class:`SourceOptions`."""
-
-    leaf: Int[np.ndarray, "options"]
-    view: Int[np.ndarray, "options"]
-    is_own: Bool[np.ndarray, "options"]
-    by_all: Bool[np.ndarray, "options"]
-    error: Float[np.ndarray, "options"]
-    hidden: Float[np.ndarray, "options"]
-    largest: Float[np.ndarray, "options"]
-    integral: Float[np.ndarray, "options"]
-    area: Float[np.ndarray, "options"]
+    area = np.bincount(some.visible.cell, areas(some.visible.pieces), len(doubted)).astype(np.float64)[place]
+    return LeafOptions(box, source, source == boxes.source[box], by_all, error, hidden, largest, integral, area)
 
 
 def prefer_visible_sources(
-    tree: LeafBoxes, options: SourceOptions, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
+    boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Return each leaf's source, as its number among corners and the goal; prefer sources that the leaf sees.
+    """Return the source of each leaf box; prefer sources that the leaf sees.
 
     No proven error rises above the largest one of all leaves.
     """
-    boxes, box = options.boxes, np.searchsorted(options.key, _keys(tree))
-    option, leaf = take_ragged(options.first, box)
-    some = LeafOptions(leaf, *(getattr(options, name)[option] for name in LeafOptions._fields[1:]))
-    most = max(float(boxes.error[box].max()), boxes.negligible)
-    return change_sources(tree.source, some, float(boxes.integral[box].sum()), most, fits)
+    most = max(float(boxes.error.max()), boxes.negligible)
+    return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
 
 
 def change_sources(
@@ -287,7 +254,7 @@ def change_sources(
         return source
     cost = options.error + _PRICE * total * options.hidden
     is_barred = ~is_own & (options.largest > most)
-    order = np.lexsort((options.view, options.integral, ~is_own, ~options.by_all, cost, is_barred, leaf))
+    order = np.lexsort((options.source, options.integral, ~is_own, ~options.by_all, cost, is_barred, leaf))
     best = order[np.append(True, leaf[order[1:]] != leaf[order[:-1]])]
     own_cost = np.zeros(len(source))
     own_cost[leaf[is_own]] = cost[is_own]
@@ -296,9 +263,9 @@ def change_sources(
     best = best[~is_own[best]]
 
     def changed(count: int) -> Int[np.ndarray, "leaves"]:
-        views = source.copy()
-        views[leaf[best[:count]]] = options.view[best[:count]]
-        return views
+        sources = source.copy()
+        sources[leaf[best[:count]]] = options.source[best[:count]]
+        return sources
 
     if fits(changed(len(best))):
         return changed(len(best))
@@ -311,16 +278,11 @@ _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
 
 class ConeTree(NamedTuple):
-    """A tree, and its leaves in the order of its traversal: their file form, box among ``boxes``, and cone's source.
-
-    ``boxes`` are the leaf boxes. Sources are numbered among the goal and all corners, -1 for none.
-    """
+    """A tree, and its leaves in the order of its traversal: their file form, and their boxes."""
 
     tree: Tree
     stored: StoredCones
     boxes: ConeBoxes
-    box: Int[np.ndarray, "leaves"]
-    source: Int[np.ndarray, "leaves"]
 
 
 Run: TypeAlias = Callable[[PricedTree, Callable[[PricedTree], PricedTree | None]], PricedTree]
@@ -350,9 +312,8 @@ def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, patter
     search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
     tree, leaves = tree_of_leaves(levels, run(search.first(), search.next))
 
-    def fits(view: Int[np.ndarray, "leaves"]) -> bool:
-        return files.num_bytes(view, limits) <= limits.max_bytes
+    def fits(source: Int[np.ndarray, "leaves"]) -> bool:
+        return files.num_bytes(source, limits) <= limits.max_bytes
 
-    options = source_options(levels, [leaves], pattern)
-    view = prefer_visible_sources(leaves, options, fits)
-    return ConeTree(tree, files.stored(view), options.boxes, np.searchsorted(options.key, _keys(leaves)), view)
+    boxes = boxes_of_leaves(levels, leaves)
+    return ConeTree(tree, files.stored(prefer_visible_sources(boxes, pattern, fits)), boxes)

@@ -32,11 +32,11 @@ from plr_jax.plr.leaves.cone.search import (
     ConeBoxes,
     LeafBoxes,
     best_cones_of_goal,
+    boxes_of_leaves,
     fit_boxes,
     prefer_visible_sources,
     query_resolution,
     run_quietly,
-    source_options,
 )
 from plr_jax.plr.sampling import Pattern, sample_pattern
 from plr_jax.plr.tree import MAX_DEPTH, Tree, grown_domain, tree_of_axes
@@ -261,9 +261,9 @@ def updated_cones(
     if best is None:
         visible = oracle.cell_sources(grown_domain(leaves.domain))
         found = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_quietly)
-        visible, unknown = found.boxes.visible.of_cells(found.box), np.zeros((2, len(found.box)))
-        rebuilt = np.arange(len(found.box))
-        return UpdatedCones(found.tree, found.stored, LeafBounds(*unknown), rebuilt, visible, None)
+        rebuilt = np.arange(len(found.boxes.cells))
+        unknown = LeafBounds(*np.zeros((2, len(rebuilt))))
+        return UpdatedCones(found.tree, found.stored, unknown, rebuilt, found.boxes.visible, None)
     new = search.files.stored(search.prefer_visible_sources(best, pattern))
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
     stays, rebuilt = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
@@ -460,19 +460,19 @@ class ConeSearch:
         place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
         leaf = found.leaves[place]
         depth = np.searchsorted(first, leaf, side="right") - 1
-        tree = LeafBoxes(source[place], depth, leaf - first[depth])
+        leaves = LeafBoxes(source[place], depth, leaf - first[depth])
 
-        def with_views(view: Int[np.ndarray, "boxes"]) -> Int[np.ndarray, "leaves"]:
-            changed = source.copy()
-            changed[place] = view
-            return changed
+        def changed(of_new: Int[np.ndarray, "boxes"]) -> Int[np.ndarray, "leaves"]:
+            sources = source.copy()
+            sources[place] = of_new
+            return sources
 
-        def fits(view: Int[np.ndarray, "boxes"]) -> bool:
-            return self.files.num_bytes(with_views(view), self.limits) <= self.limits.max_bytes
+        def fits(of_new: Int[np.ndarray, "boxes"]) -> bool:
+            return self.files.num_bytes(changed(of_new), self.limits) <= self.limits.max_bytes
 
         if not len(leaf):
             return source
-        return with_views(prefer_visible_sources(tree, source_options(self.levels, [tree], pattern), fits))
+        return changed(prefer_visible_sources(boxes_of_leaves(self.levels, leaves), pattern, fits))
 
     def node_costs(self, found: FoundTree) -> NodeCosts:
         boxes = [level.boxes for level in self.levels]
