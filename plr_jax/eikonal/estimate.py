@@ -24,12 +24,10 @@ import numpy as np
 import skfmm
 from jaxtyping import Bool, Float, Int, Int8
 from scipy import ndimage
-from scipy.sparse import csr_array, eye_array
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
-from scipy.sparse.linalg import spsolve_triangular
 
-from plr_jax._arrays import hash64
-from plr_jax.eikonal.goals import nearest_goals
+from plr_jax.eikonal.goals import carried_goals, nearest_goals
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
 from plr_jax.spaces import (
@@ -59,7 +57,6 @@ _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
 # cost at the goal by more than the factor `_NEARLY`.
 _RADIUS, _NEARLY = {1: 100.0, 2: 32.0, 3: 12.0}, 1.1
 _NEAR_GOALS = 4  # most goals to which each node has a straight motion
-_CHECK_BITS = 8  # of the code of a goal that is found among several
 
 Points = Float[np.ndarray, "n dim"]
 Goals = Float[np.ndarray, "goals dim"]
@@ -127,64 +124,13 @@ class GridEstimate:
     def node_goal(self) -> GoalIndex:
         """The goal to which the path of each node leads; at nodes without a path, that of the nearest other node."""
         side = self.ratio.bounds.width / self.cost.shape
-        goal = _carried(self.cost, self.known_goal, side, self.space.domain.periodic, len(self.goals))
+        goal = carried_goals(self.cost, self.known_goal, side, self.space.domain.periodic, len(self.goals))
         if (goal < 0).all():
             return np.zeros_like(goal)
         nearest: Any = ndimage.distance_transform_edt(
             goal < 0, sampling=side, return_distances=False, return_indices=True
         )
         return goal[tuple(nearest)]
-
-
-def _carried(cost: Costs, known: GoalIndex, side: Sides, periodic: tuple[bool, ...], num_goals: int) -> GoalIndex:
-    """Return the goal to which the path of each node leads, -1 without a path, given the goals of some nodes.
-
-    The cost of a node depends on its cheapest neighbor along each axis, by shares that are the differences over the
-    squared steps. Bits of the goals' indices, as numbers 1 and -1, are averaged with these shares. So signs tell the
-    goal of more than half of what a node depends on. Where no goal has so much, which check bits tell, it is that of
-    the neighbor with the largest share.
-    """
-    # 1. Shares of neighbors, in the order of costs.
-    open_ = np.flatnonzero(np.isfinite(cost))
-    order = open_[np.argsort(cost.ravel()[open_], kind="stable")]
-    place = np.full(cost.size, -1)
-    place[order] = np.arange(len(order))
-    cheapest, share = [], []
-    for axis, wraps in enumerate(periodic):
-        sides = []
-        for step in (1, -1):
-            beside = np.roll(cost, step, axis)
-            if not wraps:
-                beside[(slice(None),) * axis + (0 if step == 1 else -1,)] = np.inf
-            sides.append((beside.ravel(), np.roll(place.reshape(cost.shape), step, axis).ravel()))
-        (before, of_before), (after, of_after) = sides
-        least = np.minimum(before, after)[order]
-        fall = np.where(least < cost.ravel()[order], cost.ravel()[order] - least, 0.0)
-        cheapest.append(np.where(before <= after, of_before, of_after)[order])
-        share.append(np.where(known.ravel()[order] < 0, fall / side[axis] ** 2, 0.0))
-    shares = np.stack(share)
-    total = shares.sum(axis=0)
-    shares = np.divide(shares, total, out=np.zeros_like(shares), where=total > 0)
-    # 2. Average the bits of the codes.
-    index, bits = np.arange(num_goals), max((num_goals - 1).bit_length(), 1)
-    code = index + ((hash64(index) & np.uint64((1 << _CHECK_BITS) - 1)).astype(np.int64) << bits)
-    digit = np.arange(bits + _CHECK_BITS if num_goals > 2 else 1)
-    has = known.ravel()[order]
-    load = np.where(has[:, None] < 0, 0.0, 2.0 * ((code[has][:, None] >> digit) & 1) - 1)
-    axis, row = np.nonzero(shares)
-    steps = csr_array((-shares[axis, row], (row, np.stack(cheapest)[axis, row])), (len(order),) * 2)
-    averaged = spsolve_triangular(csr_array(eye_array(len(order)) + steps), load, unit_diagonal=True)
-    read = ((averaged > 0) << digit).sum(axis=1)
-    found = read & ((1 << bits) - 1)
-    is_code = (found < num_goals) & (code[np.minimum(found, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
-    # 3. Elsewhere follow the largest shares.
-    best = np.stack(cheapest)[shares.argmax(axis=0), np.arange(len(order))]
-    ahead = np.where(is_code | (total == 0), np.arange(len(order)), best)
-    while (ahead != ahead[ahead]).any():
-        ahead = ahead[ahead]
-    goal = np.full(cost.size, -1)
-    goal[order] = np.where(is_code, found, -1)[ahead]
-    return goal.reshape(cost.shape)
 
 
 def _straight_costs(

@@ -1,15 +1,21 @@
-"""The nearest of several goals, by the least cost of a straight motion."""
+"""The nearest of several goals: by the least cost of a straight motion, and by the costs at the nodes of a grid."""
 
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.sparse import csr_array, eye_array
+from scipy.sparse.linalg import spsolve_triangular
 from scipy.spatial import KDTree
 
+from plr_jax._arrays import hash64
 from plr_jax.geometry.box import Box
 from plr_jax.spaces import MotionCost
 
 Points = Float[np.ndarray, "n dim"]
+GoalIndex = Int[np.ndarray, "*shape"]
+
+_CHECK_BITS = 8  # of the code of a goal that is found among several
 
 
 def nearest_goals(
@@ -34,3 +40,60 @@ def nearest_goals(
     tree: Any = KDTree(placed(goals), boxsize=period)
     distance, index = tree.query(placed(x), list(range(1, count + 1)))
     return distance, index.astype(np.int64)
+
+
+def carried_goals(
+    cost: Float[np.ndarray, "*shape"],
+    known: GoalIndex,
+    side: Float[np.ndarray, "dim"],
+    periodic: tuple[bool, ...],
+    num_goals: int,
+) -> GoalIndex:
+    """Return the goal to which the path of each node leads, -1 without a path, given the goals of some nodes.
+
+    The cost of a node depends on its cheapest neighbor along each axis, by shares that are the differences over the
+    squared steps. Bits of the goals' indices, as numbers 1 and -1, are averaged with these shares. So signs tell the
+    goal of more than half of what a node depends on. Where no goal has so much, which check bits tell, it is that of
+    the neighbor with the largest share.
+    """
+    # 1. Shares of neighbors, in the order of costs.
+    open_ = np.flatnonzero(np.isfinite(cost))
+    order = open_[np.argsort(cost.ravel()[open_], kind="stable")]
+    place = np.full(cost.size, -1)
+    place[order] = np.arange(len(order))
+    cheapest, share = [], []
+    for axis, wraps in enumerate(periodic):
+        sides = []
+        for step in (1, -1):
+            beside = np.roll(cost, step, axis)
+            if not wraps:
+                beside[(slice(None),) * axis + (0 if step == 1 else -1,)] = np.inf
+            sides.append((beside.ravel(), np.roll(place.reshape(cost.shape), step, axis).ravel()))
+        (before, of_before), (after, of_after) = sides
+        least = np.minimum(before, after)[order]
+        fall = np.where(least < cost.ravel()[order], cost.ravel()[order] - least, 0.0)
+        cheapest.append(np.where(before <= after, of_before, of_after)[order])
+        share.append(np.where(known.ravel()[order] < 0, fall / side[axis] ** 2, 0.0))
+    shares = np.stack(share)
+    total = shares.sum(axis=0)
+    shares = np.divide(shares, total, out=np.zeros_like(shares), where=total > 0)
+    # 2. Average the bits of the codes.
+    index, bits = np.arange(num_goals), max((num_goals - 1).bit_length(), 1)
+    code = index + ((hash64(index) & np.uint64((1 << _CHECK_BITS) - 1)).astype(np.int64) << bits)
+    digit = np.arange(bits + _CHECK_BITS if num_goals > 2 else 1)
+    has = known.ravel()[order]
+    load = np.where(has[:, None] < 0, 0.0, 2.0 * ((code[has][:, None] >> digit) & 1) - 1)
+    axis, row = np.nonzero(shares)
+    steps = csr_array((-shares[axis, row], (row, np.stack(cheapest)[axis, row])), (len(order),) * 2)
+    averaged = spsolve_triangular(csr_array(eye_array(len(order)) + steps), load, unit_diagonal=True)
+    read = ((averaged > 0) << digit).sum(axis=1)
+    found = read & ((1 << bits) - 1)
+    is_code = (found < num_goals) & (code[np.minimum(found, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
+    # 3. Elsewhere follow the largest shares.
+    best = np.stack(cheapest)[shares.argmax(axis=0), np.arange(len(order))]
+    ahead = np.where(is_code | (total == 0), np.arange(len(order)), best)
+    while (ahead != ahead[ahead]).any():
+        ahead = ahead[ahead]
+    goal = np.full(cost.size, -1)
+    goal[order] = np.where(is_code, found, -1)[ahead]
+    return goal.reshape(cost.shape)
