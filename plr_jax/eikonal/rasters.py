@@ -265,17 +265,20 @@ def _as_sources(
         cells[points[:, ::-1] == box.width[::-1]] -= 1  # the upper border belongs to the last cell
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
-    wrong: Any = ~((cells >= 0) & (cells < shape)).all(axis=1)
-    if wrong.any():
-        where = f"source {int(np.argmax(wrong))} at {(points[np.argmax(wrong)] + box.lo).tolist()}"
-        raise ValueError(f"sources must lie in the raster {box}, rows (x, y), got {where}, one of {wrong.sum()}.")
+
+    def first(wrong: Bool[np.ndarray, "k"]) -> str:
+        number = int(np.argmax(wrong))
+        return f"source {number} at {(points[number] + box.lo).tolist()}, one of {wrong.sum()}"
+
+    is_outside = ~((cells >= 0) & (cells < shape)).all(axis=1)
+    if is_outside.any():
+        raise ValueError(f"sources must lie in the raster {box}, rows (x, y), got {first(is_outside)}.")
     cells = cells.astype(np.int64)
-    wrong = ~np.isfinite(cost[tuple(cells.T)])
-    if wrong.any():
-        where = f"source {int(np.argmax(wrong))} at {(points[np.argmax(wrong)] + box.lo).tolist()}"
+    is_barred = ~np.isfinite(cost[tuple(cells.T)])
+    if is_barred.any():
         raise ValueError(
-            f"sources must not lie in barriers, got {where}, one of {wrong.sum()}: move it, or use a mask of sources "
-            "and finite costs."
+            f"sources must not lie in barriers, got {first(is_barred)}: move it. For a mask of sources, use mask & "
+            "np.isfinite(costs)."
         )
     return points, cells
 
@@ -291,9 +294,9 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
         )
     cost = cost / least
     num_nodes = min(max(9 * cost.size, _FINE_NODES), _MOST_NODES)
-    most = side * np.sqrt(num_nodes / cost.size / side.prod()) + _TINY
-    most = np.maximum(np.minimum(most, np.sqrt(_MOST_STARTS / len(points))), 1)
-    parts = (most - 1).astype(int)[::-1] // 2 * 2 + 1
+    wanted = side * np.sqrt(num_nodes / cost.size / side.prod()) + _TINY
+    wanted = np.maximum(np.minimum(wanted, np.sqrt(_MOST_STARTS / len(points))), 1)
+    parts = (wanted - 1).astype(int)[::-1] // 2 * 2 + 1
     cost = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1) if (parts > 1).any() else cost
     step, shape, is_open = side / parts[::-1], np.array(cost.shape), np.isfinite(cost)
     # 2. Straight motions between sources and nodes around them, in a source's cell or beside it. A cell beyond a
@@ -337,7 +340,10 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
 
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
-    """Give each node the label of the source that steepest descent reaches."""
+    """Give each node the label of the source that steepest descent reaches.
+
+    ``carried_goals`` is more exact, but takes 13 numbers and more a node: too many for rasters of 10^8 cells.
+    """
     # 1. The next node: of sixteen around it, the one through which the distance is least.
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
     number, least = toward.copy(), np.full(distance.shape, np.inf)
