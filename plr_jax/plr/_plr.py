@@ -31,16 +31,15 @@ from plr_jax.plr.leaves import as_sourced
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.query import (
-    PointPlacement,
-    SmallBatches,
-    TableStack,
     bound_points,
     evaluate_points,
     evaluate_points_anywhere,
     find_leaves,
     waypoints_of_points,
 )
+from plr_jax.plr.small_batches import SmallBatches
 from plr_jax.plr.tables import Tables, build_tables
+from plr_jax.plr.team import PointPlacement, TableStack
 from plr_jax.plr.tree import Cells
 
 

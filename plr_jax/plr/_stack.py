@@ -39,7 +39,8 @@ from plr_jax.plr.frame import (
     spread_bits,
     unresolved_types,
 )
-from plr_jax.plr.query import SmallBatches, evaluate_tables
+from plr_jax.plr.query import evaluate_tables
+from plr_jax.plr.small_batches import SmallBatches
 from plr_jax.plr.tables import AnyArray, PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 

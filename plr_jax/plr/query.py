@@ -1,25 +1,19 @@
-"""Evaluation of PLRs in JAX and NumPy, for one PLR or for one PLR per robot of a team.
+"""Evaluation of a PLR in JAX and NumPy.
 
 A query folds (mirrors) and wraps the points, finds the leaf of each by bit arithmetic and table lookups, and
 evaluates the leaf's function. The code is the same for JAX arrays and for NumPy arrays, and so are the answers, bit
-for bit: small batches outside of ``jit`` are answered by NumPy, as compiling takes longer; see :func:`by_numpy`.
+for bit. So NumPy can answer small batches (``small_batches.py``).
 """
 
-from collections.abc import Hashable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from operator import add, or_
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jaxtyping import Array, Bool, Float, Shaped, UInt32
+from jaxtyping import Bool, Float, Shaped, UInt32
 
-from plr_jax._arrays import padded_size
-from plr_jax._compiled import is_on_one_host
-from plr_jax.geometry.box import Box
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
 from plr_jax.plr.tables import AnyArray, Blocks, FoldedDomain, Tables, Trie, gather
 
@@ -400,139 +394,7 @@ def _root_tangent(primals, tangents):
     return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
 
 
-# Compiling a query takes about 80 ms. A call then takes 10 us; by NumPy 110 us, and 18 ns more for each point.
-# So NumPy answers the first 31 calls for few points, or the first call for up to 60,000 points of the plane.
-_MOST_WORK = 2**17  # in coordinates
-_WORK_OF_CALL = 2**12  # in coordinates
-# XLA takes numbers below 2**-126 for 0, NumPy does not. Differences of larger points are 0 or at least 2**-63, and
-# products of these with numbers in tables are 0 or at least 2**-126.
-_LEAST_POINT, _LEAST_IN_TABLES = 2.0**-39, 2.0**-63
-
-
-class SmallBatches:
-    """Answers of one object: small batches are computed by NumPy, until compiling pays off.
-
-    ``work`` counts the coordinates that NumPy was asked for, and 4,096 more for each call; for each function and
-    shape of points.
-    """
-
-    def __init__(self) -> None:
-        self.work: dict[Hashable, int] = {}
-
-    def __call__(self, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any) -> Any:
-        """Return ``compiled(*tables, x, *static)``."""
-        if not any(isinstance(each, Tracer) for each in (x, *tables)):
-            key = compiled.__name__, x.shape, *static  # a name, since functions of JAX cannot be pickled
-            answer = None if self.work.get(key, 0) > _MOST_WORK else self._by_numpy(key, compiled, tables, x, *static)
-            if answer is not None:
-                return answer
-        return compiled(*tables, x, *static)
-
-    def _by_numpy(
-        self, key: Hashable, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any
-    ) -> Any:
-        """Return the answer as JAX arrays, or None if only JAX should compute it, on its devices or with its bits."""
-        before, arrays = self.work.get(key, 0), jax.tree.leaves(tables)
-        self.work[key] = before + x.size + _WORK_OF_CALL
-        if before == 0 and not (
-            is_on_one_host(*arrays) and not any(_has_below(np.asarray(each), _LEAST_IN_TABLES) for each in arrays)
-        ):
-            self.work[key] = _MOST_WORK + 1
-        if self.work[key] > _MOST_WORK or getattr(x, "committed", False) or not is_on_one_host(x):
-            return None
-        points = np.asarray(x)
-        points = points.astype(jax.dtypes.canonicalize_dtype(points.dtype), copy=False)
-        if _has_below(points, _LEAST_POINT):
-            return None
-        host = jax.tree.map(np.asarray, tables)
-        with np.errstate(all="ignore"):
-            try:
-                answers = compiled.__wrapped__(*host, points[None] if points.ndim == 1 else points, *static)
-            except ValueError:  # which JAX raises for the shape as it was given
-                return None
-        return jax.device_put(jax.tree.map(lambda each: each[0], answers) if points.ndim == 1 else answers)
-
-
-def _has_below(numbers: Shaped[np.ndarray, "..."], least: float) -> bool:
-    return jnp.issubdtype(numbers.dtype, jnp.floating) and bool(((numbers != 0) & (np.abs(numbers) < least)).any())
-
-
 find_leaves = jax.jit(lookup)
 evaluate_points = jax.jit(evaluate_tables)  # separate, as a static argument adds a tenth to the time of a call
 evaluate_points_anywhere = jax.jit(evaluate_tables, static_argnums=2)
 bound_points, waypoints_of_points = jax.jit(bounds_of_tables), jax.jit(waypoints_in_tables)
-
-
-@dataclass(frozen=True, eq=False)
-class PointPlacement:
-    """A function that wraps 64-bit points around periodic axes, then subtracts a corner; None leaves a step out."""
-
-    domain: Box | None
-    corner: Float[np.ndarray, "dim"] | None
-
-    def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
-        if self.domain is not None:
-            x = self.domain.wrapped(x)
-        return x if self.corner is None else x - self.corner
-
-
-# Compiled batch sizes. Padding is cheap while a call's overhead dominates; tiny sizes avoid a thread switch in JAX.
-_SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
-_CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps with copies between NumPy and JAX
-
-
-@dataclass(frozen=True, eq=False)
-class TableStack:
-    """A function of joint configurations made of one PLR per robot; robots with ``bands`` get proven lower bounds."""
-
-    tables: tuple[Tables, ...]
-    bands: tuple[tuple[Float[Array, "2 _"], Float[Array, "_"] | None] | None, ...]
-    placements: tuple[PointPlacement | None, ...]
-    small_batches: SmallBatches = field(default_factory=SmallBatches)
-
-    def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
-        """Return each robot's distance; its PLR sees the leading coordinates of the robot's configuration."""
-        shape = q.shape
-        if len(shape) != 3 or shape[1] != len(self.tables):
-            raise ValueError(f"Joint configurations must have shape (n, {len(self.tables)}, dof), got {shape}.")
-        for i, table in enumerate(self.tables):
-            if table.dim > shape[2]:
-                raise ValueError(
-                    f"The PLR of robot {i} needs {table.dim} coordinates, got configurations of {shape[2]}."
-                )
-        distances = np.empty(q.shape[1::-1])
-        starts = range(0, len(q), _CHUNK)
-        # Dispatch all calls before waiting for the first result.
-        answers = [
-            self.small_batches(_evaluate, (self.tables, self.bands), self._padded(q[begin : begin + _CHUNK]))
-            for begin in starts
-        ]
-        for begin, answer in zip(starts, answers, strict=True):
-            columns = distances[:, begin : begin + _CHUNK]
-            for column, of_robot in zip(columns, answer, strict=True):
-                column[:] = np.asarray(of_robot)[: len(column)]
-        return distances.T
-
-    def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
-        """Pad a batch to a size that is compiled once, in the precision of JAX's floats; wrap or shift its points."""
-        size = padded_size(len(q), _SIZES)
-        padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
-        padded[: len(q)], padded[len(q) :] = q, 0
-        for i, (table, placement) in enumerate(zip(self.tables, self.placements, strict=True)):
-            if placement is not None:
-                padded[: len(q), i, : table.dim] = placement(q[:, i, : table.dim])
-        return padded
-
-
-@jax.jit
-def _evaluate(
-    tables: tuple[Tables, ...],
-    bands: tuple[tuple[Float[AnyArray, "2 _"], Float[AnyArray, "_"] | None] | None, ...],
-    q: Float[AnyArray, "n robots dof"],
-) -> tuple[Float[AnyArray, "n"], ...]:
-    """Return one array per robot: for a single array, XLA would compute all robots in one slower loop."""
-    parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
-    return tuple(
-        evaluate_tables(table, part) if band is None else bounds_of_tables(table, *band, part)[0]
-        for table, band, part in zip(tables, bands, parts, strict=True)
-    )
