@@ -120,6 +120,10 @@ class GridEstimate:
         goal[close] = nearest[close, 0]
         return goal
 
+    def which_reached(self, x: Points) -> Int[np.ndarray, "n"]:
+        """Return the index as :meth:`which` does, but -1 where the estimate is ``inf``."""
+        return np.where(np.isfinite(self(x)), self.which(x), -1)
+
     @cached_property
     def node_goal(self) -> GoalIndex:
         """The goal to which the path of each node leads; at nodes without a path, that of the nearest other node."""

@@ -6,6 +6,7 @@ is estimated to be farthest below the truth.
 
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
@@ -159,7 +160,7 @@ def solve_eikonal(
         else:
             options = BuildOptions(should_split=partial(_error_or_cut_off, space))
             plr = construct(guide, domain, leaf="continuous", options=options, **limits)
-        which = lambda x: np.where(np.isfinite(guide(x)), guide.which(x), -1)  # noqa: E731
+        which = guide.which_reached
     else:
         most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
         check_memory(2.0 * most, _BYTES_A_CELL / 2)
@@ -171,9 +172,15 @@ def solve_eikonal(
             on_mesh = plr_on_mesh(estimate, proven, most_bytes)
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
         which = field.which
-    if goal.ndim > 1:
-        plr.nearest_goal = lambda x: np.append(first, -1)[which(x)]
-    return plr
+    return plr if goal.ndim == 1 else plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), which))
+
+
+def _row_of_goal(
+    row: Int[np.ndarray, "goals_plus_one"],
+    which: Callable[[Float[np.ndarray, "n dim"]], Int[np.ndarray, "n"]],
+    x: Float[np.ndarray, "n dim"],
+) -> Int[np.ndarray, "n"]:
+    return row[which(x)]  # a function of its own, since lambdas cannot be pickled
 
 
 def _require_goals(

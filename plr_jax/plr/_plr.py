@@ -59,12 +59,19 @@ class PLR(FileBacked):
     """
 
     def __init__(
-        self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"], *, build_inputs: BuildInputs | None = None
+        self,
+        file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"],
+        *,
+        build_inputs: BuildInputs | None = None,
+        nearest_goal: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> None:
-        """Wrap a valid PLR file, padded by :func:`padded_file`; ``build_inputs`` serve :meth:`updated` alone."""
+        """Wrap a valid PLR file, padded by :func:`padded_file`.
+
+        ``build_inputs`` serve :meth:`updated` alone; ``nearest_goal``, which maps points to indices, :meth:`which`.
+        """
         self.file = file
         self.build_inputs = build_inputs
-        self.nearest_goal: Callable[[np.ndarray], np.ndarray] | None = None
+        self.nearest_goal = nearest_goal
 
     @cached_property
     def tables(self) -> Tables:
@@ -111,10 +118,16 @@ class PLR(FileBacked):
 
     def with_label(self, label: str) -> "PLR":
         labeled = super().with_label(label)
-        if labeled is not self:
-            labeled.tables, labeled.band, labeled.build_inputs = self.tables, self.band, self.build_inputs
-            labeled._straight, labeled.nearest_goal = self._straight, self.nearest_goal
-        return labeled
+        return self if labeled is self else self._copied(labeled.file, self.nearest_goal)
+
+    def with_nearest_goal(self, nearest_goal: Callable[[np.ndarray], np.ndarray]) -> "PLR":
+        """Return this PLR of the distance to several goals, with the function that :meth:`which` calls."""
+        return self._copied(self.file, nearest_goal)
+
+    def _copied(self, file: Any, nearest_goal: Callable[[np.ndarray], np.ndarray] | None) -> "PLR":
+        plr = PLR(file, build_inputs=self.build_inputs, nearest_goal=nearest_goal)
+        plr.tables, plr.band, plr._straight = self.tables, self.band, self._straight
+        return plr
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
         """Return the approximate distance at each point; see :func:`evaluate`."""

@@ -1,3 +1,5 @@
+import pickle
+
 import jax
 import numpy as np
 import pytest
@@ -129,6 +131,8 @@ def test_which_goal_is_nearest_is_not_in_files_nor_under_jit(tmp_path):
             other.which([[0.8, 0.8]])
     with pytest.raises(ValueError, match="x must have"):
         plr.which([0.8, 0.8])
+    estimate = solve_eikonal(EMPTY, [(0.1, 0.1), (0.9, 0.9)], certified=False, max_leaves=50)
+    assert pickle.loads(pickle.dumps(estimate)).which([[0.8, 0.8]]).tolist() == [1]
 
 
 def test_one_goal_in_a_row_or_twice_is_one_goal():
