@@ -108,6 +108,21 @@ def test_an_xarray_keeps_its_coordinates_and_gives_them_to_points():
     np.testing.assert_array_equal(cost_distance(raster, mask).nearest, 1 - result.nearest.where(raster > 0, 2))
 
 
+def test_a_geotiff_is_read_and_written_by_rioxarray(tmp_path):
+    rioxarray = pytest.importorskip("rioxarray")
+    raster = raster_of(np.ones((20, 30)), 300_005.0 + 10 * np.arange(30), 5_000_195.0 - 10 * np.arange(20))
+    raster[4, 4] = -9999
+    raster.rio.write_crs("EPSG:32633").rio.write_nodata(-9999).rio.to_raster(tmp_path / "costs.tif")
+    for masked in (True, False):
+        costs = rioxarray.open_rasterio(tmp_path / "costs.tif", masked=masked).squeeze("band")
+        result = cost_distance(costs, [(300_005, 5_000_195)])  # the center of the north-western cell
+        result.distance.rio.to_raster(tmp_path / "distance.tif")
+        found = rioxarray.open_rasterio(tmp_path / "distance.tif").squeeze("band")
+        assert found.rio.crs == costs.rio.crs and found.rio.transform() == costs.rio.transform()
+        assert np.isinf(found.values[4, 4]) and np.isfinite(found.values).sum() == 20 * 30 - 1
+        np.testing.assert_allclose(found.values[0], 10 * np.arange(30), atol=0.1)
+
+
 def test_a_hiker_climbs_more_slowly_than_she_descends():
     x = np.arange(41) + 0.5
     heights = np.broadcast_to(0.2 * x, (5, 41))
