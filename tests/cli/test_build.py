@@ -150,6 +150,9 @@ def test_interrupting_a_build_keeps_what_is_there_and_ends_with_130(path, monkey
     assert re.fullmatch(r"Interrupted: .*out.plr holds the [0-9]+ leaves built so far.\n", result.stderr)
     plr = load(path)
     assert plr.num_leaves > 1 and plr.leaf.name == "plane" and plr.max_error > 0
+    x = MAZE.sample_free(2_000, 0)
+    lower, upper = plr.bounds(x)
+    assert ((lower <= ORACLE(x)) & (ORACLE(x) <= upper)).all(), "what there is, is proven"
 
 
 def test_bounds_of_cells_are_narrower_and_need_a_proof(path):
