@@ -662,14 +662,20 @@ static inline int plr_jax_is_far(const struct plr_jax *f)
 }
 
 /* The distance at a point and at z, the same point relative to a far domain. */
-static inline float plr_jax_answer(const struct plr_jax *f, float *z, int is_nan, uint32_t models)
+static inline float plr_jax_answer(const struct plr_jax *f, float *z, uint32_t models)
 {
-    uint32_t cell[PLR_JAX_MAX_DIM][2];
+    const uint32_t dim = plr_jax_dim(f);
+    uint32_t cell[PLR_JAX_MAX_DIM][2], axis;
     float n[PLR_JAX_MAX_TERMS];
     if (plr_jax_leaf(f, z, cell, n, models)) {
         return plr_jax_value(f, z, cell, n, models);
     }
-    return is_nan ? NAN : INFINITY;
+    for (axis = 0; axis < dim; ++axis) {
+        if (z[axis] != z[axis]) {
+            return NAN;
+        }
+    }
+    return INFINITY;
 }
 
 /* The distance to the goal, of a set of leaf models. */
@@ -677,13 +683,8 @@ static inline float plr_jax_distance_of(const struct plr_jax *f, const float *x,
 {
     const uint32_t dim = plr_jax_dim(f);
     float z[PLR_JAX_MAX_DIM];
-    uint32_t axis;
-    int is_nan = 0;
-    for (axis = 0; axis < dim; ++axis) {
-        is_nan |= x[axis] != x[axis];
-        z[axis] = x[axis];
-    }
-    return plr_jax_answer(f, z, is_nan, models);
+    memcpy(z, x, dim * sizeof *x);
+    return plr_jax_answer(f, z, models);
 }
 
 /* The distance to the goal; INFINITY outside the closed domain, NAN for NAN. */
@@ -713,7 +714,7 @@ static inline void plr_jax_place_far(const struct plr_jax *f, const double *x, f
     for (axis = 0; axis < dim; ++axis) {
         const double lo = plr_jax_exact(f, axis, PLR_JAX_DOMAIN_LO), hi = plr_jax_exact(f, axis, PLR_JAX_DOMAIN_HI);
         double moved = x[axis];
-        if (plr_jax_frame(f, axis, PLR_JAX_LAST) > plr_jax_frame(f, axis, PLR_JAX_FIRST)) {
+        if (plr_jax_frame(f, axis, PLR_JAX_LAST) > plr_jax_frame(f, axis, PLR_JAX_FIRST) && moved - moved == 0.0) {
             double turns = (moved - lo) * (1.0 / (hi - lo));
             if (turns < 4503599627370496.0 && turns > -4503599627370496.0) {
                 const double toward_zero = (double)(int64_t)turns;
@@ -729,15 +730,9 @@ static inline void plr_jax_place_far(const struct plr_jax *f, const double *x, f
 /* As plr_jax_distance_of and plr_jax_distance, for domains far from the origin. */
 static inline float plr_jax_distance_far_of(const struct plr_jax *f, const double *x, uint32_t models)
 {
-    const uint32_t dim = plr_jax_dim(f);
     float z[PLR_JAX_MAX_DIM];
-    uint32_t axis;
-    int is_nan = 0;
-    for (axis = 0; axis < dim; ++axis) {
-        is_nan |= x[axis] != x[axis];
-    }
-    plr_jax_place_far(f, x, z, dim);
-    return plr_jax_answer(f, z, is_nan, models);
+    plr_jax_place_far(f, x, z, plr_jax_dim(f));
+    return plr_jax_answer(f, z, models);
 }
 
 static inline float plr_jax_distance_far(const struct plr_jax *f, const double *x)
