@@ -167,7 +167,7 @@ class PricedTree:
         return len(self.order)
 
 
-class MemberBoxes(NamedTuple):
+class SelectedBoxes(NamedTuple):
     """Boxes of one level that a tree may contain; ``child`` has indices into such boxes of the next level."""
 
     box: Int[np.ndarray, "own"]
@@ -187,7 +187,7 @@ class PriceSearch:
         self.levels, self._limits, self._size, self._num_sources = levels, limits, size, num_sources
         self._least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
-        self._own: list[MemberBoxes] = []
+        self._selected: list[SelectedBoxes] = []
 
     def first(self) -> PricedTree:
         """Return the smallest tree; :class:`BudgetTooSmall` if it exceeds the byte budget."""
@@ -264,7 +264,7 @@ class PriceSearch:
             rest = np.flatnonzero(is_whole & (cost > 0) & (cost < np.inf))
             is_all &= not (len(rest) and may_halve(level.boxes.cells[here[rest]], self._limits).any())
             child[:, :, ~is_worth & (cost < np.inf)] = UNKNOWN
-            own.append(MemberBoxes(here, child))
+            own.append(SelectedBoxes(here, child))
             if depth + 1 < len(self.levels):
                 is_own = np.zeros(len(self.levels[depth + 1].key), bool)
                 known = child >= 0
@@ -274,12 +274,12 @@ class PriceSearch:
                 place = np.empty(len(is_own), np.int64)
                 place[here] = np.arange(len(here))
                 child[known] = place[halves]
-        self._own = own
+        self._selected = own
         return is_all
 
     def _best_tree(self, price: float, least_share: float) -> PricedTree:
         """Return the tree of least total cost, with a price per leaf, among the selected boxes."""
-        own = self._own
+        own = self._selected
         axes = best_axes(self.levels, own, price, least_share)
         leaves, walked, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
         for depth, ((box, child), choice) in enumerate(zip(own, axes, strict=True)):
@@ -296,7 +296,7 @@ class PriceSearch:
 
 
 def best_axes(
-    levels: list[BoxLevel], own: list[MemberBoxes], price: float, least_share: float
+    levels: list[BoxLevel], own: list[SelectedBoxes], price: float, least_share: float
 ) -> list[Int[np.ndarray, "own"]]:
     """Return each box's best split axis (-1: leaf), level by level, by dynamic programming from the smallest up."""
     choices, below = [], np.zeros(0)

@@ -1,0 +1,242 @@
+"""The planner at its limits of expansions, memory, time and cost, and when it is interrupted."""
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from planner_helpers import (
+    exact,
+    hallway,
+    joint_lattice_of,
+    nudged_discs,
+    nudged_team,
+    planned,
+)
+from team_helpers import MIXED
+
+from plr_jax import (
+    BLOptions,
+    Problem,
+    RectangleRobot,
+    Status,
+    Workspace,
+    bl_plan,
+    scenes,
+    straight_line,
+    sum_of_distances,
+    validate,
+    zero,
+)
+from plr_jax.collision.team import JointMotionTest
+from plr_jax.planners import driver, lacam, lattice
+from plr_jax.planners.lacam import PIBT
+
+DOOR, ROOMS = scenes.single_door(), scenes.four_rooms(2)
+DOOR_STRAIGHT = np.hypot(8.21 - 2.13, 2.07 - 1.94)
+LARGE = Workspace(((0, 0), (1000, 1000)))
+NUDGED_BARS = nudged_team(RectangleRobot(0.4, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("options", "status"),
+    [
+        ({"max_expansions": 3}, Status.EXPANSION_LIMIT),
+        ({"max_memory": 4000}, Status.MEMORY_LIMIT),
+        ({"max_memory": 1_500_000}, Status.MEMORY_LIMIT),
+        ({"step": 1e-3, "max_memory": 1e8}, Status.MEMORY_LIMIT),
+        ({"step": 1e-200}, Status.MEMORY_LIMIT),
+        ({"step": 2e-2, "time_limit": 0.05}, Status.TIME_LIMIT),
+        ({"time_limit": 1e-6}, Status.TIME_LIMIT),
+    ],
+)
+def test_limits(options, status):
+    solution = bl_plan(ROOMS, zero(), BLOptions(("bl",), **options))
+    assert solution.status is status and not solution.solved and solution.cost == np.inf
+    # Discs that can go one after the other have a path all the same.
+    solution = planned(ROOMS, zero(), **options)
+    assert solution.status is status and solution.stats.found_by == "sequential"
+
+
+@pytest.mark.parametrize("max_expansions", [1, 29, 29.5])
+def test_expansions_are_never_more_than_asked_for(max_expansions):
+    # Of a hallway no path leads out, so that the search widens to whole batches.
+    solution = bl_plan(hallway(9), zero(), BLOptions(step=0.3, max_expansions=max_expansions))
+    assert solution.status is Status.EXPANSION_LIMIT
+    assert solution.stats.num_expansions == int(max_expansions)
+
+
+def test_a_cost_factor_is_met_by_the_first_path_that_is_good_enough():
+    content = planned(ROOMS, cost_factor=1.5, searchers=("bl",))
+    assert content.status is Status.SOLVED and content.cost <= 1.5 * content.lower_bound
+    assert content.stats.num_expansions == planned(ROOMS, searchers=("bl",)).stats.num_expansions > 0
+    content = planned(ROOMS, cost_factor=1.5)
+    assert content.status is Status.SOLVED and content.stats.num_expansions == 0
+
+
+def test_an_improving_planner_goes_on_until_its_limit():
+    problem = scenes.cross(2)
+    first = planned(problem)
+    better = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 250)
+    best = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 500)
+    assert better.status is best.status is Status.EXPANSION_LIMIT
+    assert best.cost <= better.cost <= first.cost and best.cost < first.cost
+    assert best.stats.num_expansions > better.stats.num_expansions > first.stats.num_expansions
+    assert [cost for _, cost in best.stats.history][: len(better.stats.history)] == [
+        cost for _, cost in better.stats.history
+    ]
+
+
+def test_a_lower_bound_of_the_caller_counts():
+    alone = float(exact(DOOR)(DOOR.starts[None])[0])
+    solution = bl_plan(DOOR, straight_line(DOOR), BLOptions(cost_factor=1.05, lower_bound=0.999 * alone))
+    assert solution.status is Status.SOLVED and solution.lower_bound == 0.999 * alone
+    assert solution.factor == solution.cost / solution.lower_bound <= 1.05
+    below = bl_plan(DOOR, straight_line(DOOR), BLOptions(lower_bound=0.1))
+    assert below.lower_bound == pytest.approx(DOOR_STRAIGHT), "straight lines are a better one"
+
+
+def test_a_heuristic_that_is_a_lower_bound_proves_one():
+    oracle = exact(DOOR)
+    alone = float(oracle(DOOR.starts[None])[0])
+    assert oracle.is_lower_bound and not sum_of_distances([lambda x: np.zeros(len(x))]).is_lower_bound
+    solution = planned(DOOR)
+    assert solution.lower_bound == pytest.approx(alone) and solution.lower_bound <= alone
+    assert 1 <= solution.factor < 1.02 and 1 <= solution.motions_factor < 1.2
+    unknown = bl_plan(DOOR, replace(oracle, per_robot=lambda q: 1e3 + oracle.per_robot(q), is_lower_bound=False))
+    assert unknown.lower_bound == pytest.approx(DOOR_STRAIGHT), "it may be above the truth"
+
+
+def test_nothing_is_proven_of_lattices_on_which_each_robot_alone_moves_at_no_cost():
+    ends = [(10.5, 10.5, 0), (10.5, 11.5, 0)], [(10.5, 10.5, np.pi), (10.5, 11.5, np.pi)]
+    problem = Problem(Workspace(((0, 0), (20, 20))), [RectangleRobot(3, 1)] * 2, *ends, rotation_weight=0)
+    solution = bl_plan(problem, options=BLOptions(step=1.0))
+    assert solution.solved and solution.cost > 0 and solution.motions_factor == np.inf
+
+
+def interrupt_at(monkeypatch, owner, name, at):
+    """Have the user interrupt some call of a function."""
+    function, calls = getattr(owner, name), []
+
+    def interrupted(*arguments):
+        calls.append(name)
+        if len(calls) == at:
+            raise KeyboardInterrupt
+        return function(*arguments)
+
+    monkeypatch.setattr(owner, name, interrupted)
+
+
+def test_an_interrupted_planner_returns_what_it_has(monkeypatch):
+    first = planned(DOOR, step=0.5, searchers=("bl",))
+    with monkeypatch.context() as patched:
+        interrupt_at(patched, driver.BestFirstSearch, "_add_child", 2 * first.stats.num_nodes)
+        solution = planned(DOOR, step=0.5, cost_factor=1.0, searchers=("bl",))
+    assert solution.status is Status.INTERRUPTED
+    assert solution.cost <= first.cost and solution.stats.history[0][1] == first.stats.history[0][1]
+    assert solution.stats.num_nodes > first.stats.num_nodes and solution.stats.seconds["search"] > 0
+    for owner, name, at, num_nodes in ((driver, "tabulate", 1, 0), (PIBT, "find", 6, 6)):  # before the first path
+        with monkeypatch.context() as patched:
+            interrupt_at(patched, owner, name, at)
+            problem = scenes.door(20)
+            solution = bl_plan(problem, straight_line(problem), BLOptions(("lacam",)))
+        assert solution.status is Status.INTERRUPTED and not solution.solved
+        assert solution.stats.num_nodes == num_nodes and len(solution.samples) == max(num_nodes, 1)
+
+
+def test_discs_that_were_to_go_one_after_the_other_set_out_early_when_interrupted(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    problem = scenes.four_rooms(4)
+    early = planned(problem, max_expansions=1)
+    with monkeypatch.context() as patched:
+        patched.setattr(driver, "first_step", interrupted)
+        solution = planned(problem)
+    assert solution.status is Status.INTERRUPTED and solution.makespan == early.makespan < 0.8 * solution.cost
+    monkeypatch.setattr(driver, "with_early_departures", interrupted)
+    solution = planned(problem, max_expansions=1)
+    assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
+
+
+def test_best_first_search_alone_says_where_memory_ends():
+    problem = scenes.four_rooms(8)
+    # The lattices fit, the tables of each robot's motions do not.
+    solution = bl_plan(problem, options=BLOptions(searchers=("bl",), step=0.4, max_memory=7e5, time_limit=5))
+    assert solution.status is Status.MEMORY_LIMIT and not solution.solved
+    np.testing.assert_array_equal(solution.samples, problem.starts[None])
+    assert 7e5 < solution.stats.num_bytes < 2e6
+
+
+def test_a_coarser_lattice_is_tried_where_memory_is_short():
+    problem = scenes.door(8)
+    roomy = bl_plan(problem, options=BLOptions(searchers=("lacam",)))
+    tight = bl_plan(problem, options=BLOptions(searchers=("lacam",), max_memory=0.95 * roomy.stats.num_bytes))
+    # It says what the lattice that did not fit would have taken.
+    assert tight.solved and tight.stats.num_bytes == roomy.stats.num_bytes
+    assert tight.stats.history[0][1] != roomy.stats.history[0][1]
+    none = bl_plan(problem, options=BLOptions(max_memory=1000))
+    assert none.status is Status.MEMORY_LIMIT and none.stats.num_bytes > 1000
+
+
+@pytest.mark.parametrize("limit", [0.05, 0.3, 1.0])
+def test_whatever_the_time_limit_a_path_is_valid(limit):
+    problem = scenes.crowd(25)
+    solution = bl_plan(problem, options=BLOptions(time_limit=limit, cost_factor=1.0))
+    assert solution.status is Status.TIME_LIMIT
+    if solution.solved:
+        assert validate(problem, solution.path).valid and solution.motions_factor >= 1
+
+
+@pytest.mark.full
+def test_on_a_given_lattice_lacam_is_made_once(monkeypatch):
+    found = []
+    improve = driver.Run._improve
+    monkeypatch.setattr(
+        driver.Run, "_improve", lambda run, searches: (found.append(searches.found[0]), improve(run, searches))[1]
+    )
+    options = BLOptions(step=0.5, cost_factor=1.0, time_limit=20)
+    solution = bl_plan(scenes.cross(2), options=options)
+    assert solution.status is Status.EXHAUSTED and solution.cost > solution.lower_bound
+    assert found[0] == "lacam" and len(found) > 2 and set(found[1:]) == {"bl"}
+    found.clear()
+    alone = BLOptions(searchers=("lacam",), step=0.5, cost_factor=1.0, time_limit=20)
+    assert bl_plan(scenes.cross(2), options=alone).status is Status.EXHAUSTED and found == ["lacam"]
+
+
+# Steps that no other test takes, as motions are kept for the next problem in a workspace.
+@pytest.mark.parametrize(
+    ("problem", "step"),
+    [(nudged_discs(8), 0.21), (nudged_discs(15), 1.9), (NUDGED_BARS, 0.31), (MIXED, 0.39)],
+    ids=["nudged discs", "coarse", "nudged bars", "mixed"],
+)
+def test_lattices_take_as_many_bytes_as_they_say(problem, step):
+    _ = joint_lattice_of(problem, 1.5 * step).costs_to_go  # what is made once, for all steps
+    tracemalloc.start()
+    try:
+        joint = joint_lattice_of(problem, step)
+        _ = joint.costs_to_go
+        held = tracemalloc.get_traced_memory()[0]
+    finally:
+        tracemalloc.stop()
+    said = driver.num_bytes(problem, step)
+    assert 0.3 * said < held < 1.1 * said
+
+
+@pytest.mark.parametrize("searcher", ["lacam", "bl"])
+def test_a_search_that_runs_out_of_time_within_a_step(searcher, monkeypatch):
+    def too_late(*_):
+        raise TimeoutError
+
+    monkeypatch.setattr(JointMotionTest, "apart", too_late)
+    monkeypatch.setattr(lacam, "motions_apart", too_late)
+    solution = bl_plan(scenes.four_rooms(2), None, BLOptions(searchers=(searcher,)))
+    assert solution.status is Status.TIME_LIMIT
+    assert not solution.solved
+
+
+def test_what_cannot_be_cut_short_is_not_begun_without_the_time(monkeypatch):
+    monkeypatch.setattr(lattice, "_SECONDS", 1e12)
+    with pytest.raises(TimeoutError, match="before the costs-to-go were known"):
+        _ = joint_lattice_of(ROOMS, 0.5, 1e12).costs_to_go
+    assert len(joint_lattice_of(ROOMS, 0.5).costs_to_go) == 2  # no limit
