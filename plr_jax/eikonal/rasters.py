@@ -274,7 +274,7 @@ def _as_sources(
     if is_outside.any():
         raise ValueError(f"sources must lie in the raster {box}, rows (x, y), got {first(is_outside)}.")
     cells = cells.astype(np.int64)
-    is_barred = ~np.isfinite(cost[tuple(cells.T)])
+    is_barred: Any = ~np.isfinite(cost[tuple(cells.T)])
     if is_barred.any():
         raise ValueError(
             f"sources must not lie in barriers, got {first(is_barred)}: move it. For a mask of sources, use mask & "
