@@ -1,4 +1,4 @@
-"""The class :class:`PLR`: a distance function stored in the leaves of a binary space partition."""
+"""The public class :class:`PLR`: a distance function that is stored in the leaves of a binary space partition."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -47,12 +47,12 @@ from plr_jax.plr.tree import Cells
 class PLR(FileBacked):
     """A distance function compressed into a tree of cells: each final cell, a *leaf*, stores a simple function.
 
-    Made by :func:`construct` or :func:`load`; ``plr(x)`` evaluates it, see :func:`evaluate`. A PLR is immutable and a
-    pytree of arrays: a jitted function can close over it or take it as an argument. Inside such a function, it can
-    only be queried. Its other properties need concrete arrays. Reference: Putman et al., Section III.
+    :func:`construct` and :func:`load` make PLRs. ``plr(x)`` evaluates a PLR: see :func:`evaluate`. A PLR is immutable
+    and a pytree of arrays: a jitted function can close over it or take it as an argument. Such a function can only
+    query it; properties like ``domain`` need concrete arrays. Reference: Putman et al., Section III.
 
-    ``jax.grad`` differentiates with respect to points. With respect to a PLR it raises ``TypeError``, as a PLR has
-    integer tables.
+    ``jax.grad`` differentiates with respect to points. Differentiating with respect to the PLR raises ``TypeError``,
+    because a PLR has integer tables.
 
     Attributes:
         file: Bytes that :func:`save` writes, padded; see :func:`~plr_jax.plr.container.padded_file`.
@@ -67,7 +67,8 @@ class PLR(FileBacked):
     ) -> None:
         """Wrap a valid PLR file, padded by :func:`padded_file`.
 
-        ``build_inputs`` serve :meth:`updated` alone; ``nearest_goal``, which maps points to indices, :meth:`which`.
+        Only :meth:`updated` uses ``build_inputs``. Only :meth:`which` uses ``nearest_goal``, a function from points
+        ``(n, dim)`` to indices of goals ``(n,)``.
         """
         self.file = file
         self.build_inputs = build_inputs
@@ -75,14 +76,17 @@ class PLR(FileBacked):
 
     @cached_property
     def tables(self) -> Tables:
-        """Lookup tables with which a query finds and evaluates the leaf of a point; decoded from ``file``."""
+        """Lookup tables, decoded from ``file``, with which a query finds and evaluates the leaf of a point."""
         contents = self._contents
         with jax.ensure_compile_time_eval():  # the PLR may be closed over by a traced function
             return tables_of_contents(contents, np.zeros(contents.domain.dim), self.num_bytes)
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven lower and upper bounds (rows) of distance minus answer, per leaf or for all; None without proof."""
+        """Proven bounds of the distance minus the answer, rounding included; None without a proof.
+
+        The rows are lower and upper bounds. There is one column for each leaf (then padding), or one for all leaves.
+        """
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -92,7 +96,7 @@ class PLR(FileBacked):
 
     @cached_property
     def _straight(self) -> Float[Array, "_"] | None:
-        """Goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if the PLR has none."""
+        """Goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if the file stores none."""
         certificate = self._contents.certificate
         if certificate is None or certificate.straight is None:
             return None
@@ -174,10 +178,11 @@ class PLR(FileBacked):
         """Return proven bounds of the distance at points of free space from which the goal can be reached.
 
         The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was
-        given, and covers the rounding of a query. Boundaries of obstacles are included. Points that are free, or
-        connected to the goal, only by the workspace's tolerance are not. In a domain far from the origin, as in UTM
-        coordinates, 32-bit points are rounded by more than the size of cells, and the bounds hold for the rounded
-        points: pass NumPy's 64-bit points outside of ``jit``, or enable ``jax_enable_x64``.
+        given, and covers the rounding of a query. It includes points on the boundaries of obstacles. It excludes
+        points that are free, or connected to the goal, only because of the workspace's tolerance. In a domain far
+        from the origin, as in UTM coordinates, 32-bit points are rounded by more than the size of cells, and the
+        bounds hold for the rounded points: pass NumPy's 64-bit points outside of ``jit``, or enable
+        ``jax_enable_x64``.
 
         Args:
             x: Points, ``(..., dim)``, as for :func:`evaluate`.
@@ -187,7 +192,7 @@ class PLR(FileBacked):
             for NaN. In obstacles, and where the goal cannot be reached, they are meaningless.
 
         Raises:
-            ValueError: If nothing is proven of the PLR, or as for :func:`evaluate`.
+            ValueError: If the PLR has no proof, or as for :func:`evaluate`.
         """
         band, (tables, placed) = self._require_band(), self._tables_and_points(x)
         return self._answer(bound_points, (tables, band, self._straight), placed)
@@ -196,9 +201,9 @@ class PLR(FileBacked):
     def lower(self) -> "LowerBound":
         """A proven lower bound of the distance as a function of points: an admissible heuristic.
 
-        It is the first result of :meth:`bounds`. It is not consistent, since it jumps between leaves: a search must
-        reopen a node when it finds a shorter path to it. :meth:`LowerBound.stack` combines those of several robots.
-        Raises ``ValueError`` if nothing is proven of the PLR.
+        It returns the first result of :meth:`bounds`. It is not consistent, because it jumps between leaves: A* must
+        reopen a node when it finds a shorter path to that node. :meth:`LowerBound.stack` combines the lower bounds of
+        several robots. Raises ``ValueError`` if the PLR has no proof.
         """
         self._require_band()
         return LowerBound(self)
@@ -213,9 +218,9 @@ class PLR(FileBacked):
 
     @property
     def max_error(self) -> float | None:
-        """Proven bound of the largest error where :meth:`bounds` hold, in units of distance; None without a proof.
+        """Proven limit of the error at all points for which :meth:`bounds` hold; None without a proof.
 
-        It is ``inf`` if some leaf has no upper bound, as is common after :func:`solve_eikonal`; see :meth:`bounds`.
+        In units of distance. It is ``inf`` if some leaf has no upper bound, as is common after :func:`solve_eikonal`.
         """
         certificate = self._contents.certificate
         return None if certificate is None else certificate.max_error
@@ -223,8 +228,8 @@ class PLR(FileBacked):
     def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
         """Return each point's next waypoint: the goal or corner (*source*) from which its leaf measures distances.
 
-        Only for leaves that are cones. Walls between a point and its waypoint are not considered. At a source, the
-        waypoint may be that source itself; for whole paths see :func:`trace`.
+        Only PLRs of cones have waypoints. A wall may lie between a point and its waypoint. At a source, the waypoint
+        may be that source itself. For whole paths see :func:`trace`.
 
         Args:
             x: Points, ``(..., dim)``, as for :func:`evaluate`.
@@ -234,7 +239,7 @@ class PLR(FileBacked):
             NumPy's 64-bit points in a domain far from the origin.
 
         Raises:
-            ValueError: If the leaves are not cones, which alone have sources, or as for :func:`evaluate`.
+            ValueError: If the leaves are not cones, or as for :func:`evaluate`.
         """
         as_sourced(self.leaf)
         tables, placed = self._tables_and_points(x)
@@ -242,20 +247,20 @@ class PLR(FileBacked):
         return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
 
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """Return the index of the goal that is nearest to each point ``(n, dim)``, -1 where no goal is reached.
+        """Return the index of the goal that is nearest to each point ``(n, dim)``; -1 where the PLR is not finite.
 
         Only for a PLR of several goals as :func:`solve_eikonal` returned it. Files do not store which goal is
-        nearest, and a PLR that a jitted function takes or returns does not know it. Like the distance, the answer is
-        an estimate: where two goals are about equally near, it may be the other one. Of equal goals it is the first.
-        It is -1 wherever the PLR is not finite.
+        nearest, and a PLR that a jitted function takes or returns does not know it. Like the distance, the index is
+        an estimate: where two goals are about equally near, it may be wrong. If the same goal was given twice, the
+        answer is the first index.
 
         Raises:
             ValueError: If the PLR does not know its goals, or points have another shape.
         """
         if self.nearest_goal is None:
             raise ValueError(
-                "Only a PLR that solve_eikonal returned for goals (k, dim) knows which is nearest. It is not stored "
-                "in files: call which before, or keep the PLR."
+                "Only a PLR that solve_eikonal returned for goals (k, dim) knows which goal is nearest; files do not "
+                "store it. Call which on the PLR that solve_eikonal returned."
             )
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
@@ -266,16 +271,14 @@ class PLR(FileBacked):
     def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
         """Return the PLR of a locally changed map, much faster than a new construction.
 
-        Only for cones with a proof. A leaf stays if all its distances are proven to have changed by one constant.
-        Elsewhere new leaves are searched; the mean error is about that of a new PLR. If the budget is exceeded,
-        leaves are merged; if some of it is left, leaves with large errors are refined. A PLR in memory keeps its
-        oracle and intermediate results, so later updates are faster than the first one, or than one of a PLR from a
-        file.
+        Only PLRs of cones with a proof can be updated. A leaf stays if all its distances are proven to have changed
+        by one constant; all other leaves are built again. The mean error is about that of a new PLR. If the file
+        exceeds its budget, leaves are merged; if bytes are left, leaves with large errors are refined. The new PLR
+        keeps its oracle and intermediate results in memory, so updating it again is faster than the first update.
 
         Args:
             oracle: Oracle of the new map for the same goal, such as ``before.with_workspace(workspace)``.
-            before: Oracle of the old map; None for the one that this PLR was built or last updated with, in this
-                process.
+            before: Oracle of the old map; None for the oracle with which this process built or last updated this PLR.
             max_bytes: Most bytes of the file; None for the limits of the construction or, for a PLR from a file, its
                 size.
 
@@ -284,8 +287,8 @@ class PLR(FileBacked):
             does not change.
 
         Raises:
-            ValueError: If this is no PLR of cones with a proof, the oracles are no visibility graphs of one goal, the
-                old oracle is unknown or found to differ from ``before``, or as for :func:`construct`.
+            ValueError: If this PLR has no cones or no proof, the oracles are no visibility graphs of one goal, the
+                old oracle is unknown or ``before`` is found to be another one, or as for :func:`construct`.
         """
         require_updatable(self._contents)
         inputs = self.build_inputs
@@ -320,24 +323,24 @@ class PLR(FileBacked):
         Args:
             name: Prefix of all definitions; ``ValueError`` if it is no C identifier.
             compact: False for tables that are fast to read; True for the bytes of :meth:`c_bytes` and their decoder,
-                which take a half to a ninth of the memory. Queries take three to seven times as long; those of smooth
-                leaves, which compute derivatives from the leaves around, 85 times.
+                which take a half to a ninth of the memory. Compact queries take three to seven times as long; for
+                smooth leaves, whose derivatives are computed from adjacent leaves, 85 times.
         """
         return self.numpy().c_header(name, compact)
 
     def c_bytes(self) -> bytes:
         """Return the bytes that the decoder in a compact C header reads.
 
-        A program can receive such bytes while it runs, and query them without unpacking after ``plr_jax_open``
-        accepted them. In the plane, they are one to four times as long as a file of 1 KB or more.
+        A program can receive such bytes while it runs. After ``plr_jax_open`` has accepted them, it can query them
+        without unpacking. For files of 1 KB or more in the plane, they take one to four times the file's size.
         """
         return self.numpy().c_bytes()
 
     def js_module(self) -> str:
         """Return the PLR as the text of a JavaScript module without imports.
 
-        It exports ``distance(x)`` of an array of ``dim`` numbers, for cones ``waypoint(x)`` and, with a proof,
-        ``bounds(x)``. Results equal those of :meth:`numpy` for 64-bit points, bit for bit.
+        The module exports ``distance(x)`` for an array of ``dim`` numbers, ``waypoint(x)`` if leaves are cones, and
+        ``bounds(x)`` if there is a proof. Results equal those of :meth:`numpy` for 64-bit points, bit for bit.
         """
         return self.numpy().js_module()
 
@@ -353,8 +356,8 @@ class PLR(FileBacked):
             float64. Each PLR sees the leading coordinates of its robot and answers as by itself, bit for bit.
 
         Raises:
-            ValueError: If ``plrs`` is no such list. When called, if the number of robots is wrong, or a PLR has more
-                dimensions than ``dof``.
+            ValueError: If ``plrs`` is no list of PLRs. The function raises ``ValueError`` if the number of robots is
+                wrong, or a PLR has more dimensions than ``dof``.
         """
         plrs = as_plrs(plrs)
         tables, placements = zip(*(plr._tables_and_placement for plr in plrs), strict=True)
@@ -435,7 +438,10 @@ class PLR(FileBacked):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Leaves without a reachable sample (never cones), which continue a neighbor's plane or answer ``inf``."""
+        """Whether the file stores each leaf as unreachable: without a sample from which the goal can be reached.
+
+        Such a leaf continues the plane of an adjacent leaf, or answers ``inf``. Cones are never unreachable.
+        """
         return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
 
     @property
@@ -445,12 +451,12 @@ class PLR(FileBacked):
 
     @property
     def slope(self) -> Float[np.ndarray, "leaves dim"]:
-        """Gradient of each leaf's plane (its mean plane if curved), in coordinates of :attr:`folded_domain`."""
+        """Gradient of each leaf's plane (mean plane of a curved leaf), in coordinates of :attr:`folded_domain`."""
         return self._planes[1]
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` if the leaf answers so."""
+        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` if the leaf's value is."""
         return self._planes[0]
 
     def __repr__(self) -> str:
@@ -499,7 +505,7 @@ def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) ->
 class LowerBound:
     """A distance function that is proven never to exceed the true distance; see :attr:`plr_jax.PLR.lower`.
 
-    ``is_lower_bound`` is always true: planners may use the function as an admissible heuristic.
+    ``is_lower_bound``, always true, tells planners that the function is an admissible heuristic.
     """
 
     plr: PLR
@@ -529,11 +535,11 @@ def from_bytes(data: bytes) -> PLR:
     """Decode a PLR from the bytes of a file.
 
     Args:
-        data: Result of :meth:`PLR.to_bytes`. The decoded PLR's answers equal the original's bit for bit.
+        data: Result of :meth:`PLR.to_bytes`. The decoded PLR gives the same answers, bit for bit.
 
     Raises:
         ValueError: If the bytes are no PLR file of a version that this release reads, distances do not fit 32-bit
-            floats, or loading would take far more memory than a file of this size should need.
+            floats, or the file's lookup tables would be far larger than those of usual files of its size.
     """
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")

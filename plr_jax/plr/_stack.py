@@ -1,11 +1,13 @@
-"""Evaluation of one PLR (:func:`evaluate`), and of many as one function of index and point (:func:`stack`).
+"""The public functions that evaluate one PLR (:func:`evaluate`) and combine many into one function (:func:`stack`).
 
-A stack holds one *trie* of all its PLRs: a lookup table whose levels each consume a few fraction bits (``frame.py``).
-A *page* has an entry for each cell of a regular grid. The first page of a PLR covers the domain; the first pages of
-all PLRs are adjacent. Any other page covers one cell of the level above that several leaves share. An odd entry ``2 *
-i + 1`` points to the page at ``i``; an even entry ``2 * i`` is row ``i`` of the leaf parameters. The table begins
-with entry ``i`` = ``2 * i`` for every row ``i``: a lookup that ended early repeats its result in later levels.
-A query reads a trie more often than the page table of a single PLR (``tables.py``), but a trie takes less memory.
+A stack has a *trie* for all its PLRs of one shape: a lookup table that finds the leaf of a point level by level, from
+a few of the point's fraction bits (``frame.py``) in each level. The table consists of *pages*, which have an entry
+for each cell of a regular grid. The first page of a PLR covers its domain; the first pages of all PLRs are adjacent.
+Every other page covers one cell of the level above, in which there are several leaves. An odd entry ``2 * i + 1``
+points to the page that starts at entry ``i``; an even entry ``2 * i`` means row ``i`` of the leaf parameters. The
+table begins with the entries ``2 * i`` of all rows ``i``, so that a lookup that has found its row finds it again in
+later levels. A lookup reads more entries than in the tables of a single PLR (``tables.py``), but a trie takes less
+memory.
 
 References: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
 """
@@ -44,14 +46,17 @@ from plr_jax.plr.small_batches import SmallBatches
 from plr_jax.plr.tables import AnyArray, PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 
-_FIRST_BITS = 10  # index bits of first pages: a thousand PLRs' take 4 MB, and most points need no other page
+_FIRST_BITS = 10  # index bits of first pages: those of 1,000 PLRs take 4 MB, and most points need no other page
 _PAGE_BITS = 6  # most index bits of other pages
-_MOST_ENTRIES = 2**25  # most entries of one PLR, estimated from above: a page that k leaves share counts k times
+_MOST_ENTRIES = 2**25  # most entries of one PLR; the estimate counts a page of k leaves up to k times
 _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
-    """Return how many of the ``bits`` of each axis a trie has used before its first level and after each level."""
+    """Split the fraction ``bits`` of each axis into the levels of a trie.
+
+    Return the numbers of bits used before the first level (zeros), and after each level.
+    """
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
         rest = bits - ends[-1]
@@ -62,7 +67,10 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """Build one lookup table of several PLRs from each leaf's row number; ``ValueError`` if too deep or too large."""
+    """Build the trie of several PLRs, whose leaves have the given ``rows`` of the table of leaf parameters.
+
+    Raises ``ValueError`` if the leaves are too deep, or the trie would be too large.
+    """
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
@@ -98,8 +106,8 @@ def build_trie(
 def _pages(
     cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[Int[np.ndarray, "dim"]], next_start: int
 ) -> Iterator[UInt32[np.ndarray, "entries"]]:
-    """Yield a trie's entries for one partition, level by level; the second level begins at entry ``next_start``."""
-    page = np.zeros(1, np.int64)  # cells of the level above that have a page in this one
+    """Yield a trie's entries for one partition, level by level; the second level starts at entry ``next_start``."""
+    page = np.zeros(1, np.int64)  # numbers of the cells of the level above that have a page in this level
     for number, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
         is_here = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (number == 0))
@@ -131,13 +139,14 @@ def _page_entries(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _SameShapeGroup:
-    """PLRs of one leaf model whose arrays that describe domain and symmetries have equal shapes.
+    """The merged tables of PLRs of one leaf model whose domains and symmetries have arrays of equal shapes.
 
     Attributes:
-        arrays: For each such array, the array itself if all PLRs have the same, else those of all PLRs, flattened.
+        arrays: Arrays that describe domains and symmetries. If all PLRs have the same array, it is stored once;
+            otherwise the arrays of all PLRs are concatenated and flattened.
         leaf_parameters: Distinct rows of all leaves' parameters, laid out as in :class:`Tables`.
-        shapes: Shape of one PLR's array in ``arrays``, or None if all have the same array.
-        structure: Pytree structure of a PLR's tables without those of its leaves.
+        shapes: For each of the ``arrays``, its shape for one PLR, or None if all PLRs share it.
+        structure: Pytree structure of a PLR's tables without its leaves.
         first_bits: Number of index bits of the first level of the trie.
     """
 
@@ -150,7 +159,7 @@ class _SameShapeGroup:
 
     @classmethod
     def of(cls, plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_SameShapeGroup":
-        # 1. Share the arrays of domains and foldings that are equal; flatten the others.
+        # 1. Share the arrays of domains and symmetries that are equal; flatten the others.
         columns = zip(*map(jax.tree_util.tree_leaves, frames), strict=True)
         arrays, shapes = [], []
         for column in (list(map(np.asarray, column)) for column in columns):
@@ -160,7 +169,7 @@ class _SameShapeGroup:
         # 2. Deduplicate rows of leaf parameters, by a hash of their bits.
         rows, distinct, num_rows = [], [], 0
         for plr, each in zip(plrs, tables, strict=True):
-            # With pages, the first slots are the leaves themselves.
+            # In paged tables, parameters are stored by slot, and the first slots are the leaves themselves.
             count, numbers = each.leaf.num_leaf_parameters(each.dim), np.asarray(each.leaf_parameters)
             of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
             key = np.zeros(plr.num_leaves, np.uint64)
@@ -182,7 +191,7 @@ class _SameShapeGroup:
         )
 
     def pick(self, which: UInt32[AnyArray, "*batch"]) -> Tables:
-        """Return lookup tables with which each point is looked up in PLR number ``which`` of the group."""
+        """Return lookup tables for a batch in which each point has its own PLR, number ``which`` of the group."""
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(self.arrays, self.shapes, strict=True)
@@ -195,16 +204,16 @@ class _SameShapeGroup:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PLRStack:
-    """Many PLRs as one function: ``f(index, x)`` is the distance at each point by the PLR with that index.
+    """Many PLRs as one function: ``f(index, x)`` evaluates PLR number ``index`` at each point.
 
-    Made by :func:`stack`. It is a pytree of arrays: a jitted function can close over it or take it as an argument,
-    also under ``jax.vmap`` and ``jax.grad``. Stacks with equally many PLRs of one leaf model and similar size share
-    compiled code.
+    :func:`stack` makes stacks. A stack is a pytree of arrays: a jitted function can close over it or take it as an
+    argument, also under ``jax.vmap`` and ``jax.grad``. Stacks with equally many PLRs of one leaf model and similar
+    size share compiled code.
 
     Attributes:
-        groups: Merged tables of PLRs of one leaf model whose other arrays have equal shapes.
+        groups: Merged tables of PLRs of one leaf model whose domains and symmetries have arrays of equal shapes.
         group, place: Group of each PLR, and its index in that group.
-        corners: Origin of each PLR's tables, as three 32-bit floats that add up to it; None if all are 0.
+        corners: Origin of each PLR's tables, as three 32-bit floats that add up to it; None if all origins are 0.
         unresolved: Float types that are too coarse to tell points of some domain apart.
     """
 
@@ -219,17 +228,17 @@ class PLRStack:
         return self.group.shape[0]
 
     def __call__(self, index: ArrayLike, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
-        """Return the distance at each point by the PLR of its index.
+        """Evaluate the PLR with the given index at each point.
 
         Args:
             index: Indices of PLRs, integers of a shape that broadcasts with the batch.
-            x: Points, ``(..., dim)``, NumPy or JAX. If a domain is far from the origin and ``index`` is NumPy too,
-                NumPy points are made relative to a corner of the domain in 64 bits.
+            x: Points, ``(..., dim)``, NumPy or JAX. If a domain is far from the origin, ``index`` and ``x`` should be
+                NumPy arrays outside of ``jit``: then points are shifted to a corner of the domain in 64 bits.
             outside: Answer outside the PLR's domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`.
 
         Returns:
-            Distances, in the broadcast shape of index and batch, equal to the PLR's own up to rounding. NaN for
-            indices that are negative or too large.
+            Distances, in the broadcast shape of index and batch, equal up to rounding to those of the single PLRs;
+            NaN for indices that are negative or too large.
 
         Raises:
             ValueError: If the last axis of ``x`` is not ``dim`` long, ``index`` is not of integers, or ``outside`` is
@@ -262,17 +271,15 @@ class PLRStack:
 def stack(plrs: Sequence[PLR]) -> PLRStack:
     """Combine many PLRs into one function of index and point, ``stack(plrs)(index, x)``, which is a pytree.
 
-    It is fastest if all PLRs have one leaf model; otherwise every point reads the tables of each model. To evaluate
-    one PLR for each robot of a team, use :meth:`PLR.stack`.
+    A stack is fastest if all PLRs have one leaf model; otherwise every point reads the tables of each model. To
+    evaluate one PLR for each robot of a team, use :meth:`PLR.stack`.
 
     Args:
         plrs: At least one PLR, of any leaf models and sizes, all of one dimension.
 
-    Returns:
-        The function.
-
     Raises:
-        ValueError: If ``plrs`` is no such list, or all tables together are too large for 32-bit indices.
+        ValueError: If ``plrs`` is no list of such PLRs, a PLR's leaves are too deep, or all tables together are too
+            large for 32-bit indices.
     """
     plrs = as_plrs(plrs)
     if len(dims := {plr.dim for plr in plrs}) != 1:
@@ -334,18 +341,18 @@ def _evaluate(stacked: PLRStack, index: AnyArray, x: AnyArray, outside: Outside)
 def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
     """Return the approximate distance at each point (Putman et al., Section III-A); the same as ``plr(x)``.
 
-    Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is that of the leaf's function; it is finite
-    everywhere and 0 where the distance is ``inf``. It is arbitrary where a coordinate is NaN. An optimizer that may
+    Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is the gradient of the leaf's function. It is
+    finite everywhere, 0 where the distance is ``inf``, and arbitrary where a coordinate is NaN. An optimizer that may
     leave the domain should pass ``outside="clamp"``, so that a descent step leads back::
 
         step = jax.grad(lambda x: plr(x, outside="clamp"))(x)
 
-    Outside of ``jit``, NumPy answers the first small batches of each shape, to the same bits as compiled code. Shapes
-    that are asked often are compiled.
+    Outside of ``jit``, NumPy computes the first small batches of each shape, with the same bits as compiled code. The
+    query is compiled for shapes that are used often.
 
-    ``jax.export`` turns a query into a program that runs without this package, for batches of any size. It takes some
-    hundred kilobytes and needs the package ``flatbuffers``. Close over the PLR or pass the leaves of
-    ``jax.tree.flatten(plr)``, as a program that takes the PLR itself cannot be serialized::
+    ``jax.export`` turns a query into a program that runs without this package, for batches of any size. The program
+    takes a few hundred kilobytes, and exporting needs the package ``flatbuffers``. Close over the PLR or pass the
+    leaves of ``jax.tree.flatten(plr)``, since a program that takes the PLR itself cannot be serialized::
 
         n, dim = jax.export.symbolic_shape("n, 2")
         exported = jax.export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))
@@ -362,11 +369,11 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
             axis, no finite coordinate is outside.
 
     Returns:
-        Distances of shape ``(...)``. A PLR never tests collision: every point of the closed domain gets a finite
-        value, also in obstacles. Exceptions are leaves from which the goal cannot be reached and that touch no leaf
-        from which it can: they answer ``inf``, except cones, which are always finite. NaN coordinates give NaN. The
-        upper edge of the domain belongs to the last cell; along a periodic axis it is the lower edge. Near the goal,
-        values may be slightly negative.
+        Distances of shape ``(...)``. A PLR never tests collision: points of the closed domain mostly get a finite
+        value, also in obstacles. The value is ``inf`` in a leaf from which the goal cannot be reached and that
+        touches no leaf from which it can; cones are always finite. NaN coordinates give NaN. The upper edge of the
+        domain belongs to the last cell; along a periodic axis it is the lower edge. Near the goal, values may be
+        slightly negative.
 
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long, ``x`` is not real, or ``outside`` is invalid; or if

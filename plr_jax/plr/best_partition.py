@@ -1,8 +1,8 @@
-"""Find the partition by repeated halving, without very narrow boxes, that minimizes error plus a price per leaf.
+"""Find the best partition of the plane for cones: the tree of halved boxes that minimizes error plus a price per leaf.
 
-Dynamic programming works upward from the smallest boxes: a box is a leaf, or is halved along the cheaper axis. The
-price falls, and more boxes are computed, until the best tree exceeds its limits. Then the lowest price within the
-limits is found by interpolation.
+Dynamic programming works upward from the smallest boxes: a box is a leaf, or is halved along the axis of lower cost.
+Very narrow boxes are excluded. The price is lowered, and more boxes are computed, until the best tree exceeds the
+limits. Then interpolation finds the lowest price at which the tree is within the limits.
 
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
@@ -20,20 +20,20 @@ from plr_jax.plr.growth import Limits, check_memory
 from plr_jax.plr.tree import MAX_DEPTH, Cells
 
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
-# Weight of a box's largest error beside the integral of its error, in units of an average leaf's volume.
+# Weight of a box's largest error in its cost, beside the integral of its error; in volumes of an average leaf.
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
 BOXES_PER_BATCH = 1 << 14
-UNKNOWN, PRUNED = -1, -2  # in place of the index of a half: not computed yet, or excluded to save time
+UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or excluded to save time
 
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes of one level that a search has computed, each once; their halves are in the next level.
+    """The boxes that a search has computed after an equal number of halvings; their halves are in the next level.
 
     Attributes:
         boxes: Boxes in the plane and their errors as leaves, such as ``ConeBoxes``.
         key: A key that identifies each box.
-        child: Index of each box's halves in the next level, by axis, half and box; ``UNKNOWN`` or ``PRUNED`` if none.
+        child: Index of each box's halves in the next level, by axis, half and box, or ``UNKNOWN`` or ``PRUNED``.
     """
 
     boxes: Any
@@ -64,13 +64,13 @@ def expand(
 ) -> None:
     """Compute the halves of all boxes that may be split at a price, level by level, and add them to ``levels``.
 
-    ``price`` has a price for each box of the first level, which its halves inherit; ``inf`` excludes a box. Halves
-    are pruned if they cost more than ``margin`` times the halves along the other axis. Largest errors have the weight
-    ``least_share`` in costs, and ``share`` in that comparison.
+    ``price`` has a price per leaf for each box of the first level, which its halves inherit; ``inf`` excludes a box.
+    Halves are pruned if they cost more than ``margin`` times the halves along the other axis. In costs, largest
+    errors have the weight ``least_share``; in the comparison for pruning, they have the weight ``share``.
 
-    A split of a box into two leaves costs one price more than the box as a leaf. A half is of use only if the box's
-    part of the tree then costs less than the box as a leaf, or less than parents allow. So ``most`` bounds the useful
-    cost of each box without one price, and boxes are split only if two prices are less than ``most`` plus one.
+    A box that is halved has at least two leaves, so it pays two prices where a leaf pays one. ``most`` is the largest
+    cost of each box, one price apart, with which the box can be part of a better tree. Boxes are halved only if their
+    error and ``most`` exceed one price.
     """
     most = np.full(len(price), np.inf)
     for depth in range(limits.max_depth):
@@ -130,25 +130,25 @@ def _add_halves(
         level.child[axis[some], is_upper[some].astype(int), parent[some]] = place
 
 
-# Price schedule. A round multiplies the price by a factor between these two.
+# How prices are chosen. A round multiplies the price by a factor between the first two numbers.
 _LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7
-_RATE_STEP = 8.0  # factor of the price for estimating how the number of leaves depends on it
-_MUCH_ROOM = 8.0  # if the limits allow this many times more leaves, the price falls as far as it may
+_RATE_STEP = 8.0  # trees at two prices of this ratio show how the number of leaves depends on the price
+_MUCH_ROOM = 8.0  # if the limits allow this many times more leaves, the price falls by the largest drop
 _BEYOND = 1.15  # near the limits, the next tree should exceed them by this factor
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # guess: price ~ leaves**-2.2; this many leaves or more count as unlimited
-_FIRST_SHARE = 0.25  # share of the limits at which the first price aims, as the guess is rough
+_FIRST_SHARE = 0.25  # the first price aims at this share of the limits, since the guess is rough
 _BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # estimated bits of one more leaf, and of a source that it needs
-_ATTEMPTS, _FULL = 12, 0.997  # prices to try between two trees; used share of the limits that is enough
-_HIGH = 1e300  # a price at which no box is halved that may be a leaf
-_LAST = 1e-12  # factor of the price once all boxes are known; above 0, so that ties go to the smaller tree
+_ATTEMPTS, _FULL = 12, 0.997  # most prices to try between two trees; stop once this share of the limits is used
+_HIGH = 1e300  # a price at which boxes are halved only if their cost as a leaf is infinite
+_LAST = 1e-12  # factor of the price once all boxes are known; above 0, so that the smaller of equal trees is chosen
 
 Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
-"""For each level, from the first on, the indices of the boxes that are leaves of a tree."""
+"""For each level, starting with the first, the indices of the boxes that are leaves of a tree."""
 
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """The best tree at a price per leaf; nodes and leaves are level by level.
+    """The best tree at a price per leaf; its nodes and leaves are listed level by level.
 
     Attributes:
         axes: Split axis of each node; -1 for a leaf.
@@ -168,17 +168,17 @@ class PricedTree:
 
 
 class SelectedBoxes(NamedTuple):
-    """Boxes of one level that a tree may contain; ``child`` has indices into such boxes of the next level."""
+    """Boxes of one level that a tree may contain; ``child`` has indices into the next level's selected boxes."""
 
     box: Int[np.ndarray, "own"]
     child: Int[np.ndarray, "2 2 own"]
 
 
 class PriceSearch:
-    """A search for the largest optimal tree, from the only box of the first level, whose file is within the limits.
+    """A search for the largest optimal tree within the limits, whose root is the only box of the first level.
 
-    ``size(tree)`` returns the bytes of a tree's file. ``num_sources``, the number of points where leaves may put a
-    cone's apex, improves the first price.
+    ``size(tree)`` returns the bytes of a tree's file. ``num_sources`` is the number of points that may be the apex of
+    a leaf's cone; it only affects the choice of the first price.
     """
 
     def __init__(
@@ -207,7 +207,7 @@ class PriceSearch:
         return larger if self._share(larger) <= 1 else self._largest(now, larger, least_share)
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
-        """Return the next price, expected to give a larger tree, and the weight of largest errors in costs."""
+        """Return the next price, for a larger tree, and the weight of largest errors in costs."""
         # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
@@ -250,9 +250,9 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, least_share: float) -> bool:
-        """Select the boxes that the first one gives if all boxes that cost more than ``price`` are halved.
+        """Select the boxes that result from the first box if every box that costs more than ``price`` is halved.
 
-        Return whether no selected box of a cost above 0 may still be halved, so that no lower price selects more.
+        Return whether the selection is complete: no lower price would halve more of the selected boxes.
         """
         here, own, is_all = np.zeros(1, np.int64), [], True
         for depth, level in enumerate(self.levels):
@@ -298,7 +298,7 @@ class PriceSearch:
 def best_axes(
     levels: list[BoxLevel], own: list[SelectedBoxes], price: float, least_share: float
 ) -> list[Int[np.ndarray, "own"]]:
-    """Return each box's best split axis (-1: leaf), level by level, by dynamic programming from the smallest up."""
+    """Return each box's best split axis, or -1 for a leaf, by dynamic programming from the smallest boxes upward."""
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
         total, choice = level.costs(least_share)[box] + price, np.full(len(box), -1)

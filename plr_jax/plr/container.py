@@ -1,4 +1,7 @@
-"""The container of PLR files: header, layers of bits and checksums, laid out as ``portable/FORMAT.md`` says."""
+"""The outer structure of PLR files: header, checksums, and layers of bits whose content is opaque here.
+
+``portable/FORMAT.md`` describes the layout. ``_file.py`` encodes the leaves in a layer.
+"""
 
 import os
 import struct
@@ -19,17 +22,15 @@ from plr_jax.plr.folding import Folding
 
 VERSION = 5
 PAIRS_CODE = 7
-"""Takes the place of the leaf model's code in files of distances between pairs of points."""
+"""Code of files of distances between pairs of points, in place of a leaf model's code."""
 MOST_LABEL_BYTES = 1000
-MOST_BYTES = 2**28
-"""Largest size of a file in bytes."""
-MOST_AXES = 255
-"""Most axes of a domain."""
+MOST_BYTES = 2**28  # largest size of a file
+MOST_AXES = 255  # most axes of a domain
 MAGIC = b"P\xb5"
 """First bytes of every file of this version."""
 GRID_MAGIC = b"PGP\n"
 """First bytes of files of distances between cells of a grid (see ``pairs/grid_pairs.py``)."""
-_EARLIER = b"PLR\n", b"CPL\n"  # magic of earlier versions
+_EARLIER = b"PLR\n", b"CPL\n"  # first bytes of files of earlier versions
 MOST_LAYERS = 32
 _MOST_IN_BITS = 15  # most axes that fit into four bits of the header's first byte
 _FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7  # flags in the header's second byte
@@ -38,7 +39,7 @@ _CRC = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a file: a leaf model's code, the encoded leaves (``body``) and the code of a kind of proof."""
+    """A layer of a file: the encoded leaves (``body``), with the codes of their leaf model and their kind of proof."""
 
     leaf_code: int
     body: bytes
@@ -79,7 +80,7 @@ class Header:
 
     @property
     def marks(self) -> tuple[int, ...]:
-        """Offsets at which the file may be cut off: the ends of all layers but the last."""
+        """Offsets at which the file may be cut off and stays valid: the ends of all layers but the last."""
         return tuple(accumulate(self.sizes, initial=len(self.data)))[1:]
 
     @staticmethod
@@ -122,7 +123,7 @@ class Header:
 
 @dataclass(frozen=True)
 class Container:
-    """The header and layers of a file; if the file is cut off after a layer, ``layers`` are the complete ones."""
+    """The header and layers of a file; a file that was cut off after a layer has fewer layers."""
 
     domain: Box
     layers: tuple[Layer, ...]
@@ -135,7 +136,7 @@ class Container:
 
     @property
     def folded_domain(self) -> Box:
-        """Box that the leaves partition: the box of mirrored points if there is a ``folding``, else the domain."""
+        """Box that the leaves partition: the box of mirrored points if the file has mirrors, else the domain."""
         return self.domain if self.folding is None else self.folding.box
 
     def to_bytes(self) -> bytes:
@@ -158,7 +159,7 @@ class Container:
         start, crc, layers = len(header.data), zlib.crc32(header.data), []
         for end in (*header.marks, len(data)):
             if layers and start == len(data):
-                break  # cut off at a mark
+                break  # the file was cut off after a layer
             is_last = len(layers) == len(header.sizes)
             if not start + (not is_last) + _CRC.size <= end <= len(data):
                 raise ValueError("the data end too early")
@@ -183,11 +184,11 @@ def require_label(label: str) -> None:
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
-    """Return the size in bytes of header and checksum in a file with one layer."""
+    """Return the size in bytes of header and checksum of a file with one layer."""
     return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
 
 
-_START = 2**12  # bytes read before the magic is checked
+_START = 2**12  # bytes that are read before the first bytes are checked
 
 
 def holds_pairs(data: bytes) -> bool:
@@ -196,10 +197,10 @@ def holds_pairs(data: bytes) -> bool:
 
 
 def read_bytes(path: str | os.PathLike) -> bytes:
-    """Read a file, but at most ``MOST_BYTES + 1`` bytes, and only its start if that is not a PLR file's."""
+    """Read at most ``MOST_BYTES + 1`` bytes of a file, and only its start if it does not start like a PLR file."""
     with open(path, "rb") as file:
         data = file.read(_START)
-        if data.startswith((MAGIC, GRID_MAGIC)):  # any other file may be endless, such as a device
+        if data.startswith((MAGIC, GRID_MAGIC)):  # another file may be endless, such as a device
             data += file.read(MOST_BYTES + 1 - len(data))
         return data
 
@@ -208,13 +209,13 @@ _ORTHOGONAL = 1e-9  # tolerance for entries of ``axes @ axes.T``
 
 
 def folding_to_bytes(folding: Folding) -> bytes:
-    """Encode a folding, a map of points by mirror symmetries; floats are little-endian.
+    """Encode a folding, which maps points by mirror symmetries; floats are little-endian.
 
     f64     the center
     u8      1 if the folded axes are rotated, else 0
     f64     the axes row by row, if they are rotated
     u8      number of mirrors
-    u8      for each mirror, one byte per axis: 1 if it reverses the axis; then a zero per axis
+    u8      for each mirror, one byte per axis: 1 if the mirror reverses the axis; at the end, a zero per axis
     """
     marks = np.array([*folding.mirrors, (0,) * folding.domain.dim], np.uint8)
     axes = folding.axes.astype("<f8").tobytes() if folding.is_turned else b""
@@ -252,9 +253,9 @@ def _flags(data: bytes) -> Bool[np.ndarray, "n"]:
     return numbers == 1
 
 
-_MOST_DECIMALS = 22  # largest power of ten that a 64-bit float holds exactly
-_LARGEST = 2**53  # up to here, 64-bit floats hold all integers exactly
-_EXACT = Context(prec=40, traps=[])  # overrides the caller's context; coordinates have at most 17 digits
+_MOST_DECIMALS = 22  # 10**22 is the largest power of ten that a 64-bit float holds exactly
+_LARGEST = 2**53  # 64-bit floats hold all integers up to this one exactly
+_EXACT = Context(prec=40, traps=[])  # used instead of the caller's context; coordinates have at most 17 digits
 
 
 def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
@@ -263,7 +264,7 @@ def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
         decimals  u8   number of decimals ``d``; then signed varints, each a coordinate times ``10**d``
         floats    f64  the coordinates, little-endian
 
-    The lower corner comes first, then the upper; along periodic axes the two ends are swapped.
+    The lower corner comes before the upper corner; along periodic axes both coordinates are swapped.
     """
     first, second = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi))
     numbers = np.concatenate([first, second])
@@ -294,7 +295,7 @@ def _decimals(numbers: list[float]) -> bytes | None:
     integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]
     if decimals > _MOST_DECIMALS or max(map(abs, integers)) > _LARGEST:
         return None
-    # Integers have no negative zero, but a box treats both zeros alike.
+    # The decimal form of -0.0 decodes to 0.0, which is equal and makes the same box.
     if [integer / float(10**decimals) for integer in integers] != numbers:
         return None
     return bytes([decimals]) + b"".join(map(signed_varint, integers))
@@ -304,13 +305,13 @@ _SIZE_BYTES = 4
 
 
 class FileBacked:
-    """A base class of objects stored as the bytes of a file: PLRs, and distances between any two points."""
+    """A base class of objects that keep the bytes of their file: PLRs, and distances between any two points."""
 
     tables: Any
     file: Any
 
     def to_bytes(self) -> bytes:
-        """Return the bytes that :func:`save` writes; ``ValueError`` if arrays of several objects were stacked."""
+        """Return the bytes that :func:`save` writes; ``ValueError`` if the arrays of several objects are stacked."""
         if np.ndim(self.file) != 1:
             raise ValueError(
                 f"to_bytes needs a single object, but its arrays are stacked: file has shape {self.file.shape}."
@@ -326,14 +327,14 @@ class FileBacked:
     def label(self) -> str:
         """Text that the file's author attached, such as the names of map and goal; empty if there is none.
 
-        The text is not sanitized: it may contain control characters that a terminal obeys.
+        The text may contain control characters, which a terminal would obey.
         """
         return Header.read(self.to_bytes()).label
 
     def with_label(self, label: str) -> Any:
-        """Return a copy with another label; answers do not change.
+        """Return a copy that gives the same answers and whose file stores another label.
 
-        The label is a text of at most 1,000 bytes in UTF-8, else ``ValueError`` is raised. The file stores it.
+        ``ValueError`` unless the label is a text of at most 1,000 bytes in UTF-8.
         """
         require_label(label)
         if label == self.label:
@@ -343,14 +344,14 @@ class FileBacked:
 
     @property
     def resident_bytes(self) -> int:
-        """Bytes of the lookup tables that a query reads."""
+        """Memory in bytes of the lookup tables that a query reads."""
         import jax  # only needed here
 
         return sum(array.nbytes for array in jax.tree_util.tree_leaves(self.tables))
 
 
 def padded_file(data: bytes) -> UInt8[np.ndarray, "padded"]:
-    """Return an array of a file's bytes, zeros up to a power of two, and at its end the number of bytes (4 bytes)."""
+    """Return a file's bytes as an array padded with zeros to a power of two; the last 4 bytes are the file's size."""
     file = padded(np.frombuffer(data, np.uint8), padded_size(len(data) + _SIZE_BYTES))
     file[-_SIZE_BYTES:] = np.frombuffer(len(data).to_bytes(_SIZE_BYTES, "little"), np.uint8)
     return file

@@ -1,8 +1,9 @@
-"""Grow a partition best-first (Algorithm 1 of the paper): rules, limits, and the choice of the final leaves.
+"""Grow the partition of a PLR by splitting its worst leaves (Algorithm 1 of the paper), within the user's limits.
 
-Each round splits many leaves at once; splits beyond the limits are undone at the end. The tree is the same as if a
-priority queue split one leaf at a time. Under a byte budget, the final tree is a prefix of the split order, chosen
-together with the number of bits for each coefficient.
+The module has the rules that decide which leaves to split along which axis, and the limits of a construction. Each
+round splits many leaves at once; splits beyond the limits are undone at the end. The tree is the same as if a
+priority queue split one leaf at a time. Under a byte budget, the final tree has the first splits in the order of that
+queue; their number is chosen together with the number of bits for each coefficient.
 """
 
 import os
@@ -23,14 +24,12 @@ from plr_jax.plr.sampling import CellFit, Sampler, normal_matrices, solve_planes
 from plr_jax.plr.tree import Cells, Rows
 
 DEFAULT_MAX_LEAVES = 512
-_BYTES_A_NODE = 200  # of memory, during construction
-
-GrowingTree = TypeVar("GrowingTree", bound=Sized)
-"""A partition under construction; its length is its number of leaves."""
+_BYTES_A_NODE = 200  # memory of a node during construction
+GrowingTree = TypeVar("GrowingTree", bound=Sized)  # a partition; its length is its number of leaves
 
 
 class BudgetTooSmall(ValueError):
-    """An error: a byte budget is too small even for one leaf, whose file takes ``num_bytes``."""
+    """An error: a byte budget is too small even for a single leaf, whose file takes ``num_bytes``."""
 
     def __init__(self, max_bytes: float, num_bytes: int):
         super().__init__(max_bytes, num_bytes)  # all arguments, for pickling
@@ -42,15 +41,15 @@ class BudgetTooSmall(ValueError):
 
 
 class ConstructionInterrupted(UserWarning):
-    """A warning: an interrupt (Ctrl-C) ended a construction early, and the result is the PLR built so far."""
+    """A warning that an interrupt (Ctrl-C) ended a construction early; the result is what was built so far."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """The limits of a construction: see :func:`construct`.
+    """The limits of a construction, mostly arguments of :func:`construct`.
 
-    ``max_axis_depth`` limits the halvings along one axis, and so the size of query tables. ``frame_bytes`` are the
-    bytes of a file besides its bit stream.
+    ``max_axis_depth`` limits how often a cell is halved along one axis, and so the size of lookup tables.
+    ``frame_bytes`` is the size of a file without its bit stream of leaves and proof.
     """
 
     max_depth: int
@@ -62,7 +61,7 @@ class Limits:
     frame_bytes: int
 
     def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
-        """Return the largest size, in bytes, of a file whose leaves take ``num_bits`` bits, including its proof."""
+        """Return the largest size, in bytes, of a file with its proof, if its leaves take ``num_bits`` bits."""
         of_proof = self.proof.num_bits(num_leaves, body_size(dim, num_leaves, num_bits))
         return self.frame_bytes + body_size(dim, num_leaves, num_bits + of_proof)
 
@@ -76,15 +75,16 @@ def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
         raise ValueError(
-            f"The limits allow {num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB; "
-            f"this machine has {memory / 2**30:.3g}. Reduce max_depth, max_leaves or max_bytes, or set a tolerance."
+            f"The limits allow {num_nodes / 2:.3g} leaves or more, which need about {needed / 2**30:.3g} GiB of "
+            f"memory; this machine has {memory / 2**30:.3g}. Reduce max_depth, max_leaves or max_bytes, or set a "
+            "tolerance."
         )
 
 
 def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | None], limits: Limits) -> GrowingTree:
     """Call ``split_some`` repeatedly until it returns None instead of a larger tree; return the last tree.
 
-    An interrupt (Ctrl-C) loses only the current round, and gives a ``ConstructionInterrupted`` warning.
+    An interrupt (Ctrl-C) discards only the current round, and issues a ``ConstructionInterrupted`` warning.
     """
     total = limits.max_leaves if limits.max_leaves < 1e9 else None
     with tqdm(desc="construct", unit=" leaves", total=total, delay=2, leave=False, disable=None) as progress:
@@ -103,13 +103,13 @@ NEVER = -np.inf
 
 @dataclass(frozen=True, eq=False)
 class Nodes(Rows):
-    """The nodes of a growing tree, parents before children; the length is the number of leaves.
+    """The nodes of a growing tree, parents before children; ``len`` is the number of leaves.
 
     Attributes:
-        error: Mean absolute error over those samples in the node's cell that reach the goal.
+        error: Mean absolute error over the samples in the node's cell that reach the goal.
         share: Share of the domain's volume that these samples represent.
-        key: Sort key of the split: its priority, capped by the parent's key; ``-inf`` if the node may not be split.
-        child: Index of the lower child, followed by the upper one; -1 for a leaf.
+        key: Priority of splitting the node, at most its parent's key; ``-inf`` if the node may not be split.
+        child: Index of the lower child; the upper child is the next node. -1 for a leaf.
     """
 
     cells: Cells
@@ -132,7 +132,7 @@ class Nodes(Rows):
 
 
 def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
-    """Return the nodes that are or may be split, in a priority queue's order; splitting any prefix gives a tree."""
+    """Return the nodes that are split or may be split, in the order in which a priority queue would split them."""
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
 
@@ -145,7 +145,10 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Make nodes of fitted cells, with the rules' ``priority`` and ``axis``; ``bound`` has the parents' keys."""
+    """Make nodes of fitted cells, for which the split rules gave ``priority`` and ``axis``.
+
+    ``bound`` has the keys of the cells' parents.
+    """
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
@@ -183,10 +186,8 @@ def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.n
         )
 
 
-# SHOULDSPLIT and SPLIT, the two strategies of Algorithm 1.
-#
-# ``should_split`` gives every cell a priority: the leaf of the largest positive priority is split next. ``split``
-# gives the axis along which to halve a cell.
+# The rules SHOULDSPLIT and SPLIT of Algorithm 1: ``should_split`` returns a priority for each cell, and the leaf of
+# the largest positive priority is split next. ``split`` returns the axis along which to halve each cell.
 
 ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, "cells"]]
 SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
@@ -200,45 +201,48 @@ def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
     """Return each cell's largest weighted absolute error over its samples, so that the worst leaf is split first.
 
     Returns:
-        A priority for each cell, in units of distance; 0 (never split) if no sample is reachable.
+        A priority for each cell, in units of distance; 0 (never split) if the goal cannot be reached from any sample.
     """
     return np.max(fit.weight * np.abs(fit.residual), axis=1)
 
 
 def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each cell's weighted error at its center if that reaches the goal, as in Section III-B of the paper.
+    """Return each cell's weighted absolute error at its center, as in Section III-B of the paper.
 
-    If the center cannot be reached, the cell's largest sample error counts instead, so that an obstacle in the middle
-    does not hide a bad fit around it.
+    If the goal cannot be reached from the center, the cell's largest sample error is returned instead, so that an
+    obstacle in the middle does not hide a bad fit around it.
 
     Returns:
-        A priority for each cell, in units of distance; 0 (never split) if no sample is reachable.
+        A priority for each cell, in units of distance; 0 (never split) if the goal cannot be reached from any sample.
     """
     at_center = fit.weight[:, 0] * np.abs(fit.residual[:, 0])
     return np.where(fit.reachable[:, 0], at_center, largest_error(fit))
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Split every cell that has a reachable sample, breadth first, up to the limits: the paper's simplest rule.
+    """Split every cell that reaches the goal, breadth first, up to the limits: the paper's simplest rule.
 
     Returns:
-        A priority for each cell: ``inf``, or 0 if no sample is reachable.
+        A priority for each cell: ``inf``, or 0 if the goal cannot be reached from any sample.
     """
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 
 def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
-    """Return the axis whose two halves, fitted separately, have the smallest sum of squared errors.
+    """Return each cell's axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
     Returns:
-        An axis for each cell; not one that is at its depth limit, or along which the halves would be less than 1/8
-        as long as along another axis, in fractions of the domain.
+        An axis for each cell. Axes at the depth limit, and axes along which the halves would be shorter than 1/8 of
+        another side (in fractions of the domain), are chosen only if all axes are like this: then axis 0.
     """
     return best_open_axis(fit, _sum_of_squares_after_split(fit))
 
 
 def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
-    """Return each cell's axis of least cost along which halves are neither too narrow nor too deep; 0 if none is."""
+    """Return each cell's axis of least cost, among the axes along which halves are neither too narrow nor too deep.
+
+    If there is no such axis, return 0.
+    """
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
     closed |= depth >= fit.max_axis_depth
@@ -246,16 +250,12 @@ def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np
 
 
 def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
-    """Return the axes in turn, as in Section III-B of the paper: ``(n + 1) mod dim`` follows axis ``n``.
-
-    Returns:
-        An axis for each cell: its number of splits modulo ``dim``.
-    """
+    """Return each cell's number of splits modulo ``dim``: the axes take turns, as in Section III-B of the paper."""
     return fit.cells.depth.sum(axis=1) % fit.cells.dim
 
 
 def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
-    """Return the sum of squared residuals of each cell if both halves along each axis were fitted separately."""
+    """Return, for each cell and axis, the sum of squared residuals if both halves were fitted separately."""
     residual, masked = fit.residual, fit.masked
     weight = fit.weight[masked] * fit.pattern.weight
     total = row_products(np.square(residual), fit.pattern.weight)
@@ -273,20 +273,20 @@ def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
 
 
 _BYTES_SLACK = 1.15  # growth beyond the byte budget, so that more leaves of fewer bits can be chosen at the end
-_ROUNDING_SHARE = 0.2  # rounding error, as a share of the fit's error, for which sizes are estimated during growth
+_ROUNDING_SHARE = 0.2  # file sizes during growth are estimated for this ratio of rounding error to the fit's error
 _SAMPLES_AT_ONCE = 2**20
 _LAST_SHARE = 32  # if at most 1/32 as many splits are left as were made, one round makes them all
 
 FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
-"""Function from cells and their parents' keys to nodes: it samples, fits, and applies the split rules."""
+"""Function from cells and their parents' keys to nodes, which samples and fits cells and applies the split rules."""
 
 
 @dataclass(frozen=True)
 class Encoding:
-    """A file format of independently fitted leaves: possible numbers of bits, file size and rounding error.
+    """The sizes and rounding errors of files that store independently fitted leaves with different numbers of bits.
 
-    ``size`` (in bytes) and ``rounding_error`` (root mean square) are functions of nodes, the indices of leaves among
-    them, and the number of bits per center value.
+    ``choices`` are possible numbers of bits per center value. ``size`` (in bytes) and ``rounding_error`` (root mean
+    square) are functions of nodes, the indices of the leaves among the nodes, and the number of bits.
     """
 
     choices: Sequence[int]
@@ -322,11 +322,11 @@ def grow_best_first(
     """Grow a tree to its limits; return all nodes, the indices of the leaves, and the bits per stored center."""
 
     def split_some(nodes: Nodes) -> Nodes | None:
-        # Split the better half of the leaves that would be split if no better ones came up. Near the end split all of
-        # them, as a round of few leaves takes as long as one of many.
+        # Split half of the leaves that would be split next, since their children may be more urgent than the rest.
+        # Near the end split all of them, since a round of few leaves takes as long as a round of many.
         order = split_order(nodes)
         allowed = limits.max_leaves - 1
-        if np.isfinite(limits.max_bytes):  # estimate from the bytes per leaf so far
+        if np.isfinite(limits.max_bytes):  # estimate the number of leaves from the bytes per leaf so far
             leaf = nodes.leaves_of_splits(order[nodes.child[order] >= 0][:allowed])
             enough = _ROUNDING_SHARE * _fit_error(nodes, leaf)
             bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - enough))
@@ -350,7 +350,7 @@ def grow_best_first(
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Int[np.ndarray, "leaves"], int]:
     """Choose the leaves, and the bits per stored center value, of least expected error within the limits.
 
-    For each number of bits, only the longest prefix of the split order that fits is considered.
+    For each number of bits, only the tree with the most splits that fits into the limits is considered.
     """
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
@@ -367,7 +367,7 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[In
         return nodes.leaves_of_splits(order[: enough - 1]) if enough else np.empty(0, np.int64)
 
     def expected_error(leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
-        # as if errors of fit and rounding were independent
+        # Errors of fit and rounding are combined as if they were independent.
         return np.hypot(_fit_error(nodes, leaf), encoding.rounding_error(nodes, leaf, bits)) if len(leaf) else np.inf
 
     within = [(most_leaves(bits), bits) for bits in encoding.choices]

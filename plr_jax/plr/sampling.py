@@ -1,4 +1,4 @@
-"""Sample the distance function in cells, and fit a plane to the samples of each cell."""
+"""Sample the distance function in the cells of a growing partition, and fit a plane to the samples of each cell."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -18,12 +18,12 @@ from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells, Rows
 
 _RANK_TOLERANCE = 1e-9  # relative size of singular values that count as zero
-_FACE_WEIGHT = 0.01
+_FACE_WEIGHT = 0.01  # fit weight of samples on faces and corners; samples inside have weight 1
 
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """A sample pattern for all cells: local coordinates ``u``, in which ``[-1, 1]`` spans a cell, and fit weights."""
+    """The places of samples in every cell: local coordinates ``u``, from -1 to 1 across the cell, and fit weights."""
 
     u: Float[np.ndarray, "k dim"]
     weight: Float[np.ndarray, "k"]
@@ -42,21 +42,22 @@ class Pattern:
 
     @cached_property
     def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """The matrix from the values at all samples to the least-squares plane, ``[center half]``."""
+        """The matrix that maps the values at all samples to the least-squares plane ``[center half]``."""
         root = np.sqrt(self.weight)
         return np.linalg.pinv(self.design * root[:, None]) * root
 
     @cached_property
     def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis, the design matrix of two planes, in the lower and the upper half of a cell, side by side."""
+        """For each axis, the design matrix of separate planes in the lower and the upper half of a cell."""
         uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
         return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis, an orthonormal basis of the functions that are a plane in each half, times the weights.
+        """For each axis, an orthonormal basis of the functions that are a plane in each half of a cell.
 
-        ``np.square(values @ basis).sum()`` is the part of the weighted sum of squared values that two planes explain.
+        The basis includes the fit weights: two planes explain ``np.square(values @ basis).sum()`` of the weighted sum
+        of squared values.
         """
         root = np.sqrt(self.weight)[:, None]
         bases = []
@@ -70,8 +71,9 @@ class Pattern:
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
     """Make a pattern of samples in a cell: its center, Sobol points inside and on faces, and its corners if few.
 
-    A third of the samples lie on the faces. They detect slivers of free space behind a wall, and the corners where a
-    distance deviates most from its plane; their small weight hardly shapes the fit. A margin scales all coordinates.
+    A third of the samples lie on the faces. They detect slivers of free space behind a wall, and the large errors
+    that are frequent at the ends of a cell. Their weight is so small that the fit hardly changes. A ``margin`` moves all
+    samples outward: it scales coordinates by ``1 + 2 * margin``.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
@@ -86,7 +88,7 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
 
 
 def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndarray, "n dim"]:
-    from scipy.stats import qmc  # takes a third of a second
+    from scipy.stats import qmc  # the import takes a third of a second
 
     exponent = max(num_points - 1, 0).bit_length()
     return 2 * qmc.Sobol(dim, rng=rng).random_base2(exponent)[:num_points] - 1
@@ -94,19 +96,19 @@ def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndar
 
 # COMPUTECOEFFICIENTS of Algorithm 1: batched least squares.
 #
-# In the local coordinates ``u`` of a cell (``[-1, 1]`` along every axis) a plane is ``L(u) = center + half . u``: its
-# center value and its half-differences. All cells without unreachable samples have the same design matrix, so one
-# pseudo-inverse serves them.
+# In the local coordinates ``u`` of a cell (from -1 to 1 along every axis) a plane is ``L(u) = center + half . u``:
+# the value at the cell's center, and half of the rise across the cell along each axis. Cells whose samples all reach
+# the goal have the same design matrix and share one pseudo-inverse.
 
-# Ridge on the slope, relative to the sum of weights. It changes determined fits by less than 1e-8, and makes the
-# slope zero along directions in which no sample varies.
+# Ridge on the slope, relative to the sum of weights. It changes a fit that samples determine by less than 1e-8, and
+# makes the slope zero along directions in which no sample varies.
 _RIDGE = 1e-9
 
 FitRule: TypeAlias = Callable[
     [Pattern, Float[np.ndarray, "cells k"], Float[np.ndarray, "cells k"]],
     tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]],
 ]
-"""COMPUTECOEFFICIENTS: function from pattern, values and weights to center values and half-differences."""
+"""COMPUTECOEFFICIENTS: function that fits planes, with arguments and results as :func:`least_squares`."""
 
 
 def least_squares(
@@ -114,8 +116,8 @@ def least_squares(
 ) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
     """Fit each cell's plane by weighted least squares, which gives small mean errors: the paper's fit.
 
-    Each sample counts by the pattern's weight times ``weight``. If the samples of positive weight do not determine
-    the plane, the slope of least norm is used: a single sample gives a constant, no sample gives zero.
+    The weight of a sample is the pattern's weight times ``weight``. If the samples of positive weight do not
+    determine the plane, the slope has the least norm: a single sample gives a constant plane, no sample gives zero.
 
     Args:
         pattern: The sample pattern.
@@ -123,7 +125,8 @@ def least_squares(
         weight: Weight of each sample, >= 0; 0 where the goal cannot be reached.
 
     Returns:
-        The values at the cells' centers ``(cells,)``, and half of the rise across the cells by axis ``(cells, dim)``.
+        Values at the cells' centers ``(cells,)``, and half of the rise across each cell along each axis
+        ``(cells, dim)``.
 
     References:
         Section III-A of the paper.
@@ -137,7 +140,6 @@ def least_squares(
 
 
 def masked_cells(weight: Float[np.ndarray, "cells k"]) -> Int[np.ndarray, "masked"]:
-    """Return the cells with a sample whose weight is not 1."""
     differs = weight != 1
     return np.flatnonzero(differs.any(axis=1)) if differs.any() else np.zeros(0, np.int64)
 
@@ -153,7 +155,10 @@ def normal_matrices(
 def solve_planes(
     normal: Float[np.ndarray, "cells terms terms"], projection: Float[np.ndarray, "cells terms"]
 ) -> Float[np.ndarray, "cells terms"]:
-    """Solve the normal equations of planes; slopes are zero along directions in which no sample varies."""
+    """Solve the normal equations of planes; slopes are zero along directions in which no sample varies.
+
+    ``normal`` is overwritten.
+    """
     terms, total = normal.shape[-1], normal[:, 0, 0].copy()
     ridge = np.where(total > 0, _RIDGE * total, 1.0)
     normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
@@ -161,7 +166,7 @@ def solve_planes(
     return np.linalg.solve(normal, projection[..., None])[..., 0]
 
 
-_FEW_A_TERM = 2  # up to this many reachable samples per coefficient, a plane may fit by chance
+_FEW_A_TERM = 2  # up to this many samples per coefficient that reach the goal, a plane may fit by chance
 
 WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 
@@ -174,10 +179,10 @@ class CellFit(Rows):
         cells: The cells.
         pattern: The sample pattern; its first sample is the center.
         max_axis_depth: Largest number of halvings of a cell along one axis.
-        reachable: Which samples reach the goal, ``(cells, k)``.
-        weight: The caller's weight of each sample; 0 where the goal cannot be reached.
+        reachable: Whether each sample reaches the goal, ``(cells, k)``.
+        weight: Error weight of each sample (``weight_fn``, or 1); 0 where the goal cannot be reached.
         value: Sampled distance; 0 where the goal cannot be reached.
-        center: Value of the plane at the cell's center; ``inf`` for a cell without a reachable sample.
+        center: Value of the plane at the cell's center; ``inf`` for a cell without a sample that reaches the goal.
         half: Half of the plane's rise across the cell along each axis, ``(cells, dim)``.
         residual: Sampled distance minus the cell's function (the plane, unless the leaf model fits another function);
             0 where the goal cannot be reached.
@@ -203,12 +208,11 @@ class CellFit(Rows):
 
     @property
     def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
-        """Whether so few samples of a cell reach the goal that a plane may fit by chance, and hide its error."""
+        """Whether so few samples of a cell reach the goal that a plane may fit them by chance, and hide its error."""
         return self.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + self.cells.dim)
 
     @property
     def can_split(self) -> Bool[np.ndarray, "cells"]:
-        """Whether each cell may still be halved along some axis."""
         return np.any(self.cells.depth < self.max_axis_depth, axis=1)
 
     @property
@@ -219,7 +223,13 @@ class CellFit(Rows):
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """A function that samples and fits cells; the dense pattern is for cells in which few samples reach the goal."""
+    """A function that samples the distance in cells and fits planes.
+
+    Attributes:
+        weight_fn: Error weights of points; None: 1.
+        dense_pattern: Pattern for cells in which few samples of ``pattern`` reach the goal.
+        memory: Cache that gives exact distances in cells of the plane; None: call ``distance_fn``.
+    """
 
     distance_fn: DistanceFn
     domain: Box
@@ -257,7 +267,10 @@ class Sampler:
         return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self, pieces_suffice: bool = False) -> CellFit:
-        """Sample the domain as a cell; ``ValueError`` if no sample (``pieces_suffice``: nothing) reaches the goal."""
+        """Sample the domain as one cell; ``ValueError`` if no sample reaches the goal.
+
+        With ``pieces_suffice``, it is enough if ``memory`` knows free space that reaches the goal.
+        """
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces):
@@ -270,7 +283,10 @@ class Sampler:
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Give unsampled cells the tangent plane of the distance at the center of their largest free piece, if any."""
+    """Give planes to cells without a sample that reaches the goal, if ``sampler.memory`` knows free space there.
+
+    The plane is tangent to the distance at the center of the cell's largest piece of free space.
+    """
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):
         return fit
@@ -291,7 +307,7 @@ def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
 def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
     """Return checked distances at points; masked entries become ``inf``."""
     try:
-        answer = distance_fn(x.copy())  # a copy, as the function may write to its argument
+        answer = distance_fn(x.copy())  # a copy, since the function may write to its argument
     except Exception as error:
         error.add_note(
             f"distance_fn must return distances (n,) for points (n, dim); it was called with shape {x.shape}."
@@ -314,22 +330,22 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
 def weights_of_fit(
     reachable: Bool[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
 ) -> Float[np.ndarray, "cells k"]:
-    """Return the given weights; in cells whose weights are all zero, 1 for each sample that reaches the goal."""
+    """Return the given weights, except in cells whose weights are all 0: there 1 for samples that reach the goal."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 
 def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "..."], cells: Cells) -> None:
     if np.shape(center) != (len(cells),) or np.shape(half) != (len(cells), cells.dim):
         raise ValueError(
-            f"compute_coefficients must return shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), a center "
-            f"value and half-differences for each cell, got {np.shape(center)} and {np.shape(half)}."
+            f"compute_coefficients must return shapes ({len(cells)},) and ({len(cells)}, {cells.dim}), the center "
+            f"value and half of the rise along each axis of each cell, got {np.shape(center)} and {np.shape(half)}."
         )
     if any(np.ma.is_masked(part) or not np.isfinite(part).all() for part in (center, half)):
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
-    """Return error weights at folded points: the largest weight of all points that mirrors map there; 0 if none."""
+    """Return the largest error weight of all points of the domain that fold to each point ``z``; 0 if none do."""
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):
         weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])
