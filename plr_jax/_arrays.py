@@ -1,7 +1,7 @@
-"""Checks of arguments from outside, ragged arrays, and other small helpers for NumPy arrays.
+"""Check the arguments of public functions, and other small helpers for NumPy arrays: ragged arrays, padding, hashes.
 
 The ``as_...`` functions return a checked value, or raise a ``ValueError`` that calls the value by ``name``. NaN and
-infinity pass unless stated otherwise. Float64 arrays are returned without a copy.
+infinity are accepted unless stated otherwise. Float64 arrays are returned without a copy.
 """
 
 import math
@@ -23,7 +23,7 @@ _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB]
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
-    """Check a batch of points ``(n, dim)`` and return it as float64; without ``dim``, any is allowed, at least 1."""
+    """Check a batch of points ``(n, dim)`` and return it as float64; if ``dim`` is None, any ``dim >= 1`` is allowed."""
     expected = f"shape (n, {'dim' if dim is None else dim})"
     points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
@@ -34,7 +34,7 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """Check one point ``(dim,)`` and return it as float64; without ``dim``, any is allowed, at least 1."""
+    """Check one point ``(dim,)`` and return it as float64; if ``dim`` is None, any ``dim >= 1`` is allowed."""
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
@@ -43,7 +43,7 @@ def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.nd
 
 
 def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """Check that one point ``(dim,)``, such as a goal, is finite, and return a read-only copy."""
+    """Check one point ``(dim,)``, such as a goal, which must be finite; return a read-only copy."""
     point = as_point(name, value, dim).copy()
     if not np.isfinite(point).all():
         raise ValueError(f"{name} must have finite coordinates, got {point.tolist()}.")
@@ -52,7 +52,10 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
-    """Return an array as float64; ``expected`` describes it in errors. Masked entries are rejected."""
+    """Check an array of real numbers and return it as float64; ``expected`` describes it in errors.
+
+    Masked entries are rejected.
+    """
     try:
         numbers = np.asarray(value)
         if (
@@ -69,7 +72,10 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
 
 
 def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "..."]:
-    """Return query points as 32-bit or 64-bit floats; masked numbers become NaN."""
+    """Check query points ``(..., dim)`` and return them as 32-bit or 64-bit floats; masked numbers become NaN.
+
+    If ``dim`` is None, any shape is allowed.
+    """
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(np.float64), np.nan)
     try:
@@ -77,7 +83,7 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
     except ValueError as error:
         raise ValueError(f"Points must be an array of numbers, got {shortened(value)}.") from error
     is_float = points.dtype in (np.float32, np.float64)
-    if not is_float and points.dtype.name.startswith(("bfloat", "float8")):  # no floats to NumPy
+    if not is_float and points.dtype.name.startswith(("bfloat", "float8")):  # NumPy does not count these as floats
         points = points.astype(np.float32)
     if points.dtype.kind not in "iubf":
         raise ValueError(f"Points must be real numbers, got an array of {points.dtype}.")
@@ -87,14 +93,14 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
 
 
 def with_inf_for_masked(value: ArrayLike) -> ArrayLike:
-    """Replace masked distances by ``inf``, which means that the goal cannot be reached."""
+    """Replace masked distances by ``inf``: the goal cannot be reached."""
     if isinstance(value, np.ma.MaskedArray):
         return np.where(np.ma.getmaskarray(value), np.inf, value.data)
     return value
 
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
-    """Check that a function answered one number for each of ``n`` points; masked entries become ``inf``."""
+    """Check the answer of a function of ``n`` points: one number for each; masked entries become ``inf``."""
     values = as_numbers(f"{name}'s answer", with_inf_for_masked(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
         called = f"it is called with a batch of points ({n}, dim)"
@@ -103,7 +109,7 @@ def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
 
 
 def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, "n"]:
-    """Check that a test answered one boolean for each of ``n`` points; masked entries are rejected."""
+    """Check the answer of a test of ``n`` points: one boolean for each; masked entries are rejected."""
     booleans = np.asarray(value)
     if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
         masked = ", some masked" if np.ma.is_masked(value) else ""
@@ -115,7 +121,7 @@ def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, "n"]:
 
 
 def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
-    """Check the answer of a distance function like :func:`as_values`; NaN and ``-inf`` are rejected."""
+    """Check the answer of a distance function as :func:`as_values` does; NaN and ``-inf`` are rejected too."""
     distances = as_values(name, value, len(x))
     bad = np.flatnonzero(np.isnan(distances) | (distances == -np.inf))
     if bad.size:
@@ -130,7 +136,7 @@ def require_integer(name: str, value: object, least: int) -> None:
 
 
 def as_number(name: str, value: object, expected: str, in_range: Callable[[float], bool]) -> float:
-    """Return a real number for which ``in_range`` holds, so not NaN; ``expected`` describes it in errors."""
+    """Check a real number, for which ``in_range`` must hold; ``expected`` describes it in errors."""
     number = math.nan
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         with suppress(OverflowError):
@@ -141,19 +147,19 @@ def as_number(name: str, value: object, expected: str, in_range: Callable[[float
 
 
 def as_finite(name: str, value: object, *, positive: bool = False) -> float:
-    """Check that a number is finite and at least 0 (if ``positive``: above 0), and return it as a float."""
+    """Check a number, which must be finite and at least 0 (above 0 if ``positive``), and return it as a float."""
     if positive:
         return as_number(name, value, "a positive finite number", lambda number: 0 < number < math.inf)
     return as_number(name, value, "a finite number of at least 0", lambda number: 0 <= number < math.inf)
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Return a size to pad ``n`` rows to: the smallest of ``sizes`` that holds them, else the next power of two."""
+    """Return the size to which to pad ``n`` rows: the smallest of ``sizes`` that is enough, else a power of two."""
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
 def size_in_eighths(n: int) -> int:
-    """Return a size, out of few, to pad an array of ``n`` rows to: at most an eighth above ``n``."""
+    """Return the size to which to pad ``n`` rows: one of few sizes, at most an eighth above ``n``."""
     step = max(1, padded_size(n) // 16)
     return -(-n // step) * step
 
@@ -171,7 +177,7 @@ def as_bool(name: str, value: object) -> bool:
 
 
 def ragged_indices(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int[np.ndarray, "items"]]:
-    """Return, for items in consecutive runs of lengths ``counts``, each item's run and its index in that run."""
+    """Return the run of each item, and its index in that run, for consecutive runs of lengths ``counts``."""
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
 
@@ -183,7 +189,7 @@ def parts(counts: Int[np.ndarray, "items"], most: int) -> list[slice]:
 
 
 def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wanted"]) -> Int[np.ndarray, "wanted"]:
-    """Return the index of each wanted value among distinct known values, or -1."""
+    """Return the index of each wanted value among distinct known values; -1 if it is not among them."""
     if not len(known):
         return np.full(len(wanted), -1)
     order = np.argsort(known)
@@ -194,13 +200,16 @@ def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wan
 def take_ragged(
     first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
-    """Return the items of runs ``which``, and each one's run as an index into ``which``; run i starts at first[i]."""
+    """Return the indices of all items of the runs ``which``, and the index into ``which`` of each item's run.
+
+    Run ``i`` has the items from ``first[i]`` to ``first[i + 1] - 1``.
+    """
     run, place = ragged_indices(first[which + 1] - first[which])
     return first[which][run] + place, run
 
 
 def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, "n"]:
-    """Sum each row from left to right; ``np.sum`` adds in blocks, which rounds differently across CPUs."""
+    """Sum each row from left to right; ``np.sum`` adds in blocks, so that different CPUs round differently."""
     total = terms[:, 0].copy()
     for column in terms.T[1:]:
         total += column
@@ -210,7 +219,7 @@ def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, "n"
 def row_products(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "..."]) -> Float[np.ndarray, "n ..."]:
     """Return ``a @ b``, computed row by row.
 
-    BLAS computes large products in threads, which wait busily after it and so cost more than the product.
+    For large products, BLAS starts threads, which wait busily afterwards and so take more CPU time than the product.
     """
     return np.matmul(a[:, None], b)[:, 0]
 
@@ -232,7 +241,7 @@ def hash64(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np
 
 
 def format_numbers(numbers: Float[np.ndarray, "n"]) -> list[float]:
-    """Round numbers to 12 digits for messages, which hides rounding errors."""
+    """Round numbers to 12 digits for messages, to hide rounding errors."""
     return [float(f"{number:.12g}") for number in numbers.tolist()]
 
 
@@ -245,7 +254,7 @@ _MUTATORS = ("with_", "add", "insert", "move", "remove", "replace", "set_", "upd
 
 
 def no_attribute(value: object, name: str, when_changed: str) -> AttributeError:
-    """Return the error of a missing attribute, with advice if its name is that of a mutating method."""
+    """Return the error of a missing attribute, with advice if its name is like that of a mutating method."""
     advice = f" {when_changed}" if name.startswith(_MUTATORS) else ""
     return AttributeError(f"A {type(value).__name__} has no attribute {name!r}.{advice}")
 
@@ -256,7 +265,7 @@ def require_function(name: str, value: object) -> None:
 
 
 def shortened(value: object) -> str:
-    """Return the ``repr`` of a value for an error, cut to 200 characters without building the rest."""
+    """Return the ``repr`` of a value for an error, cut to 200 characters."""
     try:
         text = _REPR.repr(value)
     except (ValueError, RecursionError):  # an integer of thousands of digits, a recursive list

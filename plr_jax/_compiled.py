@@ -1,4 +1,4 @@
-"""Running a compiled function on a batch in parts, on all CPU cores."""
+"""Run a compiled JAX function on a large batch in parts, on all CPU cores."""
 
 import os
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from jaxtyping import Array, Shaped
 
 from plr_jax._arrays import padded
 
-_PARTS = 8  # a batch of at most this many small parts uses the small size
+_PARTS = 8  # a batch of at most so many small parts is divided into small parts, a larger batch into large parts
 
 
 def num_cores() -> int:
@@ -20,7 +20,7 @@ def num_cores() -> int:
 
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
-    """Return whether arrays lie in the memory of one CPU and none is traced, so that results stay there."""
+    """Return whether arrays are in the memory of one CPU, where results will be too, and none is traced."""
     if any(isinstance(each, Tracer) for each in arrays):
         return False
     devices = {device for each in arrays if isinstance(each, jax.Array) for device in each.devices()}
@@ -32,8 +32,8 @@ def answered_in_parts(
 ) -> tuple[np.ndarray, ...]:
     """Apply a compiled function to the rows of arrays, ``(*batch, width)``, in equally large parts on all cores.
 
-    Batches broadcast. ``answer`` maps ``n`` rows of each array to arrays ``(n,)``, and is compiled for each ``n``. So
-    parts have only two ``sizes`` (numbers of rows), for small and for large batches; zeros pad the last part.
+    Batches broadcast. ``answer`` maps ``n`` rows of each array to arrays ``(n,)``. It is compiled for each ``n``, so
+    all parts of a batch have one of two ``sizes`` (numbers of rows); zeros pad the last part.
     """
     batch = np.broadcast_shapes(*(each.shape[:-1] for each in rows))
     count = prod(batch)
@@ -58,7 +58,7 @@ def answered_in_parts(
         for result, each in zip(results, answers, strict=True):
             result[first:last] = np.asarray(each)[: last - first]
 
-    of_part(0)  # compiles, and reveals the types of the answers
+    of_part(0)  # compiles the function, and shows the types of the answers
     if count <= size:
         return tuple(result.reshape(batch) for result in results)
     pool = ThreadPoolExecutor(num_cores())

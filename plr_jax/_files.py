@@ -21,12 +21,12 @@ from plr_jax._arrays import shortened
 
 _MOST_BYTES = 2**24
 _MOST_NESTED = 32
-_LONGEST_WORD = 1000  # unquoted characters of YAML; resolving their type may take quadratic time
+_LONGEST_WORD = 1000  # most characters of an unquoted YAML word; finding its type may take quadratic time
 _LARGEST_INTEGER = int(np.finfo(np.float64).max)
 
 
 def file_path(path: object) -> Path:
-    """Return the name of a file as a path; ``ValueError`` for other types, such as bytes or a file descriptor."""
+    """Return a file name as a path; ``ValueError`` for other types, such as bytes or a file descriptor."""
     if not isinstance(path, str | os.PathLike):
         got = f"{shortened(path)}."
         if isinstance(path, bytes | bytearray | memoryview):
@@ -96,7 +96,7 @@ def _loader() -> Any:
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
-    """Raise ``ValueError`` unless a document is of a kind, such as "scene", of a known version, with all keys."""
+    """Raise ``ValueError`` unless a document is of a kind, such as "scene", has a known version and all keys."""
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
     found = document.get("version")
@@ -147,10 +147,10 @@ def _require_shallow(nested: int) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a regular file so that it is always complete, even after a crash: write a temporary file, then rename it.
+    """Write a regular file so that it is complete or unchanged, even after a crash.
 
-    A symbolic link is followed, and a replaced file keeps its permissions. Data for a device or pipe is written
-    directly. An ``OSError`` names the given path, and leaves an older file unchanged.
+    The data goes to a temporary file, which then gets the given name. A symbolic link is followed, and a replaced
+    file keeps its permissions. Data for a device or pipe is written directly. An ``OSError`` names the given path.
     """
     try:
         mode = os.stat(path).st_mode

@@ -1,4 +1,4 @@
-"""Saving PLRs, and distances between any two points (pairs), to files, and loading any of them."""
+"""The public functions :func:`save` and :func:`load` for files of PLRs and of distances between any two points."""
 
 import os
 from typing import Any
@@ -12,11 +12,11 @@ from plr_jax.plr.container import GRID_MAGIC, holds_pairs, read_bytes
 
 
 def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
-    """Write a PLR, a PairPLR or GridPairs to a file of ``plr.num_bytes`` bytes, which is complete or absent.
+    """Write a PLR, a PairPLR or GridPairs to a file of ``plr.num_bytes`` bytes, completely or not at all.
 
     For a ``MetricPairs``, save its ``plr``. The formats are documented in ``plr/portable/FORMAT.md``,
-    ``pairs/stored.py`` and ``pairs/grid_pairs.py``. Another object or file name raises ``ValueError``; a file that
-    cannot be written raises ``OSError``.
+    ``pairs/stored.py`` and ``pairs/grid_pairs.py``. Raises ``ValueError`` for another object or an invalid ``path``,
+    and ``OSError`` if the file cannot be written.
     """
     if not isinstance(plr, PLR | PairPLR | GridPairs):
         raise ValueError(f"Only a PLR, a PairPLR or GridPairs can be saved, got {shortened(plr)}.")
@@ -26,10 +26,10 @@ def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
 def load(path: str | os.PathLike) -> Any:
     """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote.
 
-    The result gives the same answers, bit for bit, as the saved object. The query tables of a PairPLR are many times
-    larger than its file. They are built by the first query, which takes seconds to minutes with thousands of corners.
-    A file that is truncated, corrupt, or of another kind or format version raises ``ValueError``; a file that cannot
-    be read raises ``OSError``.
+    The result gives the same answers, bit for bit, as the saved object. The first query of a PairPLR builds lookup
+    tables, many times larger than the file; with thousands of corners, this takes seconds to minutes. Raises
+    ``ValueError`` if the file is truncated, corrupt, or of another kind or format version, and ``OSError`` if it
+    cannot be read.
     """
     path = file_path(path)
     try:

@@ -1,4 +1,4 @@
-"""Array types, and protocols of functions, by which oracles, PLRs and planners work together."""
+"""Types by which oracles, PLRs and planners work together: arrays, and protocols of distance functions."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 
 @runtime_checkable
 class DimensionedFn(Protocol):
-    """A distance function of ``dim`` coordinates; callers with longer configurations pass the leading ones."""
+    """A distance function of ``dim`` coordinates; callers pass the leading ``dim`` of longer configurations."""
 
     @property
     def dim(self) -> int: ...
@@ -52,7 +52,10 @@ class FunctionOfBox(Protocol):
 
 @runtime_checkable
 class PiecewiseFunction(FunctionOfBox, Protocol):
-    """A function, such as a PLR, defined box by box; ``leaf_boxes``: their lower and upper corners, ``(n, dim)``."""
+    """A function, such as a PLR, that is defined box by box.
+
+    ``leaf_boxes`` has the lower and the upper corners of the boxes, ``(n, dim)`` each.
+    """
 
     @property
     def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
@@ -60,9 +63,10 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """The goal, and the points where shortest paths to it may turn; any path goes straight to one, its *source*.
+    """The goal, and the points where shortest paths to it may turn.
 
-    A point's distance is the distance to its source plus the source's distance to the goal.
+    The shortest path from a point starts with a straight segment to one of these points, the *source* of the point.
+    So a point's distance is the length of this segment plus the source's distance to the goal.
 
     Attributes:
         distances: Distances of the sources to the goal; ``inf`` where the goal cannot be reached.
@@ -75,27 +79,27 @@ class Sources:
 
 
 CellSources: TypeAlias = Any
-"""``plr_jax.geometry.cell_sight.CellSources``: the first turns (or goal) on shortest paths from cells of the plane.
+"""``plr_jax.geometry.cell_sight.CellSources``: for cells of the plane, where shortest paths may turn first.
 
-This alias lets code without Shapely name the class.
+Code that does not import Shapely uses this alias instead of the class.
 """
 
 
 @runtime_checkable
 class FamilyFn(Protocol):
-    """A distance function that can share work on cells with a family of functions, such as other goals on its map."""
+    """A distance function that can share computations with a family of functions, such as other goals on its map."""
 
     @property
     def family(self) -> Any:
-        """An object that identifies the family: the same for all its functions, and for no others."""
+        """An object that identifies the family: functions of one family, and no others, have the same object."""
         ...
 
     def shared_samples(self, lo: Any, hi: Any, /) -> Any:
-        """Return a sample of free space in each of several boxes, for all functions of the family."""
+        """Return samples of free space in boxes, which all functions of the family can use."""
         ...
 
     def first_turns(self, samples: Any, /) -> Any:
-        """Return each sample's distance, and the index in ``sources`` of its path's first vertex; or inf and -1."""
+        """Return each sample's distance, and the index of its source; ``inf`` and -1 if it cannot reach the goal."""
         ...
 
     @property
@@ -109,10 +113,10 @@ class FamilyFn(Protocol):
 
 @runtime_checkable
 class CellwiseFn(Protocol):
-    """A distance function in the plane that knows where paths from any point of a cell may turn first."""
+    """A distance function in the plane that knows where shortest paths from the points of a cell may turn first."""
 
     def cell_sources(self, domain: Any, /) -> CellSources:
-        """Return, for a Box taken as one cell, its sources: the goal or corners to which paths may go straight."""
+        """Return the sources of a Box as one cell: the goal or corners to which shortest paths may go straight."""
         ...
 
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
@@ -126,7 +130,7 @@ class ChangingFn(CellwiseFn, Protocol):
     def sources(self) -> Sources: ...
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"], /) -> CellSources:
-        """Return, for each box, its sources: the goal or corners to which paths from there may go straight."""
+        """Return the sources of each box: the goal or corners to which shortest paths from there may go straight."""
         ...
 
     def changed_since(self, before: Any, /) -> Any:
@@ -136,7 +140,7 @@ class ChangingFn(CellwiseFn, Protocol):
 
 @runtime_checkable
 class FreeSpaceFn(Protocol):
-    """A distance function with a test ``is_free``: a point of distance ``inf`` may be free, but without a path."""
+    """A distance function with a test ``is_free``, since a point of distance ``inf`` may be free but without a path."""
 
     def is_free(self, x: ArrayLike, /) -> Bool[np.ndarray, "n"]: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
@@ -144,7 +148,7 @@ class FreeSpaceFn(Protocol):
 
 @runtime_checkable
 class StackableDistanceFn(Protocol):
-    """A distance function, such as a PLR, whose class can combine several of them into one function for a team."""
+    """A distance function, such as a PLR, whose class can combine one function per robot into one for a team."""
 
     def __call__(self, x: Any, /) -> Any:
         """Return distances of points, as a :data:`DistanceFn`."""
@@ -158,7 +162,7 @@ class StackableDistanceFn(Protocol):
 
 @runtime_checkable
 class BoundingFn(Protocol):
-    """A distance function or heuristic that states whether it is proven never to exceed the true value."""
+    """A distance function or heuristic that states whether it is a proven lower bound of the true value."""
 
     @property
     def is_lower_bound(self) -> bool: ...
@@ -167,7 +171,7 @@ class BoundingFn(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """An isometry ``x -> matrix @ x + offset``; coordinates that are angles count modulo a full turn."""
+    """An isometry ``x -> matrix @ x + offset``; coordinates that are angles are taken modulo a full turn."""
 
     matrix: Float[np.ndarray, "dim dim"]
     offset: Float[np.ndarray, "dim"]
@@ -180,7 +184,7 @@ class Symmetry:
 
 @runtime_checkable
 class SymmetricFn(Protocol):
-    """A distance function with known symmetries: a point and its image under them have equal distances."""
+    """A distance function with known symmetries: a point and its image under a symmetry have equal distances."""
 
     @property
     def symmetries(self) -> Sequence[Symmetry]: ...
@@ -191,8 +195,8 @@ class SymmetricFn(Protocol):
 class HeuristicFn(Protocol):
     """An estimate of the cost-to-go of joint configurations: a sum of one term per robot.
 
-    It is never NaN; ``inf`` or a masked entry means that there is no estimate. Planners evaluate each term only once
-    per configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
+    It is never NaN. If it is ``inf`` or masked, there is no estimate. Planners evaluate each term only once per
+    configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
     """
 
     def __call__(self, q: Any, /) -> Float[np.ndarray, "n"]:

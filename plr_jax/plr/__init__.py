@@ -1,4 +1,4 @@
-"""Piecewise linear regressions over a binary space partition (public names: ``__init__.pyi``)."""
+"""PLRs (piecewise linear regressions): build, prove, store, evaluate and update them."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Build many PLRs in parallel with :func:`construct_many`; cones of goals in one workspace share samples."""
+"""The public function :func:`construct_many`, which builds many PLRs in parallel, for example one for each goal."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -24,8 +24,7 @@ from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
 from plr_jax.plr.work import BuildResults, Checkpoint, Chunk, digest_of
 
-# Goals that one worker builds in turn, so that progress is stored from time to time.
-_MEMBERS_AT_ONCE = 64
+_MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that progress is stored from time to time
 
 
 def construct_many(
@@ -48,10 +47,10 @@ def construct_many(
         plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=1024)
 
     Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
-    chosen by their mean errors at samples, a grid of up to 512 x 512 that all goals share, not by proven errors as in
-    :func:`construct`. This is faster, and mean errors are mostly smaller. If no sample has an error, a file may stay
-    below ``max_bytes``. Other PLRs are built one by one with :func:`construct`, and so are cones of a family if the
-    limits allow more than about 8,000 leaves or a tolerance is given.
+    chosen by their mean errors at samples, a grid of up to 512 x 512 points that all goals share, not by proven
+    errors as in :func:`construct`. This is faster, and mean errors are mostly smaller. A file may be smaller than
+    ``max_bytes`` if no sample has an error. Other PLRs are built one by one with :func:`construct`; so are cones of a
+    family if the limits allow more than about 8,000 leaves, or a tolerance is given.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -63,14 +62,14 @@ def construct_many(
         tolerance: Error, in units of distance, up to which a cell is not split.
         certified: Whether to prove error bounds of each PLR, as for :func:`construct`.
         seed: Seed of the samples. The same seed gives the same files, whatever the executor.
-        options: As for :func:`construct`, with two differences. The ``executor`` (threads, processes, or a cluster
-            such as Dask's ``Client.get_executor()``) builds batches of 64 members of a family, or single PLRs; if a
-            worker dies, threads of this process build what is left. None: one thread per core. The ``checkpoint``
-            stores whole PLRs: a later call with the same arguments builds only missing ones, and the final file is
-            the same, byte for byte.
+        options: As for :func:`construct`, with two differences. Each task of the ``executor`` (threads, processes, or
+            a cluster such as Dask's ``Client.get_executor()``) builds up to 64 PLRs of a family, or a single PLR. If
+            a worker dies, threads of this process build what is left. None: one thread per core. The ``checkpoint``
+            stores whole PLRs: a later call with the same arguments builds only the missing PLRs, and the final
+            checkpoint is the same, byte for byte.
 
     Returns:
-        The PLRs, in the order of ``oracles``. Query tables are made at the first query. After an interrupt (Ctrl-C),
+        The PLRs, in the order of ``oracles``; lookup tables are made at the first query. After an interrupt (Ctrl-C),
         the list has None for each missing PLR, and there is a ``ConstructionInterrupted`` warning.
 
     Raises:
@@ -144,7 +143,10 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build files of members of a family; without a task, or if no shared sample reaches a goal, build them alone."""
+    """Build the files of members of a family.
+
+    Without a task, or if no shared sample reaches the goal, a PLR is built alone.
+    """
     files = []
     for oracle in oracles:
         if task is None or (found := task(oracle)) is None:

@@ -1,4 +1,4 @@
-"""Encoding and decoding of PLR files (layout: ``portable/FORMAT.md``), and the leaf data that queries need."""
+"""Encode PLRs as files and decode them (layout: ``portable/FORMAT.md``), and prepare the leaf data for queries."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +21,7 @@ from plr_jax.plr.tree import Cells, Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
-    """The decoded content of a PLR file; with a ``folding`` (mirrors), ``domain`` is the box of mirrored points."""
+    """The decoded content of a PLR file; with a ``folding``, ``domain`` is the box of mirrored points."""
 
     domain: Box
     leaf: LeafModel
@@ -42,7 +42,7 @@ def encode(contents: DecodedFile) -> bytes:
 
 
 def body_of_leaves(contents: DecodedFile) -> BitWriter:
-    """Encode the tree and the leaf data; return the writer, so that the caller can append a proof."""
+    """Encode the tree and the leaves; return the writer, to which the caller can append a proof."""
     body = BitWriter()
     write_tree(body, contents.tree)
     contents.leaf.write(body, contents.domain, contents.tree.leaves, contents.stored)
@@ -80,10 +80,11 @@ def decode_cells(data: bytes) -> Cells:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the domain of the leaves relative to an origin, and the numbers that a query reads for each leaf.
+    """Return the domain of the leaves relative to an origin, and the parameters that a query reads for each leaf.
 
-    The numbers are relative to the lower corner of that domain, rounded to 32 bits. If points are folded (mirrored),
-    the folding's center is the origin. Raises ``ValueError`` if 32-bit floats cannot hold the numbers.
+    Parameters are for points relative to the lower corner of that domain, rounded to 32 bits. If points are folded
+    (mirrored), ``origin`` has no effect: the box of mirrored points is relative to the center already. Raises
+    ``ValueError`` if 32-bit floats cannot hold the parameters.
     """
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
@@ -97,11 +98,11 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
 
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of all leaves, where unreachable leaves borrow from a neighbor.
+    """Return the coefficients of all leaves, with planes of neighbors in unreachable leaves.
 
     An unreachable leaf continues the (mean) plane of the reachable leaf with which it shares the largest face, edge
-    or corner, so that free points in it have an answer. Without such a neighbor its first coefficient is ``inf``, the
-    others are 0.
+    or corner, so that free points in it have a finite answer. Without such a neighbor, its first coefficient is
+    ``inf`` and the others are 0.
     """
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
@@ -127,7 +128,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
 def planes_of_leaves(
     contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-    """Return intercepts and slopes of the leaves' (mean) planes; the intercept is ``inf`` if the leaf answers so."""
+    """Return intercepts and slopes of the leaves' (mean) planes; the intercept is ``inf`` if the leaf's value is."""
     is_inf = np.isinf(coefficients[:, 0])
     lo, hi = contents.tree.leaves.boxes(contents.domain)
     center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))

@@ -1,4 +1,4 @@
-"""Prove error bounds of a PLR's leaves, and update PLRs of cone leaves with such proofs after the map changed."""
+"""Prove error bounds of all leaves of a PLR, and update proven PLRs of cones after the map changed."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,12 +15,11 @@ from plr_jax.plr.growth import BudgetTooSmall
 from plr_jax.plr.leaves import Cone, ConeLeaves, NodeCosts, updated_cones
 from plr_jax.plr.leaves.base import check_limits
 
-# Largest uncertainty of free space for a proof, in units of the domain's shorter side.
-_COARSEST = 1e-4
+_COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of the domain's shorter side
 
 
 def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
-    """Prove error bounds of all leaves; ``visible``: the sources of the leaves' cells, slightly enlarged."""
+    """Prove error bounds of all leaves; ``visible`` has the sources of the leaves' slightly enlarged cells."""
     domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
@@ -49,7 +48,7 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
 
 
 def _weights(contents: DecodedFile) -> dict[str, Any]:
-    """Return the volume of leaves and the bytes of the file without proof, which classes of bounds depend on."""
+    """Return the volumes of leaves and the file's bytes without proof, for the choice of classes of bounds."""
     volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
     return {"volume": volume, "num_bytes": len(body_of_leaves(contents).to_bytes())}
 
@@ -59,8 +58,8 @@ class BuildInputs:
     """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store.
 
     Attributes:
-        bounds: Proven bounds of each leaf; None: use the bounds of the certificate.
-        node_costs: Errors that each node of the tree would have as a leaf; None if unknown.
+        bounds: Proven bounds of each leaf; None: use the bounds that the file stores.
+        node_costs: The errors that nodes of the tree would have as leaves; None if unknown.
     """
 
     oracle: DistanceFn
@@ -87,7 +86,7 @@ def require_updatable(contents: DecodedFile) -> None:
 def updated_contents(
     contents: DecodedFile, origin: BuildInputs, oracle: DistanceFn, label: str
 ) -> tuple[DecodedFile, BuildInputs]:
-    """Return the file contents of the PLR that :meth:`PLR.updated` returns, and the inputs of the next update."""
+    """Return the content of the file after an update (:meth:`PLR.updated`), and the inputs of the next update."""
     certificate, model, domain, before = contents.certificate, contents.leaf, contents.domain, origin.oracle
     assert certificate is not None and isinstance(model, Cone), "require_updatable has checked this"
     if not isinstance(oracle, ChangingFn) or not isinstance(before, ChangingFn):

@@ -1,4 +1,4 @@
-"""Paths to the goal from a PLR of cones alone: from each start to its leaf's corner, then from corner to corner."""
+"""The public function :func:`trace`, which reads paths to the goal from a PLR of cones, without a map."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -23,11 +23,11 @@ class TraceStatus(IntEnum):
     """How the path from a start ended."""
 
     ARRIVED = 0
-    """At the goal; without a workspace, it may cross walls."""
+    """The path ends at the goal; without a workspace, it may cross walls."""
     OUTSIDE = 1
     """There is no path: the start is outside the domain, or a coordinate is NaN."""
     ENDED_ELSEWHERE = 2
-    """At a corner whose distance to the goal is in the file, but not the next corner of its path."""
+    """The path ends at a corner; the file has its distance to the goal, but not the next corner on the way."""
     CROSSES_WALL = 3
     """A segment is not free in the given workspace."""
 
@@ -69,24 +69,26 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     """Return paths to the goal from many starts, read from a PLR of cones without a map.
 
     A cone measures distances from its *source*, the goal or a corner. The first segment leads to the source of the
-    start's leaf, every further one to the next source on that source's shortest path. So a path has at most as many
-    segments as there are sources, and is as long as the PLR says. If all sources come from an oracle, paths between
-    them cross no wall; the first segment may, if the start does not see its leaf's source. A start in an obstacle, or
-    cut off from the goal, gets a path through walls: only a workspace detects this. Runs in double precision.
+    start's leaf, every further segment to the next source on the shortest path from there. So a path has at most as
+    many segments as there are sources, and is as long as the PLR says. Segments between sources cross no wall, but
+    for rounding. The first segment may cross one, if the start does not see the source of its leaf. A start in an
+    obstacle, or cut off from the goal, gets a path through walls, which only the tests with a workspace detect.
+    Computation is in double precision.
 
     Args:
         plr: PLR with ``leaf="cone"``.
         starts: Start points, ``(n, dim)``.
         workspace: Free space in which each segment is tested, up to the rounding of the file (6e-8 of the domain's
-            width). Segments are tested one by one: a path may pass a point where two walls touch if it bends there.
-            None: no tests.
+            width). Segments are tested one by one, so a path may pass through a point where two walls touch if it
+            bends there. None: no tests.
 
     Returns:
-        A path and a status for each start. If a start is a source, its path begins with the segment from there.
+        A path and a status for each start. If a start is a source, its path begins with the segment from that source
+        to the next.
 
     Raises:
-        ValueError: If ``plr`` is no PLR of cones, ``starts`` has a wrong shape, ``workspace`` is none, or the PLR is
-            not in the plane but a workspace is given.
+        ValueError: If ``plr`` is no PLR of cones, ``starts`` has a wrong shape, ``workspace`` is no Workspace, or a
+            workspace is given for a PLR that is not in the plane.
     """
     if not isinstance(plr, PLR):
         raise ValueError(f"plr must be a PLR of cones, got {shortened(plr)}.")
@@ -104,7 +106,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     inside = np.flatnonzero(plr.domain.contains(starts))
     first = source_of_leaf[leaf_of(plr, starts[inside])]
 
-    # 1. Follow the parents of sources up to the roots, which are repeated. Files never contain cycles.
+    # 1. Follow the parents of sources up to the roots, which are repeated; decoded sources have no cycles.
     ways = [first]
     while (sources.parents[ways[-1]] != ways[-1]).any():
         ways.append(sources.parents[ways[-1]])

@@ -1,4 +1,4 @@
-"""Find the best partition of the plane for cones: the tree of halved boxes that minimizes error plus a price per leaf.
+"""Find the best partition of the plane for cones: a tree of halved boxes that minimizes error plus a price per leaf.
 
 Dynamic programming works upward from the smallest boxes: a box is a leaf, or is halved along the axis of lower cost.
 Very narrow boxes are excluded. The price is lowered, and more boxes are computed, until the best tree exceeds the
@@ -69,8 +69,8 @@ def expand(
     errors have the weight ``least_share``; in the comparison for pruning, they have the weight ``share``.
 
     A box that is halved has at least two leaves, so it pays two prices where a leaf pays one. ``most`` is the largest
-    cost of each box, one price apart, with which the box can be part of a better tree. Boxes are halved only if their
-    error and ``most`` exceed one price.
+    cost of each box, without one price, with which the box can be part of a better tree. Boxes are halved only if
+    their cost as a leaf and ``most`` both exceed one price.
     """
     most = np.full(len(price), np.inf)
     for depth in range(limits.max_depth):

@@ -1,4 +1,4 @@
-"""Compute and cache the sources of cells: the points to which shortest paths from a cell may go first."""
+"""Compute and cache the *sources* of cells: the goal or corners to which shortest paths from a cell may go first."""
 
 from collections.abc import Iterator
 
@@ -11,11 +11,11 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.tree import Cells, Tree, grown_domain
 
 _POINTS_AT_ONCE = 1 << 16  # pairs of a convex piece of free space and a point that are tested at once
-_PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source
+_PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at once
 
 
 class CellMemory:
-    """A cache of the sources (the goal, or corners where paths may turn) of a growing partition's cells."""
+    """A cache of the sources (the goal, or corners where paths may turn) of the cells of a growing partition."""
 
     def __init__(self, oracle: CellwiseFn, domain: Box) -> None:
         self._domain = domain
@@ -25,7 +25,6 @@ class CellMemory:
         self.remember(Cells.root(2), oracle.cell_sources(grown_domain(domain)))
 
     def remember(self, cells: Cells, visible: CellSources) -> None:
-        """Add cells and their sources."""
         hashes, part = np.append(self._hashes, cells.hashes()), np.full(len(cells), len(self._parts))
         place = np.append(self._place, np.stack([part, np.arange(len(cells))]), axis=1)
         order = np.argsort(hashes, kind="stable")
@@ -33,10 +32,10 @@ class CellMemory:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells, each of which is known already or is a half of a known cell."""
+        """Return the sources of cells, each of which is in the cache or is a half of a cached cell."""
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
-            # Halve known cells along the first axis if possible, else along the second.
+            # Halve cached cells along the first axis if possible, else along the second.
             wholes = [Cells(np.maximum(new.depth - each, 0), new.position >> each) for each in np.eye(2, dtype=int)]
             axis = np.where((new.depth[:, 0] > 0) & self._knows(wholes[0]), 0, 1)
             whole = wholes[0].append(wholes[1])[axis * len(new) + np.arange(len(new))]
@@ -49,7 +48,7 @@ class CellMemory:
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
-        """Return the sources of a tree's leaves, which are searched down the tree if some leaves are not known."""
+        """Return the sources of a tree's leaves; if a leaf is not in the cache, search from the root of the tree."""
         if not self._knows(tree.leaves).all():
             for nodes, visible in sources_by_level(tree, self.sources(Cells.root(2)), self._domain):
                 is_leaf = np.flatnonzero(tree.child[nodes] < 0)
@@ -75,7 +74,7 @@ class CellMemory:
 def sources_by_level(
     tree: Tree, root: CellSources, domain: Box
 ) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
-    """Yield the nodes of each level of a tree, and the sources of their cells, from the root's sources (``root``)."""
+    """Yield the nodes of each level of a tree, and the sources of their cells; ``root`` has those of the domain."""
     nodes, visible = np.zeros(1, np.int64), root
     while len(nodes):
         yield nodes, visible
@@ -96,7 +95,7 @@ def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) 
         row, column = np.nonzero(visible.hold(piece, x[visible.cell[piece]]))
         held.append(np.stack([piece[row], column]))
     piece, column = np.concatenate(held, axis=1)
-    # For each piece that contains a point: the shortest path by way of a source that the point sees.
+    # For each piece that contains a point, find the shortest path by way of a source that the point sees.
     for some in parts(np.diff(visible.first_pair)[piece], _PAIRS_AT_ONCE):
         pair, row = take_ragged(visible.first_pair, piece[some])
         source, sources = visible.source[pair], visible.sources

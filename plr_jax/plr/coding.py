@@ -1,4 +1,4 @@
-"""Bit streams and varints, by which integers, floats, sets and trees are packed into the bytes of a PLR file."""
+"""Pack integers, floats, sets and trees into the bytes of a PLR file, as bit streams and varints."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
@@ -6,11 +6,11 @@ from jaxtyping import Bool, Float, Int, UInt8
 from plr_jax._arrays import ragged_indices
 from plr_jax.plr.tree import MAX_DEPTH, Tree, tree_of_axes
 
-_BITS, _MOST_BYTES = 7, 10  # payload bits of a varint's byte; most bytes of a varint
+_BITS, _MOST_BYTES = 7, 10  # bits of the value in each byte of a varint; most bytes of a varint
 
 
 def varint(value: int) -> bytes:
-    """Encode an integer >= 0 as LEB128: seven bits per byte, lowest first, the high bit set if more bytes follow."""
+    """Encode an integer >= 0 as LEB128: seven bits per byte, lowest first; the high bit is 1 if more bytes follow."""
     more, last = [], value
     while last >> _BITS:
         more.append(1 << _BITS | last & (1 << _BITS) - 1)
@@ -24,7 +24,7 @@ def signed_varint(value: int) -> bytes:
 
 
 class ByteReader:
-    """A reader of bytes and varints, one after another; methods raise ``ValueError`` if the data end too early."""
+    """A reader of consecutive bytes and varints; methods raise ``ValueError`` if the data end too early."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -54,13 +54,16 @@ class ByteReader:
         return -(code // 2) - 1 if code % 2 else code // 2
 
 
-_MAX_WIDTH = 62  # bits; sums and shifts of such integers fit 64 bits
+_MAX_WIDTH = 62  # most bits of an integer, so that sums and shifts fit 64 bits
 _COUNT_BITS, _ORDER_BITS = 32, 5  # bits of a set's size, and of the order of Exp-Golomb codes
-_MAX_CODED = 2**40  # integers in Exp-Golomb codes are smaller
+_MAX_CODED = 2**40  # limit of integers in Exp-Golomb codes, not included
 
 
 class BitWriter:
-    """A writer of unsigned integers of given bit widths, least significant bit first; ``num_bits`` are written."""
+    """A writer of unsigned integers of given bit widths, least significant bit first.
+
+    ``num_bits`` is the number of bits written so far.
+    """
 
     def __init__(self) -> None:
         self.num_bits = 0
@@ -80,15 +83,15 @@ class BitWriter:
         return self.write(values.astype(np.float32).view(np.uint32).astype(np.int64), 32)
 
     def write_set(self, member: Bool[np.ndarray, "n"]) -> "BitWriter":
-        """Append a subset of ``range(n)``, given as a mask: its size, then how many indices each member skips."""
+        """Append a subset of ``range(n)``, given as a mask: its size, then the gaps between its members."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
     def write_coded(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
         """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
 
-        The order ``k`` of the code with the shortest total comes first, in 5 bits. Then follow, for all values, the
-        numbers of extra bits beyond ``k`` in unary, and then the binary parts in ``k + extra`` bits each.
+        The order ``k``, chosen for the shortest total, comes first, in 5 bits. Then follow the numbers of extra bits
+        of all values in unary, and then the binary parts of all values in ``k + extra`` bits each.
         """
         if not len(values):
             return self
@@ -97,14 +100,14 @@ class BitWriter:
                 f"Stored integers must be below 2**40, got {values.max():,}: the distances vary too much. "
                 "Scale the distances down or shrink the domain."
             )
-        orders = range(min(int(values.max()).bit_length() + 1, 1 << _ORDER_BITS))  # a higher order only adds bits
+        orders = range(min(int(values.max()).bit_length() + 1, 1 << _ORDER_BITS))  # higher orders only add bits
         order = min(orders, key=lambda order: int((2 * _extra_bits(values, order) + order).sum()))
         extra = _extra_bits(values, order)
         self.write(np.array([order]), _ORDER_BITS).write_unary(extra)
         return self.write((values + (1 << order)) & ((1 << (order + extra)) - 1), order + extra)
 
     def write_signed(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
-        """Append Exp-Golomb codes of signed integers: of ``2 * v - 1`` for positive ``v``, else of ``-2 * v``."""
+        """Append signed integers as Exp-Golomb codes of ``2 * v - 1`` for positive ``v``, else of ``-2 * v``."""
         return self.write_coded(2 * np.abs(values) - (values > 0))
 
     def to_bytes(self) -> bytes:
@@ -123,7 +126,7 @@ def _bits_of(values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -
 
 
 class BitReader:
-    """A reader of bits that :class:`BitWriter` wrote; methods raise ``ValueError`` if the data end too early."""
+    """A reader of what :class:`BitWriter` wrote; methods raise ``ValueError`` if the data end too early."""
 
     def __init__(self, data: bytes) -> None:
         self._bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")
@@ -150,13 +153,13 @@ class BitReader:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
-        """Read a subset of ``range(size)`` as a mask; raises ``ValueError`` if a member is ``size`` or more."""
+        """Read a subset of ``range(size)`` as a mask; ``ValueError`` if a member is ``size`` or more."""
         member = np.zeros(size, bool)
         member[self.read_members(size)] = True
         return member
 
     def read_members(self, size: int) -> Int[np.ndarray, "members"]:
-        """Read the sorted members of a subset of ``range(size)``, in memory proportional to their number."""
+        """Read a subset of ``range(size)`` as sorted members, which need no memory for the rest of the range."""
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")
@@ -189,7 +192,7 @@ class BitReader:
         return bits.astype(np.int64)
 
     def at_end(self) -> bool:
-        """Return whether everything was read, except for zeros that pad the last byte."""
+        """Return whether all bits were read, except for zeros that pad the last byte."""
         return len(self._bits) - self._at < 8 and not self._bits[self._at :].any()
 
 
@@ -204,7 +207,7 @@ def _extra_bits(values: Int[np.ndarray, "n"], order: int) -> Int[np.ndarray, "n"
 
 
 def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
-    """Return the bytes of an encoded tree of ``num_leaves`` leaves and ``num_bits`` bits of leaf data and proof."""
+    """Return the size in bytes of an encoded tree with ``num_bits`` bits of leaf data and proof."""
     tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
     return int(-(-(tree_bits + num_bits) // 8))
 

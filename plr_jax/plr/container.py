@@ -39,7 +39,7 @@ _CRC = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a file: the encoded leaves (``body``), with the codes of their leaf model and their kind of proof."""
+    """A layer of a file: encoded leaves (``body``), and the codes of their leaf model and their kind of proof."""
 
     leaf_code: int
     body: bytes

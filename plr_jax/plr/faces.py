@@ -1,4 +1,7 @@
-"""Adjacent leaves: shared faces, hanging corners, largest contacts, and overlapping leaves of two trees."""
+"""Find adjacent leaves of a partition and their shared faces, and resolve the constraints of tied leaves.
+
+Also: overlapping leaves of two trees, and the neighbor with the largest contact.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,14 +17,14 @@ if TYPE_CHECKING:
 
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Function of node pairs, side, half, axes: which pairs to keep after halves replaced the nodes of one side."""
+"""Function of node pairs, side, half and axes: which pairs to keep after a half replaced the node of one side."""
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
-    """Find pairs of leaves by descending two trees at once; the larger node of a pair gives way to its halves.
+    """Find pairs of leaves by descending two trees at once: the larger node of a pair is replaced by its halves.
 
-    ``pairs`` has nodes of ``a``, nodes of ``b``, and maybe further rows, which pairs of halves inherit. The result
-    has the same rows, with the index of each leaf in its tree's order.
+    The rows of ``pairs`` are nodes of ``a``, nodes of ``b``, and maybe data that pairs of halves inherit. The result
+    has the same rows, with leaves instead of nodes, numbered in the order of their tree.
     """
     trees, found = (a, b), []
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
@@ -52,18 +55,22 @@ def overlap(
 
 
 def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
+    """Return all pairs of a leaf of ``a`` and a leaf of ``b`` whose cells overlap."""
+
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         return overlap(a.cells, pairs[0], b.cells, pairs[1], axis)
 
     return leaf_pairs(a, b, np.zeros((2, 1), np.int64), keep)
 
 
-ZERO = 1e-9
-"""Weights below this are zero: exact weights are multiples of small powers of two."""
+ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples of a far larger power of two
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Express all values by the free ones (``is_free`` 1), given a matrix of direct, acyclic dependencies."""
+    """Return the matrix that computes all values from the free values (``is_free`` 1).
+
+    ``step`` computes each other value from values on which it depends directly; dependencies have no cycles.
+    """
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -74,9 +81,9 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """Return a square matrix ``m`` for which ``rows @ m @ values`` is 0 for any values of the groups.
+    """Return a square matrix ``m`` for which ``rows @ m @ values`` is 0 for any ``values`` of the groups.
 
-    Each row is solved for the group in it of the highest ``level``. ``ValueError`` beyond ``most`` weights.
+    Each row is solved for its group of the highest ``level``. Raises ``ValueError`` beyond ``most`` weights.
     """
     from scipy.sparse import csr_array
 
@@ -109,6 +116,7 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], m
 
 
 def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
+    """Add ``factor * other`` to a sparse row in place; return the number of weights in ``other``."""
     for index, weight in other.items():
         total = row.get(index, 0.0) + factor * weight
         if abs(total) > ZERO:
@@ -121,12 +129,12 @@ def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
 def check_num_weights(number: int | float, most: int) -> None:
     if number > most:
         raise ValueError(
-            f"its tied leaves may hang on one another by {most} weights at most, got {number:.3g} or more. Build "
-            "it of fewer leaves, in fewer dimensions, or of planes, which are not tied"
+            f"the constraints of its tied leaves may have at most {most} weights, got {number:.3g} or more. Build it "
+            "with fewer leaves, in fewer dimensions, or with planes, which are not tied"
         )
 
 
-_TOUCH = 2.0**-20  # contact along an axis on which two cells only touch, in widths of the finest cell
+_TOUCH = 2.0**-20  # counted as length of a contact along an axis on which cells only touch; in finest cell widths
 
 
 def neighbor_of_largest_contact(
@@ -175,7 +183,7 @@ def _contacts(
     b: Int[np.ndarray, "n"],
     is_periodic: Bool[np.ndarray, "dim"],
 ) -> Float[np.ndarray, "n"]:
-    """Return a measure of each pair's contact: larger for faces than for edges or corners, 0 without contact."""
+    """Return the size of each pair's contact: larger for faces than for edges or corners, 0 without contact."""
     contact = np.ones(len(a))
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
@@ -196,10 +204,10 @@ _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces(Rows):
-    """Shared parts of the faces of two leaves: ``lower`` is below and ``upper`` above the face along ``axis``.
+    """Faces between two leaves: along ``axis``, the leaf ``lower`` lies below the face, the leaf ``upper`` above.
 
-    At the seam of a periodic axis the lower leaf is at the upper end of the domain. A leaf that spans a periodic axis
-    shares a face with itself.
+    At the seam of a periodic axis, the lower leaf is at the upper end of the domain. A leaf that spans a periodic
+    axis shares a face with itself.
     """
 
     lower: Int[np.ndarray, "faces"]
@@ -222,9 +230,9 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         if pairs.shape[1] > most:
             raise ValueError(
-                f"its {len(tree.node_of_leaf)} leaves share more than {most} faces. Build it of fewer leaves"
+                f"its {len(tree.node_of_leaf)} leaves share more than {most} faces. Build it with fewer leaves"
             )
-        # Only the half next to the face touches it, if the split is along the face's axis.
+        # If the split is along the face's axis, only the half next to the face touches the face.
         return np.where(axis == pairs[2], half != side, overlap(tree.cells, pairs[0], tree.cells, pairs[1], axis))
 
     lower, upper, axis = leaf_pairs(tree, tree, pairs, keep)
@@ -233,7 +241,7 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
-    """Return points of faces as fractions of the domain; ``w`` spans the shared part from 0 to 1 along each axis."""
+    """Return points of faces in fractions of the domain; ``w`` has their places in a face, from 0 to 1 by axis."""
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])
@@ -244,7 +252,11 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return the ends ``leaf * 2**dim + corner`` of the edge whose split made each corner, and whether one did."""
+    """Return, for each corner of each leaf, the ends of the edge whose middle it is, and whether a split made it.
+
+    A split halves edges of a cell; the middle of such an edge becomes a corner of both halves. The ends are given as
+    corners ``leaf * 2**dim + corner`` of leaves; they mean nothing for corners of the domain, which no split made.
+    """
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]
     origin = np.full((len(tree.child), len(bits)), -1)

@@ -1,18 +1,18 @@
-"""Finite-element spaces of continuous functions on the leaves of a partition.
+"""The function spaces of continuous and smooth leaves: finite elements on the leaves of a partition.
 
 A function is a polynomial in each leaf: multilinear (order 0), or cubic along every axis with a continuous gradient
 (order 1). Leaves that share a free face must agree on it: they are *tied*. This module finds the free degrees of
-freedom of such functions and builds the sparse matrices that map them to the coefficients of every leaf.
+freedom of such functions, and builds the sparse matrices that map them to the coefficients of every leaf.
 
-Every corner of every leaf is a *node*. Two leaves with a free face between them must agree at the corners of the
-shared part of that face:
+Every corner of every leaf is a *node*. Tied leaves must agree at the corners of the shared part of their faces:
 
-- A point that is a corner of both leaves: their nodes form one *group*, with one value.
-- A corner of only one leaf *hangs* on the other leaf: its value is the other leaf's interpolation there.
+- If such a point is a corner of both leaves, their nodes belong to one *group*, which has one value.
+- If it is a corner of only one leaf, this corner *hangs* on the other leaf: its value is the other leaf's
+  interpolation there.
 
-The point of a hanging corner lies on a finer dyadic level (``NodalSpace.level``) than the corners from which it is
-interpolated, so these dependencies have no cycles. Leaves on both sides of a wall are not tied: a point in a wall has
-several independent nodes. Faces across the seam of a periodic axis are ordinary faces.
+The point of a hanging corner lies on a finer dyadic level (``NodalSpace.level``) than the corners from which its
+value is interpolated, so these dependencies have no cycles. Leaves on both sides of a wall are not tied, so a point
+in a wall has several independent nodes. Faces across the seam of a periodic axis are ordinary faces.
 """
 
 import math
@@ -35,8 +35,8 @@ from plr_jax.plr.tree import Tree, corner_bits
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Largest number of weights in the constraint equations: in all, or per leaf if that gives more. Measured on trees of
-# random splits: 2,000 weights a leaf in 6 dimensions, 50 in 3. Eliminating constraints may need _GROWTH times as
+# Largest number of weights in the constraint equations: in all, or per leaf if that gives more. Trees of random
+# splits have 2,000 weights a leaf in 6 dimensions, 50 in 3. The elimination of constraints may use _GROWTH times as
 # many.
 _MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF = 2**20, 2**8
 _GROWTH = 4
@@ -47,13 +47,15 @@ class NodalSpace:
     """A basis of the functions on a partition that are continuous across its tied faces, where leaves must agree.
 
     Attributes:
-        group: Group (nodes that share a value) of each node; node ``leaf * 2**dim + corner`` is a corner of ``leaf``.
-        hanging: Groups whose value is interpolated from a larger leaf.
+        group: Group of each node (nodes of one group share a value); node ``leaf * 2**dim + corner`` is a corner of
+            ``leaf``.
+        hanging: Groups whose value is interpolated from an adjacent leaf.
         host_leaf, host_position: The leaf on which each hanging group hangs, and its place there, from 0 to 1.
         free_dofs: Groups whose values are free (the degrees of freedom), sorted by ``level``.
         level: Exponent of two in the denominator of each free group's point, summed over the axes.
         values: Matrix from the values of free groups to the values of all nodes; 0 at nodes of unreachable leaves.
-        prediction: Matrix that predicts each free group from coarser ones, as the mean of the two ends of an edge.
+        prediction: Matrix that predicts each free group's value from coarser groups: the mean of the two ends of the
+            edge that a split halved at the group's point.
     """
 
     tree: Tree
@@ -74,7 +76,7 @@ class NodalSpace:
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
     """Build the space of functions that are continuous across the tied faces, all between reachable leaves.
 
-    ``ValueError`` if values of leaves depend on one another by so many weights that resolving these takes too long.
+    Raises ``ValueError`` if the constraints have so many weights that resolving them would take too long.
     """
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
@@ -102,7 +104,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     _, label = connected_components(graph, directed=False)
     _, first_node, group = np.unique(label, return_index=True, return_inverse=True)
     group, num_groups = np.argsort(np.argsort(first_node))[group], len(first_node)
-    # 3. Hanging groups: each is interpolated from the first leaf it hangs on, until only free groups remain.
+    # 3. Hanging groups: interpolate each from the first leaf on which it hangs, until only free groups remain.
     hangs = is_corner & ~is_corner[::-1]
     hanging, first = np.unique(group[node[hangs]], return_index=True)
     host_leaf, at = leaf[::-1][hangs][first], t[::-1][hangs][first]
@@ -115,8 +117,8 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
     level = np.zeros(num_groups, np.int64)
     level[group] = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=1)
-    # 5. In 3 or more dimensions a corner may hang on two leaves whose interpolations differ there. Each such pair of
-    # values gives an equation; every equation eliminates the group of the highest level in it.
+    # 5. In 3 or more dimensions a corner may hang on two leaves, whose interpolations must agree there. Each pair of
+    # interpolations gives an equation, which eliminates the group of the highest level in it.
     if dim > 2:
         row = np.flatnonzero(~is_shared)
         check_num_weights(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, row], axis=2))), most)
@@ -135,7 +137,8 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     free_dofs = np.flatnonzero(is_free_dof)
     free_dofs = free_dofs[np.argsort(level[free_dofs], kind="stable")]
     values = csr_array(of_groups[group][:, free_dofs])
-    # 7. Prediction: at each node made by a split, the middle of the halved edge; the mean over the nodes of a group.
+    # 7. Prediction: at each node that a split made, the mean of the halved edge's ends; averaged over a group's
+    # nodes.
     ends, is_made = corner_parents(tree)
     counts = is_made[..., None] & ~unreachable[ends >> dim] & ~unreachable[:, None, None]
     dof_of_group = np.full(num_groups, -1)
@@ -155,11 +158,11 @@ def _interpolation(
     row: Int[np.ndarray, "n"],
     shape: tuple[int, int],
 ) -> "csr_array":
-    """Return a matrix from group values to multilinear interpolants at points ``t`` of leaves, in rows ``row``."""
+    """Return a matrix whose rows ``row`` interpolate group values multilinearly at points ``t`` of leaves."""
     from scipy.sparse import csr_array
 
     point, corner, weight = np.arange(len(t)), np.zeros(len(t), np.int64), np.ones(len(t))
-    for axis in range(t.shape[1]):  # skip the end of weight 0
+    for axis in range(t.shape[1]):  # skip ends of weight 0
         along = t[point, axis]
         lower, upper = along < 1, along > 0
         weight = np.append((weight * (1 - along))[lower], (weight * along)[upper])
@@ -171,14 +174,14 @@ def _interpolation(
 # The local basis of a leaf: corner values (order 0), or corner values and derivatives (order 1).
 #
 # Order 0 is multilinear interpolation of the corner values. Order 1 is cubic Hermite interpolation, the rectangular
-# element of Bogner, Fox and Schmit (1965). Its derivatives are no degrees of freedom of their own: at a corner they
-# are means of the derivatives of the multilinear functions of the leaves tied there. A hanging corner takes value and
-# derivatives from the cubic of its host leaf. A cubic on half a face is determined by its own end points, so the
-# function stays continuous across that face.
+# element of Bogner, Fox and Schmit (1965). Its derivatives are not free: at a corner they are means of the
+# derivatives of the multilinear functions of the leaves tied there. A hanging corner takes value and derivatives from
+# the cubic of its host leaf. A cubic on half a face is determined by value and slope at its ends, so the function
+# stays continuous across that face.
 
 POWERS = (2, 4)  # number of powers of t along each axis, by order
-# By order. Order 0 has 2**6 corners a leaf in 6-D. For order 1 in 3-D, a corner may hang on two leaves with different
-# cubics there.
+# Largest dimension, by order. For order 0, a leaf in 6-D has 64 corners already. For order 1 in 3-D, a corner may
+# hang on two leaves with different cubics.
 MAX_DIM_OF_ORDER = (6, 2)
 
 # By order: coefficients of the basis functions on [0, 1] by powers of t. Axes: end of the interval, value or
@@ -190,19 +193,19 @@ _BASIS_1D = (
 
 
 def design(order: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
-    """Return the values of the leaf's basis functions at points ``t`` of its cell, from 0 to 1 along each axis."""
+    """Return the values of a leaf's basis functions at points ``t`` of its cell, from 0 to 1 along each axis."""
     return _derivatives(order, t, np.zeros(t.shape[1], np.int64))
 
 
 def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
-    """Return the matrix from the free degrees of freedom to all leaves' coefficients for :func:`design`."""
+    """Return the matrix from the free degrees of freedom to the coefficients of all leaves' basis functions."""
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
 def plane_coefficients(
     order: int, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return coefficients that represent planes, given by center values and half of the rise along each axis."""
+    """Return coefficients of planes, given by their center values and half of their rise along each axis."""
     corners = corner_bits(half.shape[1])
     values = center[:, None] + half @ (2 * corners - 1).T
     if order == 0:
@@ -215,7 +218,7 @@ def plane_coefficients(
 
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
-    """Return each basis function's coefficients of the monomials in ``t``; powers of the last axis vary fastest."""
+    """Expand each basis function in monomials of ``t``; powers of the last axis vary fastest."""
     along = _BASIS_1D[order]
     table = np.ones((1, 1, 1))
     for _ in range(dim):
@@ -231,11 +234,11 @@ def enclosing_planes(
     center: Float[np.ndarray, "n 2"],
     reach: Float[np.ndarray, "n 2"],
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Return planes near the polynomials of leaves over boxes, and bounds of the differences.
+    """Return tangent planes of polynomials of leaves at centers of boxes, and bounds of the differences in the boxes.
 
-    Boxes are given by center and half-width (``reach``) in local coordinates, from 0 to 1 across the leaf. A plane
-    has the polynomial's value and gradient at the center, the first two results. The third bounds its distance from
-    the polynomial: the sum of the largest absolute values of all higher-order Taylor terms.
+    Boxes are given by center and half-width (``reach``) in local coordinates, from 0 to 1 across the leaf. The first
+    two results are the polynomial's value and gradient at the center. The third bounds the difference of plane and
+    polynomial: the sum of the largest absolute values of all higher-order Taylor terms.
     """
     count = POWERS[order]
     powers = (coefficients @ monomials(order, 2)).reshape(-1, count, count)
@@ -248,7 +251,7 @@ def enclosing_planes(
 
 
 def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n power power"]:
-    """Return the coefficients of powers of ``t - center`` that express each power of ``t``."""
+    """Expand each power of ``t`` in powers of ``t - center``; return the coefficients."""
     power, of_difference = np.arange(count)[:, None], np.arange(count)
     ways = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
     return ways * center[:, None, None] ** np.maximum(power - of_difference, 0)
@@ -257,10 +260,9 @@ def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndar
 def _derivatives(
     order: int, t: Float[np.ndarray, "n dim"], derivative: Int[np.ndarray, "dim"]
 ) -> Float[np.ndarray, "n terms"]:
-    """Return a mixed derivative of all basis functions at points ``t``.
+    """Return a mixed derivative of all basis functions at points ``t``; ``derivative`` is 1 on axes to differentiate.
 
-    ``derivative`` is 1 along the axes to differentiate. Columns are ordered by corner, then by kind (value or
-    derivatives) of the degree of freedom.
+    Columns are ordered by corner, then by the kind of data at the corner (value or a derivative).
     """
     n, (_, kinds, num_powers) = len(t), _BASIS_1D[order].shape
     values, powers = np.ones((n, 1, 1)), np.arange(num_powers)
@@ -280,8 +282,8 @@ def _values_and_derivatives(space: NodalSpace) -> "csr_array":
     size, num_groups, nodes = len(kinds), int(group.max()) + 1, np.arange(len(group))
     depth = np.repeat(leaf_depth, size, axis=0)
     is_answered = np.diff(space.values.indptr) > 0
-    # 1. Derivatives by fractions of the domain at groups that do not hang: means over the leaves around the corner,
-    # of the (mixed) derivatives of their multilinear functions.
+    # 1. At groups that do not hang, derivatives by fractions of the domain: means of the (mixed) derivatives of the
+    # multilinear functions of the leaves around the corner.
     is_averaged = is_answered & ~np.isin(group, space.hanging)
     of_free_dofs = csr_array((num_groups * size, len(space.free_dofs)))
     for kind, along in enumerate(kinds):

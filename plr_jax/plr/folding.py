@@ -1,4 +1,7 @@
-"""Folding by mirror symmetries: queries mirror points into the part of the domain whose leaves are stored."""
+"""Use mirror symmetries of a distance function: its PLR stores one part of the domain, and queries mirror points.
+
+Such a map of points into that part is called a *folding*.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -11,19 +14,20 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._types import DistanceFn, Points, SymmetricFn, Symmetry
 from plr_jax.geometry.box import Box
 
-_CUT = 1e-9  # of the domain's width: a mirror cuts the domain if it leaves more than this on both sides
+_CUT = 1e-9  # a mirror cuts the domain if more than this share of its width lies on both sides
 
 
 @dataclass(frozen=True, eq=False)
 class Folding:
     """A map of points into one part of a domain: shift to a center, rotate to given axes, then mirror.
 
-    A mirror changes the sign of some coordinates. One of them, its *pivot*, is not periodic and belongs to no other
-    mirror. Points with a negative pivot are mirrored, so the pivots of folded points are never negative.
+    A mirror changes the sign of some coordinates. One of these coordinates, the mirror's *pivot*, is not periodic and
+    no other mirror changes it. If the pivot of a point is negative, the point is mirrored. So the pivots of folded
+    points are never negative.
 
     Attributes:
         center: New origin of coordinates; all mirrors pass through it.
-        axes: Orthogonal matrix, one folded coordinate per row; rows of periodic axes are unit vectors.
+        axes: Orthogonal matrix with a row for each folded coordinate; rows of periodic axes are unit vectors.
         mirrors: For each mirror, whether it changes the sign of each coordinate.
     """
 
@@ -106,7 +110,10 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
-        """Return corners of all boxes mirrored to leaf boxes, and their leaves; ``ValueError`` for rotated axes."""
+        """Return the corners of leaf boxes and all their mirror images, and each box's leaf.
+
+        Raises ``ValueError`` if the axes are rotated.
+        """
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "
@@ -130,7 +137,7 @@ _SAME_PLACE = 1e-9  # tolerance for points, relative to a coordinate or to the d
 
 
 def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
-    """Return a map by a distance function's mirror symmetries into a smaller part of the domain, or None."""
+    """Return a folding by the mirror symmetries of a distance function; None if none makes the domain smaller."""
     # 1. Keep symmetric involutions that commute and do not mix periodic axes with others.
     symmetries: list[Symmetry] = []
     for symmetry in distance_fn.symmetries if isinstance(distance_fn, SymmetricFn) else ():
@@ -144,12 +151,12 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
     if not symmetries:
         return None
 
-    # 2. Diagonalize them simultaneously; axes along which all are diagonal already are kept.
+    # 2. Diagonalize all of them simultaneously; axes along which all are diagonal already stay as they are.
     matrices = np.stack([symmetry.matrix for symmetry in symmetries])
     mixes = (np.abs(matrices * (1 - np.eye(domain.dim))) > _SAME).any(axis=(0, 1))
     axes = np.eye(domain.dim)
     if mixes.any():
-        weight = 2.0 ** -np.arange(len(matrices))  # all combinations of signs have different weighted sums
+        weight = 2.0 ** -np.arange(len(matrices))  # different combinations of signs have different weighted sums
         block = np.einsum("n,nij->ij", weight, matrices)[np.ix_(mixes, mixes)]
         _, vectors = np.linalg.eigh(block)
         largest = np.abs(vectors).argmax(axis=0)
@@ -179,7 +186,10 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
 def _assign_pivots(
     mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, "dim"]
 ) -> tuple[tuple[bool, ...], ...]:
-    """Combine mirrors until each alone reverses some axis, its pivot (row echelon form modulo 2); drop the rest."""
+    """Combine mirrors until each reverses an axis that no other mirror reverses, its pivot; drop the rest.
+
+    This is the reduced row echelon form modulo 2.
+    """
     rows, done = mirrors.copy(), 0
     for axis in np.flatnonzero(may_pivot):
         below = np.flatnonzero(rows[done:, axis])

@@ -1,8 +1,8 @@
-"""The domain in 32-bit floats and the sizes of lookup tables, which all readers of a PLR share; free of JAX.
+"""The layout that all readers of a PLR share: its domain in 32-bit floats, and the sizes of its lookup tables.
 
 The *fraction bits* of a point along an axis are its position in units of ``2**-23`` of the domain's width; the
-highest of them identify its dyadic cell. A *block* is a cell of a coarse grid (``2**block_bits`` cells per axis), a
-*slot* a cell of the finer grid in a block, which has one entry in a lookup table.
+highest bits identify its dyadic cell. A *block* is a cell of a coarse grid (``2**block_bits`` cells per axis). A
+*slot* is a cell of the finer grid in a block, and has one entry in a lookup table. This module does not need JAX.
 """
 
 from enum import IntEnum
@@ -19,16 +19,17 @@ from plr_jax.plr.tree import Cells
 FRACTION_BITS = 23  # mantissa bits of a 32-bit float
 WORD_BITS = 32
 MIN_CLASS = 8  # smallest size class of a file, 256 bytes
-_SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, bits of the flat table); MAX_FLAT_BITS for more leaves
+_SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, log2 of slots); MAX_FLAT_BITS for more leaves
 MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
-_DEEP_BITS = 28  # most halvings over all axes, for more leaves than MOST_ROWS or more than two axes
-_PAGED_DEPTH = 13  # most splits along an axis with pages, so that blocks and pages stay small
-_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27  # log2: per byte, least, most
+_DEEP_BITS = 28  # most halvings, summed over the axes, for more leaves than MOST_ROWS or more than two axes
+_PAGED_DEPTH = 13  # most halvings along an axis of tables with pages, so that blocks and pages stay small
+# Most entries of lookup tables, as log2: per byte of the file, but at least and at most.
+_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """Return how often each block (cell of a grid of ``2**block_bits`` cells) is halved to separate its leaves."""
+    """Return how often each block must be halved along each axis to separate its leaves."""
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
@@ -37,7 +38,7 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nda
 
 
 def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
-    """Return how many pairs of a leaf and a block (cell of a grid of ``2**block_bits`` cells per axis) overlap."""
+    """Return the number of pairs of a leaf and a block that overlap."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
@@ -46,7 +47,7 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return, for leaves and blocks that overlap, both indices, and first cell and extent in the block's grid."""
+    """Return, for each leaf and block that overlap, both indices, and the overlap's first slot and extent."""
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
     below = np.maximum(cells.depth[leaf] - block_bits, 0)
@@ -57,7 +58,7 @@ def slots_in_blocks(
 def leaves_in_blocks(
     cells: Cells, block_bits: Int[np.ndarray, "dim"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """Return the leaf's index and the block's place for each overlapping leaf and block (cell of a coarse grid)."""
+    """Return, for each leaf and block that overlap, the leaf's index and the block's position in the coarse grid."""
     first = np.where(
         cells.depth >= block_bits,
         cells.position >> np.maximum(cells.depth - block_bits, 0),
@@ -69,7 +70,7 @@ def leaves_in_blocks(
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Enumerate the integer points of many boxes; return the index of each point's box, and its coordinates."""
+    """Enumerate the integer points of boxes; return the index of each point's box, and its coordinates."""
     box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
@@ -79,7 +80,7 @@ def enumerate_boxes(
 
 
 def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
-    """Distribute at most ``most`` bits over the axes, each to the axis with the most bits left."""
+    """Choose at most ``most`` of the ``bits`` of all axes, one by one from the axis with the most bits left."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
         chosen[np.argmax(bits - chosen)] += 1
@@ -96,22 +97,22 @@ def row_major(
 
 
 def byte_class(num_bytes: int) -> int:
-    """Return a file's size class: the exponent, at least 8, of the smallest power of two that holds its bytes."""
+    """Return a file's size class: log2 of its bytes, rounded up, at least 8."""
     return max(MIN_CLASS, (num_bytes - 1).bit_length())
 
 
 def rows_of_class(of_class: int, least_bytes: int | float) -> int:
-    """Return the most leaves, of at least ``least_bytes`` bytes each, in a file of ``2**of_class`` bytes."""
+    """Return the largest number of leaves, of at least ``least_bytes`` bytes each, in a file of a size class."""
     return int((1 << of_class) / least_bytes)
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Return log2 of the least number of lookup-table entries for a size class with room for this many leaves."""
+    """Return log2 of the least number of slots of lookup tables for a size class with room for ``rows`` leaves."""
     return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
 
 
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
-    """Return how often a cell may be halved along one axis in files of a size class, or (None) of any size."""
+    """Return how often a cell may be halved along one axis in files of a size class; None: of any size."""
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
@@ -119,13 +120,13 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
 
 
 def max_entries(num_bytes: int) -> int:
-    """Return the most lookup-table entries for a file of this size; the limit bounds the memory of loading."""
+    """Return the most lookup-table entries for a file of this size, which limits the memory of loading."""
     bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
 
-_FAR = 4.0  # widths from the origin, beyond which 32-bit coordinates are coarser than the tables
-# Fewest 32-bit floats along an axis of the domain, by type of the points; with fewer, tables are wrong.
+_FAR = 4.0  # a domain is far beyond this many widths from the origin: 32-bit coordinates are coarser than its tables
+# Least number of 32-bit floats along an axis of the domain, by type of the points; with fewer, tables are wrong.
 _FEWEST_PLACES = {"float32": 64, "float64": 1 / 256}
 LARGEST = 1e30  # bound of coordinates, distances and slopes, well below the largest 32-bit float
 
@@ -133,7 +134,7 @@ Corner: TypeAlias = Float[np.ndarray, "dim"]
 """A point, such as the domain's lower corner, relative to which other points are given."""
 
 Outside: TypeAlias = Literal["inf", "clamp", "nan"]
-"""What a query returns outside the domain; ``"clamp"``: the value at the nearest point plus the distance to it."""
+"""Answer to a query outside the domain; ``"clamp"``: the value at the nearest point plus the distance to it."""
 
 
 def as_outside(outside: str) -> Outside:
@@ -143,7 +144,7 @@ def as_outside(outside: str) -> Outside:
 
 
 class Frame(IntEnum):
-    """Rows of a frame: the array ``(7, dim)`` that describes a domain in 32-bit floats.
+    """Names of the rows of a *frame*, the array ``(7, dim)`` that describes a domain in 32-bit floats.
 
     Attributes:
         LO, HI: Corners, rounded outward.
@@ -216,16 +217,17 @@ def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
 
 
 def corner_if_far(domain: Box) -> Corner | None:
-    """Return, if the domain is far from 0 (:func:`is_far`), its lower corner, the origin of its points; else None."""
+    """Return the domain's lower corner, as the origin of points, if the domain is far from 0 (:func:`is_far`)."""
     return domain.lo if is_far(domain) else None
 
 
 def folding_numbers(
     folding: Folding, origin: Corner
 ) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
-    """Return a folding's center relative to ``origin`` (rows: rounded, rest), and the corners of its folded box.
+    """Return a folding's center and the corners of its box of folded points, in 32-bit floats.
 
-    Corners are rounded inward, so that points clipped to them are inside, and infinite along periodic axes.
+    The center, relative to ``origin``, is the sum of two rows. Corners are rounded inward, so that points clipped to
+    them are inside the box, and infinite along periodic axes.
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)
@@ -241,5 +243,6 @@ def folding_numbers(
 
 
 def mirrored_axes(folding: Folding) -> tuple[tuple[int, tuple[int, ...]], ...]:
+    """Return the pivot axis of each mirror, and the axes that the mirror reverses."""
     reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
     return tuple(zip(folding.pivots, reversed_axes, strict=True))

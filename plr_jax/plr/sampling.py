@@ -72,8 +72,8 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     """Make a pattern of samples in a cell: its center, Sobol points inside and on faces, and its corners if few.
 
     A third of the samples lie on the faces. They detect slivers of free space behind a wall, and the large errors
-    that are frequent at the ends of a cell. Their weight is so small that the fit hardly changes. A ``margin`` moves all
-    samples outward: it scales coordinates by ``1 + 2 * margin``.
+    that are frequent at the ends of a cell. Their weight is so small that the fit hardly changes. A ``margin`` moves
+    all samples outward: it scales coordinates by ``1 + 2 * margin``.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))

@@ -1,4 +1,4 @@
-"""Dyadic cells of a binary space partition, and the tree whose leaves are such cells."""
+"""The binary space partition of a PLR: batches of dyadic cells, and the tree whose leaves are such cells."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -12,11 +12,11 @@ from plr_jax._arrays import hash64
 from plr_jax.geometry.box import Box
 
 PLACING = 2.0**-21
-"""How far outside its cell a 32-bit query may place a point, as a fraction of the domain's width."""
+"""Largest distance of a point to the cell in which a 32-bit query puts it, as a fraction of the domain's width."""
 
 
 class Rows:
-    """A base of dataclasses whose array fields have one row per item; indexing picks the same rows of all arrays."""
+    """A base of dataclasses whose array fields have one row per item; indexing takes the same rows of all arrays."""
 
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
@@ -35,10 +35,10 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Cells(Rows):
-    """A batch of dyadic cells of a domain ``[lo, hi]``: boxes that repeated halving along single axes produces.
+    """A batch of dyadic cells of a domain ``[lo, hi]``: boxes that result from repeated halving along single axes.
 
-    Along each axis a cell is the interval ``lo + [position, position + 1] * (hi - lo) / 2**depth``. So a partition is
-    exact in integers and independent of the domain's units.
+    Along each axis a cell is the interval ``lo + [position, position + 1] * (hi - lo) / 2**depth``. These integers
+    describe a partition exactly, in any units.
 
     Attributes:
         depth: Number of splits along each axis.
@@ -73,16 +73,16 @@ class Cells(Rows):
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
-        """Return, for each cell, the points with given local coordinates ``u``; ``[-1, 1]`` spans the cell."""
+        """Return the points of each cell that have the local coordinates ``u``, from -1 to 1 across the cell."""
         x = np.empty((len(self), *u.shape))
-        for axis in range(self.dim):  # NumPy is slow where the last axis is short
+        for axis in range(self.dim):  # NumPy is slow if the last axis is short
             fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]
             fraction *= np.ldexp(1.0, -self.depth[:, axis])[:, None]
             x[:, :, axis] = domain.lo[axis] + domain.width[axis] * fraction
         return x
 
     def hashes(self) -> UInt64[np.ndarray, "cells"]:
-        numbers = (np.int64(1) << self.depth) + self.position  # heap order: 1 is the whole, 2 and 3 its halves
+        numbers = (np.int64(1) << self.depth) + self.position  # 1 is the whole axis, 2 and 3 are its halves
         total = np.zeros(len(self), np.uint64)
         for along in numbers.T:
             total = hash64(total + along.astype(np.uint64))
@@ -112,7 +112,7 @@ MAX_DEPTH = 60  # a leaf's path from the root, one bit per split, fits a 64-bit 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """A binary tree of cells, in level order from the root, left to right in each level.
+    """A binary tree of cells; nodes are stored level by level from the root, left (lower half) to right.
 
     Attributes:
         cells: Cell of each node.
@@ -120,7 +120,7 @@ class Tree:
         child: Index of each node's lower child, -1 for a leaf; the upper child is the next node.
         node_of_leaf: Node of each leaf, in left-to-right traversal order.
         splits: Indices of the split nodes, one array for each level.
-        order: For each leaf in traversal order, its index among the cells that :func:`tree_of` was given.
+        order: For each leaf in traversal order, its index among the cells from which :func:`tree_of` built the tree.
     """
 
     cells: Cells
@@ -136,7 +136,7 @@ class Tree:
 
     @cached_property
     def leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
-        """Number of the leaf, from left to right, of each node that is a leaf; -1 for split nodes."""
+        """Number of each leaf from left to right, by node; -1 for split nodes."""
         leaf = np.full(len(self.child), -1)
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf
@@ -167,7 +167,7 @@ def tree_of(cells: Cells) -> Tree:
         node[active] = 2 * (np.cumsum(inner) - 1)[node[active]] + upper
         node_depth = np.repeat(node_depth[inner] + np.eye(cells.dim, dtype=np.int64)[axis[inner]], 2, axis=0)
     tree = tree_of_axes(axes, cells.dim)
-    # A leaf is identified by its level (its number of splits) and its place in that level.
+    # The level of a leaf (its number of splits) and its place in that level identify its node.
     first = np.cumsum([0, *(len(axis) for axis in axes)])
     index = np.empty(len(tree.child), np.int64)
     index[first[cells.depth.sum(axis=1)] + node] = np.arange(len(cells))
@@ -175,7 +175,7 @@ def tree_of(cells: Cells) -> Tree:
 
 
 def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
-    """Build a tree from the split axes of its nodes, one array per level from the root; -1 marks a leaf."""
+    """Build a tree from the split axes of its nodes, one array for each level; -1 marks a leaf."""
     num_nodes = sum(map(len, axes))
     child, path = np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
     nodes, parts, splits, first = Cells.root(dim), [], [], 0
@@ -196,5 +196,5 @@ def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
 
 
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
-    """Return the corners of a cell in standard order, one per row; 0 is the lower end of an axis, 1 the upper."""
+    """Return the corners of a cell, one per row, in binary order; 0 is the lower end of an axis, 1 the upper."""
     return np.array(list(product((0, 1), repeat=dim)))

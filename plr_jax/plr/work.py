@@ -1,7 +1,7 @@
-"""Long computations: parallel workers, and checkpoint files that keep finished results.
+"""Run long constructions of PLRs on parallel workers, and keep finished results in checkpoint files.
 
-A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. When it is
-opened again, the first incomplete or damaged record and all later ones are dropped.
+A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. When the
+file is opened again, the first incomplete or damaged record and all later records are dropped.
 """
 
 import os
@@ -33,9 +33,9 @@ _NUM_POINTS = 256  # test points whose distances identify a distance function
 
 
 class Checkpoint:
-    """A checkpoint file, opened or created; ``records`` has the finished results by key.
+    """A checkpoint file, which is opened or created; ``records`` has the finished results by key.
 
-    ``ValueError`` if the file exists and is no checkpoint of the computation with this ``digest``.
+    Raises ``ValueError`` if the file exists and is no checkpoint of the computation with this ``digest``.
     """
 
     def __init__(self, path: str | os.PathLike, digest: bytes):
@@ -53,7 +53,7 @@ class Checkpoint:
                 )
             raise ValueError(
                 f"{path} is the checkpoint of other work: with another distance function, grid, domain, option or "
-                "release. Choose another path, or delete it to start again."
+                "release. Choose another path, or delete the file to start again."
             )
         self._end = self._read(data) if len(head) == len(self._head) else 0
         if not self._end:
@@ -64,7 +64,7 @@ class Checkpoint:
         self._append(_encode_records(records))
 
     def finish(self) -> None:
-        """Sort the records, so that the file does not depend on the order of the work."""
+        """Sort the records, so that the file does not depend on the order in which workers finished."""
         write_atomically(self._path, self._head + _encode_records(dict(sorted(self.records.items()))))
 
     def _append(self, data: bytes) -> None:
@@ -96,8 +96,9 @@ def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
 def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes:
     """Return a digest that identifies a computation: release, domain, options, and distances at test points.
 
-    Oracles of one family (:class:`FamilyFn`) share one evaluation at test points; each adds its sources (the goal and
-    corners where paths may turn). Numbers count as 32-bit floats, since other machines may round differently.
+    For oracles of one family (:class:`FamilyFn`), only the first is evaluated at test points; each adds its sources
+    (the goal and the corners where paths may turn). Numbers are rounded to 32 bits, because machines round
+    differently.
     """
     digest = sha256(f"{plr_jax.__version__} {domain} {options} {len(oracles)}".encode())
     x, families = np.random.default_rng(0).uniform(domain.lo, domain.hi, (_NUM_POINTS, domain.dim)), set()
@@ -112,12 +113,15 @@ def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes
     return digest.digest()
 
 
-_AT_ONCE = 1024  # points per task of a worker, independent of the number of workers
+_AT_ONCE = 1024  # points in a task, whatever the number of workers
 
 
 @dataclass(frozen=True, eq=False)
 class ParallelOracle:
-    """A distance function, evaluated by the executor (None: by this process); a checkpoint may keep its answers."""
+    """A distance function that workers of an executor evaluate; a checkpoint, if any, keeps the answers.
+
+    Without an executor, this process evaluates the function.
+    """
 
     distance_fn: DistanceFn
     executor: Executor | None
@@ -144,7 +148,7 @@ class ParallelOracle:
                 answer = None
                 with suppress(BrokenExecutor):
                     answer = futures[number].result() if number < len(futures) else None
-                # If a worker died, this process computes the answer.
+                # If the worker died, this process computes the answer.
                 answers.append(call_oracle(self.distance_fn, part) if answer is None else answer)
         finally:
             for future in futures:
@@ -153,11 +157,11 @@ class ParallelOracle:
 
 
 Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
-"""Indices of some parts (such as PLRs), and a function that computes the bytes of each."""
+"""Indices of some results (such as PLRs), and a function that computes the bytes of each."""
 
 
 class BuildResults:
-    """The results of all parts of a computation, such as many PLRs, as bytes; None for missing parts."""
+    """The results of a computation of many independent parts, such as PLRs, as bytes; None for missing results."""
 
     def __init__(self, total: int, checkpoint: Checkpoint | None) -> None:
         records = {} if checkpoint is None else checkpoint.records
@@ -168,10 +172,10 @@ class BuildResults:
         return sum(result is not None for result in self.results)
 
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
-        """Compute chunks of parts with the executor, and with threads of this process if it is None or a worker dies.
+        """Compute chunks on the executor; threads of this process do so if it is None, or if a worker dies.
 
-        After an interrupt (Ctrl-C), finished parts are in ``results``. Once all parts are finished, the checkpoint's
-        records are sorted, so that the file does not depend on the order of the work.
+        After an interrupt (Ctrl-C), ``results`` has what is finished. Once all results are finished, the checkpoint
+        file is sorted, so that it does not depend on the order of the work.
         """
         threads = ThreadPoolExecutor(num_cores())
         try:

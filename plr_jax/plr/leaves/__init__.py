@@ -1,4 +1,4 @@
-"""Leaf models: the kinds of functions that leaves can hold, with their names and codes in files."""
+"""The kinds of functions that leaves of a PLR can hold (leaf models), with their names and their codes in files."""
 
 from plr_jax._arrays import shortened
 from plr_jax.plr.container import PAIRS_CODE
@@ -16,7 +16,7 @@ from plr_jax.plr.leaves.continuous import StoredValues as StoredValues
 from plr_jax.plr.leaves.continuous import TiedPartition as TiedPartition
 from plr_jax.plr.leaves.plane import Plane
 
-# The index of a model is its code in files.
+# The index of a model is its code in files, so new models go to the end.
 _MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order=1), Cone())
 
 

@@ -1,4 +1,4 @@
-"""The interface of leaf models, which define the functions of leaves: how to fit, store, evaluate and bound them."""
+"""The interface of leaf models: how the functions of leaves are fitted, stored, evaluated and bounded."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -28,21 +28,21 @@ UNIT = 2.0**-24
 
 
 class LeafModel(ABC):
-    """A kind of leaf, immutable and hashable, since compiled queries are cached by it.
+    """A kind of leaf; immutable and hashable, because the cache of compiled queries uses it as a key.
 
-    A leaf's function follows from its box and its *coefficients*; a first coefficient of ``inf`` makes the value
-    ``inf``. Only the model interprets the *stored* form of all leaves, which ``write`` puts into a file and ``read``
-    returns. Queries read the *parameters* of a leaf.
+    The same leaf data has three forms. *Stored* data is the form in a file, for all leaves together; only the model
+    interprets it. The *coefficients* of a leaf determine its function in its box; if the first coefficient is
+    ``inf``, the value is ``inf``. The *parameters* of a leaf are the numbers that a query reads.
 
     Attributes:
         name: Name for ``construct(leaf=...)``.
         num_samples: Default number of samples in a cell.
         least_bytes: Least number of bytes of a leaf in a file, a power of two that may be a fraction.
-        has_deep_trees: Whether small files may have deep trees, whose query tables have pages (see
-            ``plr/tables.py``).
-        is_cell_relative: Whether functions take local coordinates. The first ``dim`` parameters are then numbers of
-            the cell: along each axis 1 is the domain, and ``2 i`` and ``2 i + 1`` are the halves of ``i``.
-        has_exact_cone_bounds: Whether :meth:`cone_minus_leaf_bounds` are the least and largest difference.
+        has_deep_trees: Whether small files may have deep trees, whose lookup tables have pages (``plr/tables.py``).
+        is_cell_relative: Whether functions take coordinates from 0 to 1 in the leaf's cell. The first ``dim``
+            parameters are then the cell's number along each axis: 1 is the domain, and ``2 i`` and ``2 i + 1`` are
+            the halves of ``i``.
+        has_exact_cone_bounds: Whether :meth:`cone_minus_leaf_bounds` returns the exact least and largest difference.
     """
 
     name: str
@@ -67,7 +67,7 @@ class LeafModel(ABC):
 
     @abstractmethod
     def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
-        """Return each leaf's coefficients: ``inf``, then zeros, if it is stored as one that cannot reach the goal."""
+        """Return the coefficients of all leaves; ``inf`` and zeros for leaves that are stored as unreachable."""
         ...
 
     @abstractmethod
@@ -85,20 +85,20 @@ class LeafModel(ABC):
     def leaf_parameters(
         self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
     ) -> Float[np.ndarray, "leaves count"]:
-        """Return the numbers that a query reads for every leaf, for coordinates relative to ``corner``.
+        """Return the numbers that a query reads for each leaf, for coordinates relative to ``corner``.
 
-        Leaves whose first coefficient is ``inf`` get the value ``inf`` and slope 0.
+        The function of a leaf whose first coefficient is ``inf`` is the constant ``inf``.
         """
         ...
 
     @abstractmethod
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
-        """Return a leaf's value at a place; the order of operations is part of the format (see ``plr/portable``).
+        """Return a leaf's value at a point; the order of operations is part of the format (see ``plr/portable``).
 
         Args:
             parameters: Parameters of the leaf, without the numbers of its cell: arrays, scalars or generated code.
-            place: Coordinates, from 0 to 1 in the leaf's cell if the model ``is_cell_relative``, else relative to the
-                domain's rounded lower corner.
+            place: Coordinates of the point: from 0 to 1 in the leaf's cell if the model ``is_cell_relative``, else
+                relative to the domain's rounded lower corner.
             root: The square root function.
         """
         ...
@@ -134,7 +134,7 @@ class LeafModel(ABC):
         return self.num_leaf_parameters(dim)
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Return a file size in bytes, from which the depth limit follows unless a smaller byte budget is given."""
+        """Return the file size in bytes that determines the depth limit, unless ``max_bytes`` is smaller."""
         return int(2 * self.least_bytes * num_leaves)
 
     def mean_planes(
@@ -143,7 +143,7 @@ class LeafModel(ABC):
         hi: Float[np.ndarray, "leaves dim"],
         coefficients: Float[np.ndarray, "leaves terms"],
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Return a plane for each leaf: value at the center, and half of the rise between opposite face centers."""
+        """Return a mean plane of each leaf: the value at the center, and half of the rise between face centers."""
         center, half = (lo + hi) / 2, np.empty_like(lo)
         for axis in range(lo.shape[1]):
             step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
@@ -155,7 +155,7 @@ class LeafModel(ABC):
 class LinearLeafModel(LeafModel):
     """A leaf model whose functions are linear in their coefficients, such as planes.
 
-    In local coordinates ``u`` (``[-1, 1]`` along every axis) a function is ``basis(u) @ coefficients``.
+    In local coordinates ``u``, from -1 to 1 along every axis of the leaf, a function is ``basis(u) @ coefficients``.
     """
 
     @abstractmethod
@@ -165,7 +165,7 @@ class LinearLeafModel(LeafModel):
     def coefficients_of_planes(
         self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
     ) -> Float[np.ndarray, "leaves terms"]:
-        """Return coefficients that represent planes, given by center values and half of the rise along each axis."""
+        """Return coefficients of planes, given by their center values and half of their rise along each axis."""
         ...
 
     def values(
@@ -231,6 +231,6 @@ def check_limits(
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
-    """Return the largest absolute coordinate that a query rounds to 32 bits, along each axis."""
-    # Far from the origin, queries subtract a corner before they round.
+    """Return the largest absolute coordinate along each axis that a query rounds to 32 bits."""
+    # In a domain far from the origin, a query subtracts the corner before it rounds.
     return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)

@@ -1,8 +1,8 @@
-"""Continuous and smooth leaves: functions that do not jump across free faces.
+"""The leaf models ``"continuous"`` and ``"smooth"``: functions that do not jump across free faces of leaves.
 
-The values at the corners of all leaves are the unknowns, shared by leaves on both sides of a free face. In each round
-the worst leaves are split and one sparse least-squares problem fits all values again. Files store the values as
-integers, each relative to a prediction from coarser ones.
+The unknowns are the values at the corners of all leaves; leaves on both sides of a free face share them. In each
+round the worst leaves are split, and one sparse least-squares problem fits all values again. A file stores each value
+as an integer, relative to a prediction from the values of coarser cells.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,17 +44,17 @@ from plr_jax.plr.tree import Cells, Tree, tree_of
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Conjugate gradients: relative residual, and number of steps after which a direct solver takes over.
+# Conjugate gradients stop at this relative residual; after so many steps, a direct solver takes over.
 _RESIDUAL, _MOST_STEPS = 1e-10, 200
 
 
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
     """Solve normal equations with a sparse symmetric positive definite matrix.
 
-    Up to 2 dimensions: by sparse factorization. In more dimensions factors fill in far more than the matrix, so
-    conjugate gradients with Jacobi scaling come first, to a relative residual of 1e-10. If they do not converge,
-    factorization follows. Scaled by its diagonal, the matrix is well conditioned whatever the sizes of the leaves, as
-    long as samples determine all values.
+    In up to 2 dimensions, the matrix is factorized. In more dimensions, factors have far more entries than the
+    matrix, so conjugate gradients with Jacobi scaling are tried first, and factorization only if they do not
+    converge. Scaled by its diagonal, the matrix is well conditioned whatever the sizes of the leaves, if samples
+    determine all values.
     """
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
@@ -71,10 +71,10 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int)
 
 
 def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
-    """Solve a symmetric positive definite system; None if ``_MOST_STEPS`` steps leave too large a residual.
+    """Solve a symmetric positive definite system; return None if ``_MOST_STEPS`` steps do not suffice.
 
-    SciPy's ``cg`` computes inner products with BLAS, whose threads wait busily and cost several times the solve.
-    ``np.einsum`` starts no threads.
+    SciPy's ``cg`` computes inner products with BLAS, whose threads wait busily and so take several times the CPU time
+    of the solve. ``np.einsum`` starts no threads.
     """
     values, residual, direction = np.zeros_like(right), right, right
     square = first = np.einsum("i,i", right, right)
@@ -89,14 +89,14 @@ def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, "n"]) -> 
     return None
 
 
-_NUM_POINTS = 32  # points that test a face
-_FEW = 4  # points tested first; they suffice for most free faces
+_NUM_POINTS = 32  # test points of a face
+_FEW = 4  # points that are tested first; they suffice for most free faces
 _BESIDE = 1e-6  # distance of test points from the face, in fractions of the domain: far below the smallest cell
-_INSET = 0.998  # keeps test points off the ends of a face, which other faces share
+_INSET = 0.998  # test points fill this share of the face, since its ends belong to other faces too
 
 
 class FaceTests:
-    """A cached test of faces; a face is free if the goal can be reached from both sides of one of its test points."""
+    """A cached test whether faces are free: the goal can be reached from both sides of one of the test points."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn = distance_fn
@@ -112,7 +112,7 @@ class FaceTests:
         keys = [row.tobytes() for row in geometry]
         new = np.array([index for index, key in enumerate(keys) if key not in self._known], np.int64)
         free = np.zeros(len(new), bool)
-        # Test points as fractions of a face. face_points ignores the coordinate along the face's own axis.
+        # Test points in fractions of a face; face_points ignores the coordinate along the face's axis.
         points = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
         for some in (points[:_FEW], points[_FEW:]):
             unsure = np.flatnonzero(~free)
@@ -129,7 +129,10 @@ class FaceTests:
 
 
 def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
-    """Evaluate a polynomial at ``t`` by Horner's rule; coefficients are by powers of ``t``, the last axis fastest."""
+    """Evaluate a polynomial at ``t`` by Horner's rule; ``powers`` is the number of powers along each axis.
+
+    Coefficients are ordered by powers of ``t``, those of the last axis fastest.
+    """
     if not t:
         return coefficients[0]
     stride = len(coefficients) // powers
@@ -142,7 +145,7 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """A partition with functions that are continuous across ``tied`` faces, which join reachable leaves only."""
+    """A partition whose leaves are tied: functions are continuous across ``tied`` faces, all of reachable leaves."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
@@ -154,7 +157,7 @@ class TiedPartition:
         return nodal_space(self.tree, self.faces[self.tied], self.unreachable)
 
     def may_be_tied(self) -> Bool[np.ndarray, "faces"]:
-        """Return which faces lie between two reachable leaves."""
+        """Return whether each face lies between two reachable leaves."""
         return ~(self.unreachable[self.faces.lower] | self.unreachable[self.faces.upper])
 
 
@@ -178,7 +181,7 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round nonnegative values at leaf corners so that they stay nonnegative; hanging corners are ignored."""
+        """Round values >= 0 at the corners of leaves to values >= 0; values at hanging corners are ignored."""
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
@@ -189,7 +192,7 @@ class StoredValues:
         return self.offset + self.step * self.code
 
     def write(self, body: BitWriter) -> None:
-        """Append unreachable leaves, untied faces, and values by level, minus predictions from coarser values."""
+        """Append the unreachable leaves, the untied faces, and the values minus their predictions, level by level."""
         partition, space = self.partition, self.partition.space
         body.write_floats(np.array([self.offset, self.step]))
         body.write_set(partition.unreachable)
@@ -200,7 +203,7 @@ class StoredValues:
 
 
 def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
-    """Read values, as :meth:`StoredValues.write` appended them; ``ValueError`` describes damaged data."""
+    """Read what :meth:`StoredValues.write` appended; ``ValueError`` describes damaged data."""
     offset, step = body.read_floats(2).tolist()
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")
@@ -227,13 +230,13 @@ def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
 _MOST_SPLIT = 0.5  # largest share of the leaves that one round splits before all values are fitted again
 # A round splits at least one in 16 leaves, or one in 64 if splitting more exceeds the byte limit.
 _LEAST_SPLIT, _LEAST_SPLIT_AT_END = 1 / 16, 1 / 64
-# Split priority is error * volume**power: power 0 aims at the largest error, 1 at the mean error.
+# Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
 _VOLUME_POWER = 0.25
-# Values are rounded to this multiple of the mean error: bytes serve the error better as leaves than as digits.
+# Values are rounded to this multiple of the mean error: more leaves reduce the error further than more digits.
 _STEP_PER_MEAN_ERROR = 1.0
 _SMALLEST_STEP = 2.0**-22  # in units of the largest distance: the resolution of 32-bit floats
-# Weight of the difference between a value and its prediction from coarser values, relative to the samples of a cell.
-# So small that it only decides values that no sample determines, inside walls.
+# Weight of the difference between a value and its prediction, relative to the samples of a cell: so small that it
+# decides only values that no sample determines, inside walls.
 _PREDICTION_WEIGHT = 1e-7
 _MOST_DIM_OF_FACTORS = 2  # in more dimensions, sparse factors fill in too much
 _UNPREDICTED = 1e-3  # share of _PREDICTION_WEIGHT that pulls the corners of the domain to the mean value
@@ -241,7 +244,7 @@ _UNPREDICTED = 1e-3  # share of _PREDICTION_WEIGHT that pulls the corners of the
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
-    """A partition with its fitted function, whose residuals are in ``fit``; the length is the number of leaves."""
+    """A partition with its fitted function, whose residuals are in ``fit``; ``len`` is the number of leaves."""
 
     fit: CellFit
     stored: StoredValues
@@ -252,7 +255,7 @@ class _FittedPartition:
 
 
 def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> StoredValues:
-    """Grow a partition in rounds; each round splits leaves and fits the whole function again."""
+    """Grow a partition in rounds, each of which splits leaves and fits the whole function again."""
     rounds = _Rounds(order, sampler, rules, limits)
     root = rounds.fit_leaves(sampler.root())
     limits.require_room(root.num_bytes)
@@ -260,7 +263,7 @@ def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> Sto
 
 
 class _Rounds:
-    """A construction in rounds, each of which splits some leaves, at most ``_most``, and fits all leaves again."""
+    """A construction in rounds, each of which splits at most ``_most`` leaves and fits all leaves again."""
 
     def __init__(self, order: int, sampler: Sampler, rules: Rules, limits: Limits) -> None:
         self._order, self._sampler, self._rules, self._limits = order, sampler, rules, limits
@@ -288,7 +291,7 @@ class _Rounds:
         room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
             room = min(room, int(len(now) * (limits.max_bytes / now.num_bytes - 1)))
-        # Only the better half of the splits that fit: errors change as neighbors are split.
+        # Only half of the splits that fit, since errors change when adjacent leaves are split.
         number = max((room + 1) // 2, int(_LEAST_SPLIT * len(now)), 1)
         number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), limits.max_leaves - len(now), self._most)
         error = np.asarray(self._rules.should_split(fit), float)
@@ -297,7 +300,7 @@ class _Rounds:
         priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
         leaf, axis = np.zeros((2, 0), np.int64)
-        for start in range(0, len(best), max(number, 1)):  # continue past leaves that depth limits exclude
+        for start in range(0, len(best), max(number, 1)):  # continue if depth limits exclude some leaves
             some = best[start : start + number - len(leaf)] if number else best[:0]
             axis_of_some = np.asarray(self._rules.split(fit[some]))
             check_rules(fit[some], error[some], axis_of_some)
@@ -316,7 +319,8 @@ class _Rounds:
         unreachable = ~np.any(fit.reachable, axis=1)
         unreachable[faces[tied].lower] = unreachable[faces[tied].upper] = False
         partition = TiedPartition(tree, unreachable, faces, tied)
-        # Samples of a cell count by the square root of its volume: a compromise between mean and largest error.
+        # Samples have weights by the square root of their cell's volume: between a small mean error, for weights by
+        # volume, and a small largest error, for equal weights.
         of_cell = 2.0 ** (-0.5 * fit.cells.depth.sum(axis=1))
         weight = weights_of_fit(fit.reachable, fit.weight) * fit.pattern.weight * (of_cell / of_cell.mean())[:, None]
         values, residual = fit_values(self._order, partition.space, fit, weight)
@@ -333,7 +337,7 @@ class _Rounds:
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
 ) -> tuple[Float[np.ndarray, "free_dofs"], Float[np.ndarray, "leaves k"]]:
-    """Fit the free degrees of freedom to the samples of all leaves; return their values, and the residuals."""
+    """Fit the free degrees of freedom to the samples of all leaves; return values and residuals."""
     from scipy.sparse import bsr_array, diags_array
 
     coefficients = coefficient_matrix(order, space)
@@ -355,10 +359,10 @@ def fit_values(
 
 @dataclass(frozen=True)
 class Continuous(LinearLeafModel):
-    """A leaf model without jumps across free faces: ``"continuous"`` or ``"smooth"`` leaves.
+    """The leaf models ``"continuous"`` and ``"smooth"``: functions do not jump across free faces.
 
     A face is free if the goal can be reached from both sides of one of its points; functions may jump across walls.
-    Coefficients are the values at a leaf's corners, for order 1 also the derivatives there.
+    Coefficients are the values at a leaf's corners and, for order 1, the derivatives there.
 
     Args:
         order: 0: continuous values, multilinear in every leaf (``"continuous"``), in at most 6 dimensions. 1:
@@ -402,7 +406,7 @@ class Continuous(LinearLeafModel):
 
     def coefficients(self, cells: Cells, stored: StoredValues) -> Float[np.ndarray, "leaves terms"]:
         of_free_dofs = coefficient_matrix(self.order, stored.partition.space).tocsr().sorted_indices().tocoo()
-        # bincount sums in a fixed order, so that all machines get the same bits.
+        # bincount adds in a fixed order, so that all machines get the same bits.
         terms = of_free_dofs.data * stored.decode()[of_free_dofs.col]
         coefficients = np.bincount(of_free_dofs.row, terms, of_free_dofs.shape[0]).reshape(len(cells), -1)
         coefficients[stored.partition.unreachable, 0] = np.inf

@@ -1,4 +1,4 @@
-"""Plane leaves: one plane in every leaf, fitted to its own samples, the model of the paper."""
+"""The leaf model ``"plane"`` of the paper: every leaf has a plane that is fitted to its own samples."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,17 +25,17 @@ from plr_jax.plr.tree import Cells, Tree, tree_of
 
 # The file format of planes: 32-bit floats, or integer multiples of one step.
 #
-# In the local coordinates of its cell (``[-1, 1]`` along every axis) a plane is ``center + half . u``: its center
-# value and its half-differences. As integers, the value is ``offset + step * center + step * half . u``.
-# Half-differences shrink with their cell, so the file has one bit width for each axis and depth. Rounding moves a
-# plane by at most ``(1 + dim) * step / 2`` in its cell. The bits are:
+# In the local coordinates ``u`` of its cell, from -1 to 1 along every axis, a plane is ``center + half . u``. Its
+# *half-differences* ``half`` are half of its rise across the cell along each axis. As integers, the value is ``offset
+# + step * center + step * half . u``. Half-differences shrink with their cell, so the file has a bit width for each
+# axis and depth. Rounding moves a plane by at most ``(1 + dim) * step / 2`` in its cell. The bits are:
 #
-#     bits of a center value, 6 bits; 32 means floats
-#     offset and step as 32-bit floats, except for floats
+#     number of bits of a center value, 6 bits; 32 means floats
+#     unless numbers are floats: offset and step as 32-bit floats
 #     for every axis and every depth up to the deepest leaf's: bit width of a half-difference, 6 bits
-#     center of every leaf; all bits set (for floats inf) mark a leaf without a reachable sample
-#     for every axis: half-difference of every other leaf, in two's complement (or a float's bits), in the width of
-#       the leaf's depth along that axis
+#     center of every leaf; all bits set (inf, if floats) mark a leaf without a sample that reaches the goal
+#     for every axis, for all other leaves: half-difference in two's complement (or a float's bits), in the bit width
+#       of the leaf's depth along that axis
 
 FLOAT_BITS = 32
 MIN_BITS, MAX_BITS = 4, 20
@@ -58,7 +58,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
-        """Return the bits of half-differences (half the rise across a leaf), by axis and depth; 0 if all are 0."""
+        """Return the bit width of half-differences for each axis and depth; 0 if all of them are 0."""
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)
@@ -81,7 +81,7 @@ def unreachable_code(bits: int) -> int:
 def encode_planes(
     center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"], bits: int
 ) -> StoredPlanes:
-    """Round planes to their file form; a center of ``inf`` marks an unreachable leaf."""
+    """Round planes to the form in a file; a center of ``inf`` marks an unreachable leaf."""
     reachable = np.isfinite(center)
     if max(np.abs(center[reachable]).max(initial=0.0), np.abs(half[reachable]).max(initial=0.0)) > LARGEST:
         raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
@@ -97,7 +97,7 @@ def encode_planes(
 def _offset_and_step(
     center: Float[np.ndarray, "reachable"], half: Float[np.ndarray, "leaves dim"], bits: int
 ) -> tuple[float, float]:
-    """Return an offset and a step, exact in 32 bits, for which half-differences take at most ``bits + 9`` bits."""
+    """Choose offset and step, both exact in 32 bits, so that half-differences take at most ``bits + 9`` bits."""
     offset = np.nextafter(np.float32(center.min()), np.float32(-np.inf))
     spread = max(center.max() - float(offset), np.abs(half).max(initial=0.0) * 2**-8)
     step = np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf))
@@ -156,17 +156,17 @@ _BUDGET_BITS = range(8, 17)  # bits of center values to choose from under a byte
 
 @dataclass(frozen=True)
 class Plane(LinearLeafModel):
-    """A leaf model with one plane in every leaf, ``"plane"``; functions may jump between leaves.
+    """The leaf model ``"plane"``: one plane in every leaf; the function may jump between leaves.
 
     Coefficients are the value at a leaf's center, then half of the rise across the leaf along each axis.
 
     Args:
-        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers;
-            slopes usually take fewer bits. None: 32 without ``max_bytes``; with it, the number from 8 to 16 with
-            the smallest expected error of fit and rounding.
+        coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers. Slopes usually
+            take fewer bits. None: 32 without ``max_bytes``; with ``max_bytes``, the number from 8 to 16 with the
+            smallest expected error of fit and rounding.
 
     Raises:
-        ValueError: If the number of bits is not allowed.
+        ValueError: If ``coefficient_bits`` has another value.
     """
 
     coefficient_bits: int | None = None
