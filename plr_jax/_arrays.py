@@ -23,7 +23,7 @@ _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB]
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
-    """Check a batch of points ``(n, dim)`` and return it as float64; if ``dim`` is None, any ``dim >= 1`` is allowed."""
+    """Check a batch of points ``(n, dim)`` and return it as float64; if ``dim`` is None, any dimension is allowed."""
     expected = f"shape (n, {'dim' if dim is None else dim})"
     points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
@@ -34,7 +34,7 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """Check one point ``(dim,)`` and return it as float64; if ``dim`` is None, any ``dim >= 1`` is allowed."""
+    """Check one point ``(dim,)`` and return it as float64; if ``dim`` is None, any dimension is allowed."""
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):

@@ -140,7 +140,7 @@ class ChangingFn(CellwiseFn, Protocol):
 
 @runtime_checkable
 class FreeSpaceFn(Protocol):
-    """A distance function with a test ``is_free``, since a point of distance ``inf`` may be free but without a path."""
+    """A distance function with a test ``is_free``: not every point of distance ``inf`` is in an obstacle."""
 
     def is_free(self, x: ArrayLike, /) -> Bool[np.ndarray, "n"]: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
