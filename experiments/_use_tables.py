@@ -33,8 +33,8 @@ def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
         f"\nMedians (worst) of {variants} variants of each scene; {starts} of door and crowd. Paper: with its planner, "
         "on its hardware. Bound: the sum of the robots' exact distances, without turns. OMPL: the best of its "
         "planners, for the team at once or robot by robot, until its path costs no more than ours "
-        f"({starts} variants). `> t`: no such path within t seconds. {first} {len(race['summary'])} scenes, on which "
-        f"we tuned the planner, {who} (medians, known map); in other tight scenes or on new maps, OMPL's may come "
+        f"({starts} variants). `> t`: no such path within t seconds. {first} {len(race['summary'])} scenes, on "
+        f"which we tuned the planner, {who} (medians, known map); in other tight scenes or on new maps, OMPL's may come "
         "first.\n"
     )
 

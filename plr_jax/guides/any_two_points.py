@@ -5,7 +5,7 @@
 | both points, among polygons | `plr_jax.construct_pairs` | exact but for the rounding of 32-bit floats |
 | both cells of a grid | `plr_jax.construct_grid_pairs` | exact number of steps |
 | both points, any metric | `plr_jax.construct_metric_pairs` | approximate |
-| a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | as exact as one PLR for each goal |
+| a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | by one PLR for each goal |
 | the nearest of several goals | `plr_jax.NearestGoal` | as exact as its oracles |
 
 # Among polygons
@@ -56,7 +56,7 @@ assert (to_dock(positions) == graph(positions)).all()
 
 `plr_jax.MetricPairs` is one PLR over pairs of points, in boxes of at most 3 dimensions. It needs only a symmetric
 function of two batches of points. It suits smooth metrics. Among obstacles, its errors are far larger than
-those of `construct_pairs`.
+the errors of `construct_pairs`.
 
 ```python
 def great_circle(a, b):  # angle between two places on a sphere, each a latitude and a longitude
@@ -70,8 +70,8 @@ print(metric((0.6, -0.2), (1.0, 0.5)), great_circle(np.array([[0.6, -0.2]]), np.
 
 # A list of goals
 
-Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together,
-about as exact as the cones of `construct`. `plr_jax.stack` makes one function of many PLRs, a `plr_jax.PLRStack`.
+Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together, with
+errors about as large as those of `construct`. `plr_jax.stack` combines PLRs into one function, a `plr_jax.PLRStack`.
 
 ```python
 first = plr_jax.VisibilityGraph(workspace, y[0])

@@ -1,8 +1,8 @@
 r"""Guide: query a distance function without JAX, in NumPy, C, C++ or JavaScript.
 
-All these readers use the arithmetic that the file format defines. So their answers are equal, bit for bit, to those
-of `plr.numpy()`, and to those of `plr(x)` on a CPU. NumPy answers batches of points. C and JavaScript answer single
-points, and C has no bounds.
+The file format defines the arithmetic of a query. So all these readers give the same answers, bit for bit, as
+`plr.numpy()`, and as `plr(x)` on a CPU. NumPy takes batches of points; C and JavaScript take single points. There are
+no bounds in C.
 
 ```python
 from pathlib import Path
@@ -57,12 +57,13 @@ cc -std=c99 -O2 -ffp-contract=off main.c -lm
 
 ## Small machines
 
-The tables of this header take 4 to 40 times the bytes of the file. `plr.c_header("maze", compact=True)`, or `plr-jax
-export --compact`, writes the same functions for machines with little memory: bytes, in the plane at most about four
-times the file, and a decoder, which all compact headers share. Its code takes less than 4 KB, the stack 1.5 KB, a
-query on a PC 0.1 to 0.4 microseconds; for smooth leaves 6 KB, 4 KB, and 4 microseconds. Planes and smooth leaves use
-double precision. The decoder can also query bytes that a robot receives while it runs. If `plr_jax_open` accepts
-damaged bytes, they do no harm:
+The tables of this header are 4 to 40 times as large as the file. `plr.c_header("maze", compact=True)`, or `plr-jax
+export --compact`, writes the same functions for machines with little memory. Instead of tables, this header has
+bytes, in the plane at most about four times the file's size, and a decoder, which all compact headers in a program
+share. The decoder takes less than 4 KB of code and 1.5 KB of stack, a query on a PC 0.1 to 0.4 microseconds. Smooth
+leaves need 6 KB, 4 KB, and 4 microseconds. The decoder can also query bytes that a robot receives while it runs. If
+`plr_jax_open` accepts damaged bytes, answers may be wrong, but no query reads outside of the bytes. For planes and
+smooth leaves, the decoder computes in double precision.
 
 ```c
 #include <stdio.h>

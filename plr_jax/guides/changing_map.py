@@ -1,7 +1,7 @@
 """Guide: keep a distance function up to date while obstacles of the map come and go.
 
-After a change, make three calls: one for the map, one for the oracle, one for the PLR. Each call reuses what the
-change does not affect, and returns a new object. The old objects stay valid for the old map.
+After a change, make three calls: for the map, for the oracle, and for the PLR. Each call reuses what the change does
+not affect, and returns a new object. The old objects stay valid for the old map.
 
 ```python
 import plr_jax
@@ -44,8 +44,8 @@ affects. Its distances equal those of a new oracle, up to rounding. For another 
 - The PLR still knows the oracle it was built from. A PLR from a file does not: call
   `plr.updated(new_oracle, old_oracle)`.
 
-The new PLR keeps the byte budget and has its own proof. Its errors are about as large as those of a PLR that is built
-for the new map. `max_bytes` sets another budget. The first update of a PLR takes longer than later ones.
+The new PLR keeps the byte budget, unless `max_bytes` sets another one, and has its own proof. Its errors are about as
+large as those of a PLR that is built for the new map. The first update of a PLR takes longer than later updates.
 
 ```python
 plr_jax.save(plr, "maze.plr")

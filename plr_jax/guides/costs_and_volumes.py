@@ -21,10 +21,11 @@ exits = plr_jax.solve_eikonal(space, [(0.5, 2), (5.5, 3.5)], cost_map=cost, cert
 print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, and the index of that exit
 ```
 
-- `certified=False` gives an estimate, in about a second; in up to three dimensions. Follow this estimate for paths.
+- `certified=False` gives an estimate, in about a second, in up to three dimensions. To get paths, follow the
+  estimate.
 - `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where
-  no path through proven free cells was found, mostly beside obstacles: give more leaves.
-- Several goals are rows. `which` needs the PLR that `solve_eikonal` returned: it is not in files, nor under `jit`.
+  no path through proven free cells was found, mostly beside obstacles: with more leaves, there are fewer such points.
+- Give a row for each of several goals. Files do not store `which`, and it cannot be called under `jit`.
 - Limits are `max_bytes`, `max_leaves` and, for certified PLRs, `tolerance`.
 
 # Costs
@@ -35,10 +36,10 @@ give the reciprocal of the speed.
 - `plr_jax.RasterCost`: a raster of factors. `interpolation="bilinear"`, the default, suits samples of a smooth cost;
   `"nearest"` suits rasters whose cells are classes, such as road and river. `from_costmap` and `from_occupancy_grid`
   read costs of ROS, `inflated` adds costs around obstacles like Nav2, and `plr_jax.scenes.read_cost_map` reads files.
-- `plr_jax.LipschitzCost`: a function, with a bound of how fast it changes. The proof relies on that bound.
+- `plr_jax.LipschitzCost`: a function, and a limit of how fast it changes. Proofs rely on this limit.
 - `plr_jax.DirectionalCost`: the protocol for costs that depend on the direction, such as uphill or a current;
   its docstring has examples.
-- `plr_jax.MotionCost`: the length itself, for example with a weight for turns. Every space has one.
+- `plr_jax.MotionCost`: how a space measures the length of a motion, for example with a weight for turns.
 
 ```python
 slow = plr_jax.LipschitzCost(lambda q: 1 + q[:, 0], lipschitz=1, least=1)
@@ -50,7 +51,7 @@ print(slow([[0.5, 0.5]]), lower, proven([[0.9, 0.9]]), upper)
 
 # Compare with a grid solver
 
-A grid solver needs `cost` at its nodes, not `values`, with at least 8 nodes along a side of a cell.
+Give a grid solver the `cost` at its nodes, not `values`, with at least 8 nodes along a side of a cell.
 
 ```python
 import skfmm
@@ -115,6 +116,6 @@ print(walk((9, 0)), walk((9, 3)))
 ```
 
 Proofs need a `plr_jax.ConfigurationSpace`: `classify(lo, hi)` returns a `plr_jax.CellState` for each box, and
-`are_free(q0, q1)` tests motions. Only a proven answer may be FREE or BLOCKED; MIXED is always right. With
-`sees_boxes`, a space is a `plr_jax.SeesBoxes`, whose upper bounds are finite beside walls as well.
+`are_free(q0, q1)` tests motions. Answer FREE or BLOCKED only if this is proven; MIXED is always allowed. A space that
+also has `sees_boxes` is a `plr_jax.SeesBoxes`: upper bounds are then finite beside walls as well.
 """

@@ -25,14 +25,13 @@ A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` read
 GeoJSON, WKT, Moving AI grids and polygons in JSON. `Workspace.from_mask(free)` takes pixels and
 `Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows
 obstacles. Polygons inscribed in the round corners replace the arcs, so distances are never longer than the true
-distances. `plr_jax.scenes` also has ready-made maps. The domain of a PLR is a `plr_jax.Box`, of any dimension, which
-may be periodic along some axes.
+distances. `plr_jax.scenes` also has ready-made maps. The domain of a PLR is a `plr_jax.Box` of any dimension, and may
+be periodic along some axes.
 
 # Oracles
 
 A `plr_jax.DistanceFn` is any function from points `(n, dim)` to distances `(n,)`, with `inf` where the goal cannot be
-reached. An oracle runs on the host, in NumPy, so it cannot be called inside `jit`. A PLR
-can be called inside `jit`.
+reached. An oracle runs on the host, in NumPy, so it cannot be called inside `jit`; a PLR can.
 
 | oracle | distance |
 | --- | --- |
@@ -62,12 +61,12 @@ print(roadmap(x[:3]), by_roadmap(x[:3]), parking([[1, 2, 3]]), car((1, 2, 3)))
 `plr_jax.construct` stops at the first limit that is reached: `max_bytes`, `max_leaves`, `max_depth`, or `tolerance`,
 the largest error in a cell. Leaves:
 
-- `"cone"`: the distance by way of one obstacle corner, exact in most cells. Only among polygons. In the file, each
-  corner used takes about 7 bytes.
-- `"continuous"`: continuous from cell to cell, unless a wall is between them; in up to 6 dimensions.
-- `"smooth"`: as `"continuous"`, and its gradient hardly jumps; in 1 or 2 dimensions.
+- `"cone"`: the length of paths by way of one obstacle corner, exact in most cells. Only among polygons. Each corner
+  takes about 7 bytes in the file.
+- `"continuous"`: no jumps from cell to cell, unless a wall is between them; in up to 6 dimensions.
+- `"smooth"`: as `"continuous"`, and the gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
-- `"best"`: chooses one of these leaves; in case of doubt, it builds several and keeps the one with the smallest
+- `"best"`: chooses one of these leaves; in case of doubt, it builds several PLRs and keeps the one with the smallest
   error.
 
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.

@@ -10,8 +10,8 @@
 
 # Descend
 
-`plr_jax.descend` takes any field: a PLR, an oracle, or your own function. In a `plr_jax.Workspace`, a start reaches
-the goal whenever a path exists, however poor the field is. The field only decides which way to go.
+`plr_jax.descend` takes any field: a PLR, an oracle, or your own function. In a `plr_jax.Workspace`, it reaches the
+goal from every start from which a path exists, even by a poor field: the field only decides which way to go.
 
 ```python
 import jax

@@ -40,9 +40,9 @@ how close robots come to obstacles and to one another, and what the first violat
 
 # Heuristics, bounds and better paths
 
-Without a heuristic, the planner uses each robot's cost-to-go along its lattice: the best choice for most plans. The
+Without a heuristic, the planner uses each robot's cost-to-go along its lattice, which is best for most problems. The
 lower bound, `solution.lower_bound`, is then the length of straight lines. The sum of the robots' exact distances is a
-better lower bound, also of the cost of a path that you already have:
+better lower bound, also for a path that you already have:
 
 ```python
 exact = plr_jax.robot_distance_fns(problem)  # one VisibilityGraph for each robot, obstacles grown by its radius
@@ -74,9 +74,9 @@ setup.setOptimizationObjective(plr_jax.ompl_objective(setup.getSpaceInformation(
 
 # Under way
 
-`plr_jax.replan` replans robots whose goals have changed or whose paths are blocked, and robots in their way. If these
-are too many, it replans the whole team. The other robots keep their lines, but not the times at which they pass. So
-all robots must switch to the new path.
+`plr_jax.replan` plans again for robots whose goals have changed or whose paths are blocked, and for robots in their
+way. If these are too many, it plans for the whole team. The other robots pass the same points as before, but at other
+times. So all robots must switch to the new path.
 
 ```python
 import numpy as np
