@@ -30,12 +30,12 @@ def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
     who = "OMPL's first path came before ours" if sooner else "our first path came before OMPL's"
     variants, starts = len(results["seeds"]), len(race["seeds"])
     return markdown(table, numbers=4) + (
-        f"\nMedians (worst) of {variants} variants of each scene; {starts} of door and crowd. Paper: with its planner, "
-        "on its hardware. Bound: the sum of the robots' exact distances, without turns. OMPL: the best of its "
-        "planners, for the team at once or robot by robot, until its path costs no more than ours "
+        f"\nMedians (worst) of {variants} variants of each scene; {starts} of door and crowd. Paper: with its "
+        "planner, on its hardware. Bound: the sum of the robots' exact distances, without turns. OMPL: the best of "
+        "its planners, for the team at once or robot by robot, until its path costs no more than ours "
         f"({starts} variants). `> t`: no such path within t seconds. {first} {len(race['summary'])} scenes, on "
-        f"which we tuned the planner, {who} (medians, known map); in other tight scenes or on new maps, OMPL's may come "
-        "first.\n"
+        f"which we tuned the planner, {who} (medians, known map); in other tight scenes or on new maps, OMPL's may "
+        "come first.\n"
     )
 
 
