@@ -52,10 +52,7 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
 
 
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
-    """Check an array of real numbers and return it as float64; ``expected`` describes it in errors.
-
-    Masked entries are rejected.
-    """
+    """Check an array of real numbers, none masked, and return it as float64; ``expected`` describes it in errors."""
     try:
         numbers = np.asarray(value)
         if (
@@ -72,10 +69,7 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
 
 
 def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "..."]:
-    """Check query points ``(..., dim)`` and return them as 32-bit or 64-bit floats; masked numbers become NaN.
-
-    If ``dim`` is None, any shape is allowed.
-    """
+    """Check query points ``(..., dim)`` and return them as 32-bit or 64-bit floats; masked numbers become NaN."""
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(np.float64), np.nan)
     try:
@@ -93,7 +87,6 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
 
 
 def with_inf_for_masked(value: ArrayLike) -> ArrayLike:
-    """Replace masked distances by ``inf``: the goal cannot be reached."""
     if isinstance(value, np.ma.MaskedArray):
         return np.where(np.ma.getmaskarray(value), np.inf, value.data)
     return value
@@ -200,10 +193,7 @@ def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wan
 def take_ragged(
     first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
-    """Return the indices of all items of the runs ``which``, and the index into ``which`` of each item's run.
-
-    Run ``i`` has the items from ``first[i]`` to ``first[i + 1] - 1``.
-    """
+    """Return the items of the runs ``which``, and each item's index into ``which``; run i starts at ``first[i]``."""
     run, place = ragged_indices(first[which + 1] - first[which])
     return first[which][run] + place, run
 

@@ -52,10 +52,7 @@ class FunctionOfBox(Protocol):
 
 @runtime_checkable
 class PiecewiseFunction(FunctionOfBox, Protocol):
-    """A function, such as a PLR, that is defined box by box.
-
-    ``leaf_boxes`` has the lower and the upper corners of the boxes, ``(n, dim)`` each.
-    """
+    """A function, such as a PLR, defined in boxes; ``leaf_boxes`` has their lower and upper corners, ``(n, dim)``."""
 
     @property
     def leaf_boxes(self) -> tuple[ArrayLike, ArrayLike]: ...
@@ -79,10 +76,7 @@ class Sources:
 
 
 CellSources: TypeAlias = Any
-"""``plr_jax.geometry.cell_sight.CellSources``: for cells of the plane, where shortest paths may turn first.
-
-Code that does not import Shapely uses this alias instead of the class.
-"""
+"""``plr_jax.geometry.cell_sight.CellSources``, without its imports: where paths from cells may turn first."""
 
 
 @runtime_checkable

@@ -143,10 +143,7 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build the files of members of a family.
-
-    Without a task, or if no shared sample reaches the goal, a PLR is built alone.
-    """
+    """Build files of members of a family; without a task, or if no shared sample reaches the goal, one by one."""
     files = []
     for oracle in oracles:
         if task is None or (found := task(oracle)) is None:

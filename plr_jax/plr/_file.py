@@ -74,7 +74,6 @@ def decode(data: bytes) -> DecodedFile:
 
 
 def decode_cells(data: bytes) -> Cells:
-    """Decode only the leaves' cells, in traversal order."""
     container = Container.from_bytes(data)
     return read_tree(BitReader(container.last.body), container.domain.dim).leaves
 

@@ -83,10 +83,7 @@ class PLR(FileBacked):
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven bounds of the distance minus the answer, rounding included; None without a proof.
-
-        The rows are lower and upper bounds. There is one column for each leaf (then padding), or one for all leaves.
-        """
+        """Proven lower and upper bounds (rows) of distance minus answer, for each leaf or for all; None: no proof."""
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -218,9 +215,9 @@ class PLR(FileBacked):
 
     @property
     def max_error(self) -> float | None:
-        """Proven limit of the error at all points for which :meth:`bounds` hold; None without a proof.
+        """Proven limit of the error where :meth:`bounds` hold, in units of distance; None without a proof.
 
-        In units of distance. It is ``inf`` if some leaf has no upper bound, as is common after :func:`solve_eikonal`.
+        It is ``inf`` if some leaf has no upper bound, as is common after :func:`solve_eikonal`.
         """
         certificate = self._contents.certificate
         return None if certificate is None else certificate.max_error
@@ -438,10 +435,7 @@ class PLR(FileBacked):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Whether the file stores each leaf as unreachable: without a sample from which the goal can be reached.
-
-        Such a leaf continues the plane of an adjacent leaf, or answers ``inf``. Cones are never unreachable.
-        """
+        """Whether leaves have no sample that reaches the goal; they continue a neighbor's plane or answer ``inf``."""
         return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
 
     @property

@@ -53,10 +53,7 @@ _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
-    """Split the fraction ``bits`` of each axis into the levels of a trie.
-
-    Return the numbers of bits used before the first level (zeros), and after each level.
-    """
+    """Return how many of the fraction ``bits`` of each axis are used before a trie's first level and after each."""
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
         rest = bits - ends[-1]
@@ -67,10 +64,7 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """Build the trie of several PLRs, whose leaves have the given ``rows`` of the table of leaf parameters.
-
-    Raises ``ValueError`` if the leaves are too deep, or the trie would be too large.
-    """
+    """Build the trie of several PLRs, given the row of each leaf's parameters; ``ValueError`` if it is too large."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)

@@ -15,8 +15,7 @@ from plr_jax.plr.leaves import as_sourced
 if TYPE_CHECKING:
     from plr_jax.geometry.workspace import Workspace
 
-_ROUNDING = 2.0**-24
-"""Tolerance, relative to the domain's width: four times the rounding of a source's coordinates in a file."""
+_ROUNDING = 2.0**-24  # tolerance, in domain widths: four times the rounding of a source's coordinates in a file
 
 
 class TraceStatus(IntEnum):

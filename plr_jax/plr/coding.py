@@ -40,7 +40,6 @@ class ByteReader:
         return self.take(1)[0]
 
     def varint(self) -> int:
-        """Decode the next varint; raises ``ValueError`` if it has more than ten bytes."""
         value = 0
         for place in range(_MOST_BYTES):
             byte = self.byte()
@@ -60,10 +59,7 @@ _MAX_CODED = 2**40  # limit of integers in Exp-Golomb codes, not included
 
 
 class BitWriter:
-    """A writer of unsigned integers of given bit widths, least significant bit first.
-
-    ``num_bits`` is the number of bits written so far.
-    """
+    """A writer of unsigned integers of given bit widths, least significant bit first."""
 
     def __init__(self) -> None:
         self.num_bits = 0

@@ -1,7 +1,4 @@
-"""The outer structure of PLR files: header, checksums, and layers of bits whose content is opaque here.
-
-``portable/FORMAT.md`` describes the layout. ``_file.py`` encodes the leaves in a layer.
-"""
+"""The outer structure of PLR files: header, checksums and layers of bits, as ``portable/FORMAT.md`` describes it."""
 
 import os
 import struct
@@ -21,15 +18,12 @@ from plr_jax.plr.coding import ByteReader, signed_varint, varint
 from plr_jax.plr.folding import Folding
 
 VERSION = 5
-PAIRS_CODE = 7
-"""Code of files of distances between pairs of points, in place of a leaf model's code."""
+PAIRS_CODE = 7  # in place of a leaf model's code, in files of distances between pairs of points
 MOST_LABEL_BYTES = 1000
 MOST_BYTES = 2**28  # largest size of a file
 MOST_AXES = 255  # most axes of a domain
-MAGIC = b"P\xb5"
-"""First bytes of every file of this version."""
-GRID_MAGIC = b"PGP\n"
-"""First bytes of files of distances between cells of a grid (see ``pairs/grid_pairs.py``)."""
+MAGIC = b"P\xb5"  # first bytes of every file of this version
+GRID_MAGIC = b"PGP\n"  # first bytes of files of distances between cells of a grid (``pairs/grid_pairs.py``)
 _EARLIER = b"PLR\n", b"CPL\n"  # first bytes of files of earlier versions
 MOST_LAYERS = 32
 _MOST_IN_BITS = 15  # most axes that fit into four bits of the header's first byte
@@ -64,7 +58,6 @@ class Header:
 
     @cached_property
     def data(self) -> bytes:
-        """Encoded bytes of the header."""
         dim, (domain, is_floats) = self.domain.dim, domain_to_bytes(self.domain)
         if dim > MOST_AXES:
             raise ValueError(f"A domain must have at most {MOST_AXES} axes, got {dim}.")
@@ -85,7 +78,6 @@ class Header:
 
     @staticmethod
     def read(data: bytes) -> "Header":
-        """Decode the header at the start of a file; raises ``ValueError`` if it is invalid."""
         if data.startswith(_EARLIER):
             raise ValueError(f"it must have format version {VERSION}, but has an earlier one; build it again")
         reader = ByteReader(data)
@@ -332,10 +324,7 @@ class FileBacked:
         return Header.read(self.to_bytes()).label
 
     def with_label(self, label: str) -> Any:
-        """Return a copy that gives the same answers and whose file stores another label.
-
-        ``ValueError`` unless the label is a text of at most 1,000 bytes in UTF-8.
-        """
+        """Return a copy whose file stores another label, a text of at most 1,000 bytes (else ``ValueError``)."""
         require_label(label)
         if label == self.label:
             return self

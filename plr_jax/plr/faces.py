@@ -1,7 +1,4 @@
-"""Find adjacent leaves of a partition and their shared faces, and resolve the constraints of tied leaves.
-
-Also: overlapping leaves of two trees, and the neighbor with the largest contact.
-"""
+"""Find adjacent or overlapping leaves and their shared faces; resolve the constraints between tied leaves."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,8 +52,6 @@ def overlap(
 
 
 def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
-    """Return all pairs of a leaf of ``a`` and a leaf of ``b`` whose cells overlap."""
-
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         return overlap(a.cells, pairs[0], b.cells, pairs[1], axis)
 
@@ -67,10 +62,7 @@ ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples 
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Return the matrix that computes all values from the free values (``is_free`` 1).
-
-    ``step`` computes each other value from values on which it depends directly; dependencies have no cycles.
-    """
+    """Return the matrix that computes all values from the free ones, given the matrix of direct dependencies."""
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -254,8 +246,7 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
     """Return, for each corner of each leaf, the ends of the edge whose middle it is, and whether a split made it.
 
-    A split halves edges of a cell; the middle of such an edge becomes a corner of both halves. The ends are given as
-    corners ``leaf * 2**dim + corner`` of leaves; they mean nothing for corners of the domain, which no split made.
+    The ends are corners ``leaf * 2**dim + corner``; they mean nothing for corners of the domain, which no split made.
     """
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]

@@ -1,7 +1,4 @@
-"""Use mirror symmetries of a distance function: its PLR stores one part of the domain, and queries mirror points.
-
-Such a map of points into that part is called a *folding*.
-"""
+"""Use mirror symmetries: a *folding* maps all points into one part of the domain, whose leaves a PLR stores."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -110,10 +107,7 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
-        """Return the corners of leaf boxes and all their mirror images, and each box's leaf.
-
-        Raises ``ValueError`` if the axes are rotated.
-        """
+        """Return corners of leaf boxes and their mirror images, and each box's leaf; not for rotated axes."""
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "
@@ -186,10 +180,7 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
 def _assign_pivots(
     mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, "dim"]
 ) -> tuple[tuple[bool, ...], ...]:
-    """Combine mirrors until each reverses an axis that no other mirror reverses, its pivot; drop the rest.
-
-    This is the reduced row echelon form modulo 2.
-    """
+    """Combine mirrors until each has a pivot (the reduced row echelon form modulo 2); drop mirrors without one."""
     rows, done = mirrors.copy(), 0
     for axis in np.flatnonzero(may_pivot):
         below = np.flatnonzero(rows[done:, axis])

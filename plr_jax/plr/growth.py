@@ -145,10 +145,7 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Make nodes of fitted cells, for which the split rules gave ``priority`` and ``axis``.
-
-    ``bound`` has the keys of the cells' parents.
-    """
+    """Make nodes of fitted cells from the split rules' ``priority`` and ``axis``; ``bound`` has the parents' keys."""
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
@@ -239,10 +236,7 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
-    """Return each cell's axis of least cost, among the axes along which halves are neither too narrow nor too deep.
-
-    If there is no such axis, return 0.
-    """
+    """Return each cell's axis of least cost along which halves are neither too narrow nor too deep; 0 if none is."""
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
     closed |= depth >= fit.max_axis_depth

@@ -155,10 +155,7 @@ def normal_matrices(
 def solve_planes(
     normal: Float[np.ndarray, "cells terms terms"], projection: Float[np.ndarray, "cells terms"]
 ) -> Float[np.ndarray, "cells terms"]:
-    """Solve the normal equations of planes; slopes are zero along directions in which no sample varies.
-
-    ``normal`` is overwritten.
-    """
+    """Solve normal equations of planes (overwritten); slopes are zero along directions in which no sample varies."""
     terms, total = normal.shape[-1], normal[:, 0, 0].copy()
     ridge = np.where(total > 0, _RIDGE * total, 1.0)
     normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
@@ -225,10 +222,8 @@ class CellFit(Rows):
 class Sampler:
     """A function that samples the distance in cells and fits planes.
 
-    Attributes:
-        weight_fn: Error weights of points; None: 1.
-        dense_pattern: Pattern for cells in which few samples of ``pattern`` reach the goal.
-        memory: Cache that gives exact distances in cells of the plane; None: call ``distance_fn``.
+    ``dense_pattern`` is for cells in which few samples reach the goal. A ``memory`` replaces calls of
+    ``distance_fn``.
     """
 
     distance_fn: DistanceFn
@@ -283,9 +278,9 @@ class Sampler:
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Give planes to cells without a sample that reaches the goal, if ``sampler.memory`` knows free space there.
+    """Give planes to cells whose samples do not reach the goal, but some free space does.
 
-    The plane is tangent to the distance at the center of the cell's largest piece of free space.
+    The plane is tangent to the distance at the center of the cell's largest piece of such free space.
     """
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 from plr_jax._arrays import hash64
 from plr_jax.geometry.box import Box
 
-PLACING = 2.0**-21
-"""Largest distance of a point to the cell in which a 32-bit query puts it, as a fraction of the domain's width."""
+PLACING = 2.0**-21  # largest distance of a point to the cell in which a 32-bit query puts it, in domain widths
 
 
 class Rows:
@@ -50,7 +49,6 @@ class Cells(Rows):
 
     @staticmethod
     def root(dim: int) -> "Cells":
-        """Return a batch of one cell, which covers the whole domain."""
         return Cells(np.zeros((1, dim), np.int64), np.zeros((1, dim), np.int64))
 
     def __len__(self) -> int:
@@ -142,7 +140,6 @@ class Tree:
         return leaf
 
     def halves(self, nodes: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "halves"]:
-        """Return the indices of both children of each split node, the lower child first."""
         return (self.child[nodes][:, None] + np.arange(2)).ravel()
 
 

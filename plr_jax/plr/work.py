@@ -118,10 +118,7 @@ _AT_ONCE = 1024  # points in a task, whatever the number of workers
 
 @dataclass(frozen=True, eq=False)
 class ParallelOracle:
-    """A distance function that workers of an executor evaluate; a checkpoint, if any, keeps the answers.
-
-    Without an executor, this process evaluates the function.
-    """
+    """A distance function that workers of an executor, if any, evaluate; a checkpoint, if any, keeps the answers."""
 
     distance_fn: DistanceFn
     executor: Executor | None

@@ -23,8 +23,7 @@ class Rules(NamedTuple):
     split: SplitRule
 
 
-UNIT = 2.0**-24
-"""Largest relative error of rounding to 32-bit floats."""
+UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
 
 class LeafModel(ABC):

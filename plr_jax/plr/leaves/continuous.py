@@ -129,10 +129,7 @@ class FaceTests:
 
 
 def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
-    """Evaluate a polynomial at ``t`` by Horner's rule; ``powers`` is the number of powers along each axis.
-
-    Coefficients are ordered by powers of ``t``, those of the last axis fastest.
-    """
+    """Evaluate a polynomial of ``powers`` powers per axis at ``t`` by Horner's rule; the last axis varies fastest."""
     if not t:
         return coefficients[0]
     stride = len(coefficients) // powers
