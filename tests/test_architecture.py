@@ -27,7 +27,7 @@ PLR_LAYERS = [
     ["tree", "folding"],
     ["faces", "cell_memory"],
     ["finite_elements", "frame", "coding", "sampling"],
-    ["container", "work"],
+    ["container", "parallel_builds"],
     ["certificate"],
     ["growth"],
     ["best_partition"],

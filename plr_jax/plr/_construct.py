@@ -35,6 +35,7 @@ from plr_jax.plr.frame import table_corners
 from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import Cone, leaf_model, leaf_names
 from plr_jax.plr.leaves.base import LeafModel, Rules, check_limits
+from plr_jax.plr.parallel_builds import Checkpoint, ParallelOracle, digest_of
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.sampling import (
     FitRule,
@@ -46,7 +47,6 @@ from plr_jax.plr.sampling import (
     sample_pattern,
 )
 from plr_jax.plr.tree import grown_domain
-from plr_jax.plr.work import Checkpoint, ParallelOracle, digest_of
 
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR

@@ -22,7 +22,7 @@ from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
-from plr_jax.plr.work import BuildResults, Checkpoint, Chunk, digest_of
+from plr_jax.plr.parallel_builds import BuildResults, Checkpoint, Chunk, digest_of
 
 _MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that progress is stored from time to time
 

@@ -13,7 +13,7 @@ import plr_jax
 from experiments._scale_work import FatalOnce
 from plr_jax.plr import _construct_many
 from plr_jax.plr import work as work_module
-from plr_jax.plr.work import BuildResults
+from plr_jax.plr.parallel_builds import BuildResults
 
 # Many PLRs at once: as good as those that are built alone, and the same whoever builds them and however often.
 
