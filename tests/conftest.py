@@ -36,7 +36,7 @@ _LONG = ("test_notebooks.py", "test_experiments.py", "test_readme.py", "test_gui
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run slow files first, others in their order."""
+    """Run slow files first, and all other files in their order."""
     items.sort(key=lambda item: not item.path.name.startswith(_LONG))
 
 

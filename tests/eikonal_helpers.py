@@ -83,7 +83,7 @@ def halved(cells):
 
 
 def hard_points(plr, workspace, n, seed=0):
-    """Return free points of hard kinds: on walls, at vertices, and on or very near faces of leaves; and uniform ones.
+    """Return uniform free points and hard ones: on walls, at vertices, and on or very near faces of leaves.
 
     Their number is fixed, so that queries are compiled once.
     """
@@ -103,7 +103,7 @@ def hard_points(plr, workspace, n, seed=0):
 
 
 def check_between(plr, x, distance, rounding=1e-9):
-    """Check that the bounds contain finite distances; return these, lower and upper bounds."""
+    """Check that the bounds contain finite distances; return the distances, lower and upper bounds."""
     lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
     known = np.isfinite(distance)
     assert known.any()

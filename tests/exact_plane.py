@@ -59,14 +59,14 @@ def _is_in(sector: Sector, v: Vector) -> bool:
 
 
 def _middle(u: Vector, v: Vector) -> Vector:
-    """A direction between two, counterclockwise from the first one."""
+    """Return a direction between two directions, counterclockwise from the first."""
     turn = _cross(u, v)
     middle = (-u[1], u[0]) if turn == 0 else (u[0] + v[0], u[1] + v[1])
     return (-middle[0], -middle[1]) if turn < 0 else middle
 
 
 def _compare(u: Vector, v: Vector) -> int:
-    """Compare directions counterclockwise from the positive x axis on; negative if ``u`` comes first."""
+    """Compare directions, counterclockwise from the positive x axis; negative if ``u`` comes first."""
     half = [w[1] < 0 or (w[1] == 0 and w[0] < 0) for w in (u, v)]
     return half[0] - half[1] or -_cross(u, v)
 
@@ -149,7 +149,7 @@ class ExactPlane:
         return as_exact([Fraction(x[k], x[2]) + d[k] * nearest / 2 for k in (0, 1)])
 
     def _sides(self, p: np.ndarray, q: np.ndarray, r: np.ndarray, exact: Callable[..., Any]) -> np.ndarray:
-        """Return sides of points ``r`` of lines from ``p`` to ``q``, exactly computed where floats may be wrong."""
+        """Return on which sides of lines from ``p`` to ``q`` points ``r`` lie; exact where floats may be wrong."""
         u, v = q - p, r - p
         cross = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
         side = np.sign(cross).astype(int)
@@ -188,7 +188,7 @@ class ExactPlane:
         return bool(self.sectors[p]) if p == q else bool(self._links_between([p], [q]))
 
     def joins(self, a: Any, b: Any, radius: float) -> bool:
-        """Whether a path in free space joins two points whose vertices are within a radius of their segment."""
+        """Return whether a free path, with all vertices within a radius of their segment, joins two points."""
         p, q = self._placed([a, b])
         start, end = as_floats([p, q])
         segment: Any = shapely.linestrings(np.stack([start, end]))

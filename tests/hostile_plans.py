@@ -124,7 +124,7 @@ def hostile_plan(seed: int, number: int, goals: int = 6, points: int = 24) -> Pl
     )
 
     def beside(count: int) -> Iterator[np.ndarray]:
-        """Points beside walls, their ends and corners."""
+        """Return points beside walls, their ends and corners."""
         for start, end in rng.permutation(ends)[np.arange(count) % len(ends)]:
             along = (end - start) / np.hypot(*(end - start))
             across = np.array([-along[1], along[0]])
@@ -164,7 +164,7 @@ class Judge:
 
     @cached_property
     def rounded(self) -> ExactPlane:
-        """The plane after rounding by the workspace."""
+        """Return the plane after rounding by the workspace."""
         return ExactPlane(self.boundary)
 
     def interval(
@@ -186,7 +186,7 @@ class Judge:
         radius: float,
         in_sectors: bool = False,
     ):
-        """Count wrong values; with ``in_sectors``, the values of all sectors beside a contact are right."""
+        """Count wrong values; with ``in_sectors``, the values of all sectors beside a contact count as right."""
         self.counts[f"{name}: asked"] += len(x)
         with np.errstate(invalid="ignore"):
             doubtful = ~((got == exact) | (np.abs(got - exact) <= slack))
@@ -198,7 +198,7 @@ class Judge:
                 self.fail(f"{name}: wrong", goal, x[i], got[i], exact[i], allowed[0])
 
     def pairs(self, goal: Any, x: np.ndarray, got: np.ndarray, exact: np.ndarray, width: float):
-        """Count wrong distances of pairs, except those too short beside walls that 32 bits do not resolve."""
+        """Count wrong distances of pairs; distances beside walls that 32 bits do not resolve may be too short."""
         radius, slack = _NEAR_PAIRS * width, _SLACK_PAIRS * width
         may_lack = np.array([self._is_thin_at(point, radius) for point in [goal, *x]])
         may_lack = (may_lack[0] | may_lack[1:]) & (got < exact + slack)
@@ -222,7 +222,7 @@ class Judge:
         return any(len(self.rounded.sectors_at(as_exact(vertex))) > 1 for vertex in vertices)
 
     def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, exact: np.ndarray, slack: float):
-        """Count broken bounds; name bounds apart that hold within the tolerance, or for 32-bit points."""
+        """Count broken bounds; bounds that hold within the tolerance, or for 32-bit points, have separate names."""
         lower, upper = (np.asarray(each, float) for each in got)
         reached, width = np.isfinite(exact), float(np.ptp(self.boundary.reshape(-1, 2), axis=0).max())
         self.counts[f"{name}: asked"] += int(reached.sum())
@@ -248,7 +248,7 @@ class Judge:
                 self.fail(f"{name}: wrong", goal, each, bool(answer), not answer, None)
 
     def _may_see(self, a: np.ndarray, b: np.ndarray, answer: bool) -> bool:
-        """Return whether a segment within the tolerance, or a free path as near, has this answer."""
+        """Return whether a segment or a free path within the tolerance of the given segment has this answer."""
         radius, way = _NEAR * self.plan.tolerance, b - a
         if np.hypot(*way) <= 4 * radius:
             return True
@@ -318,7 +318,7 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
 
 
 def _refusing(result: Judge, name: str, make: Callable[[], Any]) -> Any:
-    """Return what is made, or None if it is refused with a ``ValueError``."""
+    """Return the result of ``make``, or None if it raises a ``ValueError``."""
     result.counts[f"{name}: made"] += 1
     try:
         signal.alarm(_HANGS)

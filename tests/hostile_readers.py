@@ -200,7 +200,7 @@ def _cost_map_of(mode: str) -> bytes:
 
 
 def _with_picture(read: Callable[[Path], Any]) -> Callable[[Path], Any]:
-    """Wrap a reader of map files so that the picture lies beside the file."""
+    """Wrap a reader of map files so that it finds the picture in the folder of the file."""
 
     def reader(path: Path) -> Any:
         path.with_name("room.pgm").write_bytes(_PICTURE)

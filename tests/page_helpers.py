@@ -1,4 +1,4 @@
-"""Examples of Markdown pages, found and run."""
+"""Helpers for tests of pages: find the examples of a Markdown page, and run them."""
 
 import io
 import re
@@ -15,7 +15,7 @@ ROOT = Path(__file__).parent.parent
 
 
 def blocks(page: str, language: str) -> list[str]:
-    """The fenced blocks of a language, in their order."""
+    """Return the fenced blocks of a language, in their order."""
     return re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
 
 
@@ -32,7 +32,7 @@ def run_page(page: str, folder: Path) -> None:
 
 
 def run_python(code: str, names: dict[str, object]) -> None:
-    """Run a block of Python with fewer points than it names."""
+    """Run a block of Python, with smaller numbers of points in place of large ones."""
     exec(compile(re.sub(r"(sample_free\()[\d_]+", r"\g<1>16", code), "page", "exec"), names)
 
 

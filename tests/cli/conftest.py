@@ -15,19 +15,19 @@ def built(leaf, folder):
 
 @pytest.fixture(scope="session", params=["plane", "continuous", "smooth"])
 def maze(request, tmp_path_factory):
-    """A file of each kind."""
+    """Return a file of the maze, one for each kind of leaves."""
     return built(request.param, tmp_path_factory.mktemp("maze"))
 
 
 @pytest.fixture(scope="session")
 def plane(tmp_path_factory):
-    """A file, where its kind makes no difference."""
+    """Return a file, for tests in which the kind of leaves makes no difference."""
     return built("plane", tmp_path_factory.mktemp("plane"))
 
 
 @pytest.fixture(scope="session")
 def maps(tmp_path_factory):
-    """A folder of maps of every kind, which no test changes."""
+    """Return a folder of maps of every kind, which tests must not change."""
     folder = tmp_path_factory.mktemp("maps")
     (folder / "grid.map").write_text("type octile\nheight 2\nwidth 3\nmap\n...\n..@\n")
     (folder / "polygons.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))

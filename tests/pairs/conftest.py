@@ -1,4 +1,4 @@
-"""Pairs of the maze and of one wall, made once: queries of each are compiled once for a number of points."""
+"""Fixtures of tests of pairs: pairs of the maze and of one wall, built once, so that few queries are compiled."""
 
 import pytest
 from pair_helpers import MAZE, WALL
@@ -19,12 +19,12 @@ def wall():
 
 @pytest.fixture
 def compiled(monkeypatch):
-    """Answer few pairs by the compiled function too, not in NumPy."""
+    """Make the compiled function answer small batches too, instead of NumPy."""
     monkeypatch.setattr(pair_plr, "_FEW_TESTS", 0)
 
 
 @pytest.fixture(params=["few", "compiled"])
 def either_way(request):
-    """Answer few pairs in NumPy, then by the compiled function."""
+    """Run a test twice: with small batches answered in NumPy, and by the compiled function."""
     if request.param == "compiled":
         request.getfixturevalue("compiled")

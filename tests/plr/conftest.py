@@ -1,4 +1,4 @@
-"""Leaf models and PLRs of the walled square, each built once."""
+"""Fixtures of tests of PLRs: leaf models and PLRs of the walled square, each built once."""
 
 import numpy as np
 import pytest

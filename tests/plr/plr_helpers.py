@@ -1,4 +1,4 @@
-"""Distance functions and slow twins that several tests of the PLR room share."""
+"""Helpers for tests of PLRs: distance functions, partitions, files, and slow versions of functions."""
 
 import struct
 import tracemalloc
@@ -23,7 +23,7 @@ UNIT = Box([0, 0], [1, 1])
 
 
 def points(n, seed, dim=2):
-    """Random points of the unit box."""
+    """Return random points of the unit box."""
     return np.random.default_rng(seed).random((n, dim))
 
 
@@ -32,7 +32,7 @@ def cone(x):
 
 
 def walled(x):
-    """Distance to (0.1, 0.1) in the unit square with a wall x in [0.4, 0.5], y <= 0.7, around whose top one walks."""
+    """Return distances to (0.1, 0.1) in the unit square, around a wall with x in [0.4, 0.5] and y <= 0.7."""
     goal, left, right = np.array([0.1, 0.1]), np.array([0.4, 0.7]), np.array([0.5, 0.7])
     from_left = np.linalg.norm(left - goal)
     sees_goal = (x[:, 0] <= 0.4) | (x[:, 1] - 0.1 >= 2 * (x[:, 0] - 0.1))
@@ -47,13 +47,13 @@ def walled(x):
 
 
 def three_leaves():
-    """The lower half of a square along x, and the two quarters above it."""
+    """Return three cells of a square: the lower half along x, and the two quarters above it."""
     halves = Cells.root(2).split(np.array([0]))
     return halves[[0]].append(halves[[1]].split(np.array([1])))
 
 
 def leaf_by_search(plr, x):
-    """Index of the leaf that holds each point, by comparing it with every leaf's box."""
+    """Return the index of the leaf that contains each point, by comparison with the boxes of all leaves."""
     lo, hi = plr.leaf_boxes
     last = hi >= plr.domain.hi  # the upper edge of the domain belongs to the last cell
     inside = (x[:, None] >= lo) & ((x[:, None] < hi) | (last & (x[:, None] <= hi)))
@@ -68,7 +68,7 @@ def evaluate_by_search(plr, x):
 
 
 def random_partition(seed, dim, num_splits):
-    """Leaves of a tree grown by splitting random leaves along random axes, in traversal order."""
+    """Return the leaves of a tree that grew by splits of random leaves along random axes, in traversal order."""
     rng = np.random.default_rng(seed)
     leaves = [(np.zeros(dim, int), np.zeros(dim, int))]
     for _ in range(num_splits):
@@ -79,20 +79,20 @@ def random_partition(seed, dim, num_splits):
 
 
 def lstsq_plane(u, value, weight):
-    """Center and half-differences of one cell's plane, by rows scaled by the square root of their weight."""
+    """Fit one cell's plane by ``np.linalg.lstsq``; return the center value and the half-differences."""
     root = np.sqrt(weight)
     design = np.concatenate([np.ones((len(u), 1)), u], axis=1) * root[:, None]
     return np.linalg.lstsq(design, value * root, rcond=None)[0]
 
 
 def sampler_of(distance_fn, domain, weight_fn=None, num_samples=64, max_axis_depth=14):
-    """What samples and fits cells, hardly seen ones no more densely than others."""
+    """Return a sampler that samples all cells equally densely."""
     patterns = 2 * [sample_pattern(domain.dim, num_samples, 0.0, 0)]
     return Sampler(distance_fn, domain, weight_fn, *patterns, max_axis_depth)
 
 
 def chain(axes):
-    """Leaves of a tree that splits, again and again, the cell at the lower corner, along one axis after another."""
+    """Return the leaves of a tree that splits its lowest cell along each of the given axes, one after another."""
     leaves = Cells.root(int(max(axes)) + 1)
     for axis in axes:
         leaves = leaves[[0]].split(np.array([axis])).append(leaves[1:])
@@ -100,7 +100,7 @@ def chain(axes):
 
 
 def random_contents(seed, dim, leaf, cells=None, periodic=()):
-    """Leaves of a random partition, or of given cells, with random numbers."""
+    """Return file contents with random values in the leaves of a random partition, or in given cells."""
     rng = np.random.default_rng(seed)
     tree = tree_of(random_partition(seed, dim, 20) if cells is None else cells)
     cells, model = tree.leaves, leaf_model(leaf)
@@ -124,24 +124,24 @@ def random_contents(seed, dim, leaf, cells=None, periodic=()):
 
 
 def quarters_in_another_order():
-    """Quarters of the unit square, first split along axis 1: below are the values 0 and 1, above 2 and 3."""
+    """Return file contents of the unit square's quarters, first split along axis 1: values 0, 1 below, 2, 3 above."""
     tree = tree_of_axes([np.array([1]), np.array([0, 0]), np.full(4, -1)], 2)
     planes = encode_planes(np.arange(4.0), np.zeros((4, 2)), 32)
     return DecodedFile(UNIT, leaf_model("plane"), tree, planes)
 
 
 def sealed(content):
-    """The bytes of a file of one layer but for its checksum, with the one that they ought to have."""
+    """Return the bytes of a file of one layer, with the right checksum appended."""
     return content + struct.pack("<I", zlib.crc32(content))
 
 
 def contents_of_planes(cells, planes, domain=UNIT):
-    """What a file of planes holds."""
+    """Return the contents of a file of planes."""
     return DecodedFile(domain, leaf_model("plane"), tree_of(cells), planes)
 
 
 def assert_refused_for_little(read, given, message, most):
-    """Reading what is given raises, saying why, before it has allocated so many bytes."""
+    """Check that reading raises a ``ValueError`` with this message before it has allocated ``most`` bytes."""
     tracemalloc.start()
     try:
         with pytest.raises(ValueError, match=message):
@@ -152,7 +152,7 @@ def assert_refused_for_little(read, given, message, most):
 
 
 def leaf_by_position(cells, x):
-    """Leaf of points of the unit cube, from the cells' own integers."""
+    """Return the leaf of points of the unit cube, from the integers of the cells."""
     slots = np.minimum(np.floor(x[:, None] * 2.0**cells.depth).astype(int), 2**cells.depth - 1)
     found = (slots == cells.position).all(axis=2)
     assert (found.sum(axis=1) == 1).all()
@@ -160,7 +160,7 @@ def leaf_by_position(cells, x):
 
 
 def tables_of_numbers(cells, num_bytes, leaf=None):
-    """Tables of the unit cube, whose leaf ``i`` holds the plane of value ``i``."""
+    """Return lookup tables of the unit cube whose leaf ``i`` has the constant value ``i``."""
     numbers = np.zeros((len(cells), 1 + cells.dim))
     numbers[:, 0] = np.arange(len(cells))
     domain = Box(np.zeros(cells.dim), np.ones(cells.dim))

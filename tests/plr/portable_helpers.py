@@ -1,4 +1,4 @@
-"""PLRs of all kinds that readers without JAX are held against, points that are hard for them, and a slow reader."""
+"""Helpers for tests of readers without JAX: PLRs of all kinds, hard points, and a slow independent reader."""
 
 from fractions import Fraction
 from functools import cache, reduce
@@ -67,18 +67,18 @@ CASES = {
 
 @cache
 def case(name: str) -> PLR:
-    """A PLR, built once."""
+    """Return a PLR by name, built once."""
     return CASES[name]()
 
 
 def is_far(plr):
-    """Whether points of a PLR are 64-bit numbers for a program."""
+    """Return whether the C and JavaScript programs of a PLR take points in 64 bits."""
     lo, hi = plr.domain.lo, plr.domain.hi
     return bool((np.maximum(np.abs(lo), np.abs(hi)) > 4 * (hi - lo)).any())
 
 
 def hard_points(plr, n=2000, seed=0):
-    """Points at random, on faces of cells, at corners and beside them, outside, around, infinite and NaN."""
+    """Return points at random, on faces of cells, at and beside corners, outside the domain, infinite and NaN."""
     rng, domain = np.random.default_rng(seed), plr.domain
     inside = rng.uniform(domain.lo, domain.hi, (n, plr.dim))
     faces = domain.lo + domain.width * rng.integers(0, 65, (n, plr.dim)) / 64
@@ -94,17 +94,18 @@ def hard_points(plr, n=2000, seed=0):
 
 
 def same_bits(a, b):
-    """Whether arrays of floats are equal to the bit, any NaN like any other."""
+    """Return whether arrays of floats have equal bits; all NaN count as equal."""
     a, b = np.asarray(a), np.asarray(b)
     assert a.dtype == b.dtype and a.dtype in (np.float32, np.float64) and a.shape == b.shape
     return np.array_equal(a, b, equal_nan=True) and np.array_equal(np.signbit(a)[a == 0], np.signbit(b)[b == 0])
 
 
 class SlowReader:
-    """Reads as ``plr_jax/plr/portable/FORMAT.md`` says, one point at a time, in scalars of NumPy.
+    """A reader that follows ``plr_jax/plr/portable/FORMAT.md``, one point at a time, in scalars of NumPy.
 
-    Cells are compared one by one. Of leaves that nothing reaches and of the domain of a folding it asks the package,
-    and of polynomials how their weights are rounded, which the words leave open where they are not exact.
+    A point is compared with each cell. The reader takes from the package only what the document leaves open: the
+    planes of unreachable leaves, the domain of a folding, and the rounding of weights of polynomials that are not
+    exact.
     """
 
     def __init__(self, plr):
@@ -136,7 +137,7 @@ class SlowReader:
     def _own_numbers(self, down, numbers):
         contents, leaf = self.contents, self.contents.leaf
         if leaf.is_cell_relative:
-            of_cells = np.zeros((len(contents.tree.leaves), self.plr.dim))  # which it reads from the cells themselves
+            of_cells = np.zeros((len(contents.tree.leaves), self.plr.dim))  # the reader takes them from the cells
             own, is_exact = polynomial_numbers(contents)
             own = np.column_stack([of_cells, own])
             is_rounding = np.abs(own - numbers) <= 2.0**-48 * np.abs(numbers[np.isfinite(numbers)]).max()
@@ -159,7 +160,7 @@ class SlowReader:
             return np.array([self._value(point) for point in x], np.float32)
 
     def waypoint(self, x):
-        """The sources of leaves of cones."""
+        """Return the source of the leaf of each point, for PLRs of cones."""
         with np.errstate(all="ignore"):
             return np.array([self._waypoint(point) for point in x], np.float64 if self.is_far else np.float32)
 
@@ -174,7 +175,7 @@ class SlowReader:
         return self._leaf_value(z - self.lo)
 
     def _placed(self, x):
-        """None outside the domain."""
+        """Return a point relative to the origin, wrapped and mirrored; None outside the domain."""
         if not np.isfinite(x[self.periodic]).all():
             return None
         if self.is_far or x.dtype == np.float64:
@@ -196,7 +197,7 @@ class SlowReader:
             z = np.array([reduce(add, row * z) for row in folding.axes.astype(f32)])
         for mirror, pivot in zip(folding.mirrors, folding.pivots, strict=True):
             z = np.where(mirror, -z, z) if z[pivot] < 0 else z
-        hi, lo = _outward(folding.box.hi, folding.box.lo)  # inward: as if they were lower and upper ones
+        hi, lo = _outward(folding.box.hi, folding.box.lo)  # rounded inward, as swapped ends
         return np.where(self.periodic, z, np.minimum(np.maximum(z, lo), hi))
 
     def _leaf(self, above):
@@ -240,21 +241,22 @@ def _outward(lo, hi):
     )
 
 
-# Numbers of leaves that are polynomials, from free values: by ``plr_jax/plr/portable/FORMAT.md``, in fractions.
+# The polynomials of continuous and smooth leaves from free values, as ``plr_jax/plr/portable/FORMAT.md`` defines
+# them, in exact fractions.
 #
-# A *combination* of values is a dictionary from the groups that have them to their weights. Of the package there are
-# only the cells, the faces that are tied, which leaves are unreachable, and the free values, as a file holds them.
+# A *combination* of values is a dictionary from groups to weights. Only the cells, the tied faces, the unreachable
+# leaves and the free values come from the package, as the file stores them.
 
-_ALONG = {  # by order: powers of t, of each end of [0, 1] and of each kind of number there
+_ALONG = {  # by order: for each end of [0, 1] and kind (value, derivative), the polynomial in t
     0: {(0, 0): (1, -1), (1, 0): (0, 1)},
     1: {(0, 0): (1, 0, -3, 2), (0, 1): (0, 1, -2, 1), (1, 0): (0, 0, 3, -2), (1, 1): (0, 0, -1, 1)},
 }
 
 
 def polynomial_numbers(contents):
-    """Coefficients by powers of the place in its cell, of every leaf; of unreachable ones 0.
+    """Return each leaf's polynomial coefficients, by powers of local coordinates; 0 for unreachable leaves.
 
-    And whether the weights are exact in 64 bits, as the words say of some files: then so are these numbers.
+    Also return whether all weights, and so these numbers, are exact in 64 bits, as the format says for some files.
     """
     leaves = _Leaves(contents)
     return leaves.numbers(), leaves.order == 0 and not leaves.solved
@@ -283,7 +285,7 @@ class _Leaves:
         assert len(self.free) == len(self.values)
 
     def _points_of_faces(self):
-        """Where functions agree: pairs of a leaf and a place in it, a fraction of it along each axis."""
+        """Return the points where functions agree, each as two pairs of a leaf and a place in it, from 0 to 1."""
         faces, tied = self.partition.faces, self.partition.tied
         points = []
         for axis, *leaves in sorted(np.stack([faces.axis, faces.lower, faces.upper], axis=1)[tied].tolist()):
@@ -303,7 +305,7 @@ class _Leaves:
         return tuple(Fraction(across) if x is None else x * 2**depth - position for x, depth, position in cell)
 
     def _groups(self):
-        """The number of each node's group."""
+        """Return the number of each node's group."""
         graph = nx.Graph()
         graph.add_nodes_from(product(range(self.num_leaves), self.corners))
         graph.add_edges_from(nodes for nodes in self.points if all(node in graph for node in nodes))
@@ -311,7 +313,7 @@ class _Leaves:
         return dict(sorted((node, number) for number, group in groups for node in group))
 
     def _hanging(self):
-        """Groups that hang: the leaf that each does on, and where."""
+        """Return, for each hanging group, the leaf on which it hangs, and the place there."""
         on = {}
         for side in (0, 1):
             for nodes in self.points:
@@ -325,7 +327,7 @@ class _Leaves:
         return sum(Fraction(position + end, 2**depth).denominator.bit_length() - 1 for position, end, depth in cell)
 
     def _interpolated(self, leaf, t):
-        """The value at a place of a leaf, from those of groups that do not hang."""
+        """Return the value at a place in a leaf, as a combination of groups that do not hang."""
         terms = []
         for corner in self.corners:
             weight = prod(along if end else 1 - along for along, end in zip(t, corner, strict=True))
@@ -341,7 +343,7 @@ class _Leaves:
         return self._interpolated(*self.on[group]) if group in self.on else {group: Fraction(1)}
 
     def _solved(self):
-        """Groups that equations give up, as combinations of groups that none does."""
+        """Return the groups that equations eliminate, as combinations of the other groups."""
         solved = {}
         for lower, upper in self.points:
             if lower in self.group and upper in self.group:
@@ -358,7 +360,7 @@ class _Leaves:
 
     @cache  # noqa: B019
     def _numbers_of(self, group):
-        """Value and derivatives, by fractions of the domain, as combinations of free values."""
+        """Return a group's value and derivatives (by fractions of the domain) as combinations of free values."""
         if self.order == 0:
             return [_replaced(self._value_of(group), self.solved)]
         return self._of_cubic(*self.on[group]) if group in self.on else self._of_mean(group)
@@ -398,7 +400,7 @@ class _Leaves:
         return prod(2**depth for depth, is_in in zip(self.depth[leaf], kind, strict=True) if is_in)
 
     def numbers(self):
-        """Sums in 64 bits, from left to right."""
+        """Return each leaf's coefficients, summed in 64 bits from left to right."""
         coefficients = np.zeros((self.num_leaves, (2, 4)[self.order] ** self.dim))
         for leaf in self.reachable:
             for corner in self.corners:
@@ -413,7 +415,7 @@ class _Leaves:
 
 
 def _sum(terms):
-    """The sum of multiples of combinations."""
+    """Return the sum of weighted combinations."""
     total = {}
     for factor, combination in terms:
         for group, weight in combination.items():
@@ -422,12 +424,12 @@ def _sum(terms):
 
 
 def _replaced(combination, solved):
-    """A combination, some of whose groups are combinations of others."""
+    """Return a combination in which solved groups are replaced by their combinations."""
     return _sum((weight, solved.get(group, {group: Fraction(1)})) for group, weight in combination.items())
 
 
 def _at(powers, t, is_derivative):
-    """A polynomial, or its derivative, at a place."""
+    """Return the value of a polynomial, or of its derivative, at ``t``."""
     if is_derivative:
         return sum(i * power * t ** (i - 1) for i, power in enumerate(powers) if i)
     return sum(power * t**i for i, power in enumerate(powers))

@@ -1,12 +1,12 @@
-"""Writes ``tests/plr/vectors``: small PLR files, points, and what the slow reader answers there.
+"""Write ``tests/plr/vectors``: small PLR files, points, and the answers of the slow reader at these points.
 
-Run it where the format or its arithmetic changed on purpose:
+Run this script when the format or its arithmetic has changed on purpose:
 
     PYTHONPATH=tests:tests/plr python tests/plr/vectors.py
 
-Of a file NAME.plr there is a table NAME.json: ``type`` of the points, float32 or float64; ``points``, whose
-coordinates are hexadecimal floats; ``distances``, the patterns of 32-bit floats in hexadecimal; of cones
-``waypoints``, as points.
+For each file NAME.plr there is a table NAME.json: the ``type`` of the points, float32 or float64; the ``points``, as
+hexadecimal floats; the ``distances``, as the bits of 32-bit floats in hexadecimal; for cones, the ``waypoints``, like
+points.
 """
 
 import json
@@ -24,12 +24,12 @@ _POINTS = 200
 
 
 def vector_names() -> list[str]:
-    """Names of the files that are read."""
+    """Return the names of all vectors."""
     return sorted(path.stem for path in FOLDER.glob("*.json"))
 
 
 class Vector(NamedTuple):
-    """A file, points, and what is answered there; ``waypoints`` of cones alone."""
+    """A file, points, and the answers there; ``waypoints`` are None unless leaves are cones."""
 
     path: Path
     points: np.ndarray
@@ -38,7 +38,7 @@ class Vector(NamedTuple):
 
 
 def read_vector(name: str) -> Vector:
-    """The vector of a file."""
+    """Read the vector of this name."""
     table = json.loads((FOLDER / f"{name}.json").read_text())
     points, waypoints = (
         np.array([[float.fromhex(along) for along in point] for point in table.get(key, [])], table["type"])
@@ -49,7 +49,7 @@ def read_vector(name: str) -> Vector:
 
 
 def write() -> None:
-    """Write all of them anew."""
+    """Write all vectors."""
     from portable_helpers import SlowReader, case, hard_points
 
     from plr_jax import save
