@@ -176,7 +176,7 @@ def ragged_indices(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "it
 
 
 def parts(counts: Int[np.ndarray, "items"], most: int) -> list[slice]:
-    """Split items into consecutive slices whose counts sum to about ``most``."""
+    """Split items into consecutive slices; the ``counts`` of each slice sum to about ``most``."""
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
     return [slice(*both) for both in pairwise([0, *ends.tolist(), len(counts)])]
 

@@ -311,11 +311,12 @@ class PLR(FileBacked):
         return NumpyPLR(self.to_bytes())
 
     def c_header(self, name: str, compact: bool = False) -> str:
-        """Return the PLR as a C99 header, also valid C++, which allocates no memory and calls only ``sqrtf``.
+        """Return the PLR as a C99 header, also valid C++, which allocates no memory.
 
-        It defines ``float NAME_distance(const float x[dim])`` and, for cones, ``void NAME_waypoint(const float
-        x[dim], float waypoint[dim])``; in a domain far from the origin, coordinates are doubles. Results equal those
-        of :meth:`numpy` bit for bit if compiled with ``-ffp-contract=off``.
+        Its only library calls are ``sqrtf`` and, if compact, ``memcpy`` and ``memset``. It defines ``float
+        NAME_distance(const float x[dim])`` and, for cones, ``void NAME_waypoint(const float x[dim], float
+        waypoint[dim])``; in a domain far from the origin, coordinates are doubles. Results equal those of
+        :meth:`numpy` bit for bit if compiled with ``-ffp-contract=off``.
 
         Args:
             name: Prefix of all definitions; ``ValueError`` if it is no C identifier.

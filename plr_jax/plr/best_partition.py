@@ -28,10 +28,10 @@ UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes that a search has computed after an equal number of halvings; their halves are in the next level.
+    """The boxes of one level (number of halvings) that a search has computed; their halves are in the next level.
 
     Attributes:
-        boxes: Boxes in the plane and their errors as leaves, such as ``ConeBoxes``.
+        boxes: Boxes in the plane with the errors that they would have as leaves, such as ``ConeBoxes``.
         key: A key that identifies each box.
         child: Index of each box's halves in the next level, by axis, half and box, or ``UNKNOWN`` or ``PRUNED``.
     """

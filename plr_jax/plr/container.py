@@ -1,4 +1,8 @@
-"""The outer structure of PLR files: header, checksums and layers of bits, as ``portable/FORMAT.md`` describes it."""
+"""The outer structure of PLR files: header, checksums and layers of bits, as ``portable/FORMAT.md`` describes it.
+
+A PLR is stored in one layer. A file of distances between pairs of points may have several, and may be cut off after
+any of them.
+"""
 
 import os
 import struct
@@ -45,7 +49,7 @@ class Header:
     """The header of a file.
 
     Attributes:
-        leaf_code, proof_code: Codes of the last layer.
+        leaf_code, proof_code: Codes of leaf model and kind of proof in the last layer.
         sizes: Size in bytes of each layer but the last.
     """
 
@@ -184,7 +188,7 @@ _START = 2**12  # bytes that are read before the first bytes are checked
 
 
 def holds_pairs(data: bytes) -> bool:
-    """Return whether a file holds distances between any two points; raises ``ValueError`` if it is no PLR file."""
+    """Return whether a file has distances between any two points, not a PLR; ``ValueError`` if it has neither."""
     return data.startswith(GRID_MAGIC) or Header.read(data).leaf_code == PAIRS_CODE
 
 

@@ -200,7 +200,7 @@ class CellFit(Rows):
 
     @cached_property
     def masked(self) -> Int[np.ndarray, "masked"]:
-        """Indices of the cells with a sample whose weight is not 1."""
+        """Indices of the cells with a sample whose weight is not 1, such as a sample that does not reach the goal."""
         return masked_cells(self.weight)
 
     @property

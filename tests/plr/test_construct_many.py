@@ -11,8 +11,7 @@ import pytest
 
 import plr_jax
 from experiments._scale_work import FatalOnce
-from plr_jax.plr import _construct_many
-from plr_jax.plr import work as work_module
+from plr_jax.plr import _construct_many, parallel_builds
 from plr_jax.plr.parallel_builds import BuildResults
 
 # Many PLRs at once: as good as those that are built alone, and the same whoever builds them and however often.
@@ -274,7 +273,7 @@ def build(distance_fn, **options):
 
 
 class Counted:
-    """A distance function that ends the process, in a manner of speaking, when it is work_module once too often."""
+    """A distance function that ends the process, in a manner of speaking, when it is parallel_builds once too often."""
 
     def __init__(self, distance_fn, most=10**9):
         self.distance_fn, self.most, self.count = distance_fn, most, 0
@@ -287,7 +286,7 @@ class Counted:
 
 
 def test_workers_give_the_same_bytes_and_what_dead_ones_leave_is_asked_here(roadmap, monkeypatch):
-    monkeypatch.setattr(work_module, "_AT_ONCE", 50)
+    monkeypatch.setattr(parallel_builds, "_AT_ONCE", 50)
     expected, breaking = build(roadmap), Failing(3, BrokenExecutor("a worker died"), takes_more=False)
     with ThreadPoolExecutor(3) as executor:
         assert build(roadmap, executor=executor) == expected
@@ -302,7 +301,7 @@ def test_whenever_it_ends_it_goes_on_where_it_was(roadmap, tmp_path):
     expected = build(whole, checkpoint=tmp_path / "whole")
     runs = [
         Counted(roadmap, 3) for _ in range(whole.count)
-    ]  # that are work_module once for what they are, and twice more
+    ]  # that are parallel_builds once for what they are, and twice more
     for run in runs:
         with suppress(RuntimeError):
             plr = build(run, checkpoint=tmp_path / "parts")
