@@ -273,7 +273,7 @@ def build(distance_fn, **options):
 
 
 class Counted:
-    """A distance function that ends the process, in a manner of speaking, when it is parallel_builds once too often."""
+    """A distance function that raises an error, as if the process was killed, after ``most`` calls."""
 
     def __init__(self, distance_fn, most=10**9):
         self.distance_fn, self.most, self.count = distance_fn, most, 0
@@ -299,9 +299,8 @@ def test_workers_give_the_same_bytes_and_what_dead_ones_leave_is_asked_here(road
 def test_whenever_it_ends_it_goes_on_where_it_was(roadmap, tmp_path):
     whole = Counted(roadmap)
     expected = build(whole, checkpoint=tmp_path / "whole")
-    runs = [
-        Counted(roadmap, 3) for _ in range(whole.count)
-    ]  # that are parallel_builds once for what they are, and twice more
+    # Each run calls the function once for the digest, and twice more.
+    runs = [Counted(roadmap, 3) for _ in range(whole.count)]
     for run in runs:
         with suppress(RuntimeError):
             plr = build(run, checkpoint=tmp_path / "parts")
