@@ -436,7 +436,7 @@ class PLR(FileBacked):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Whether leaves have no sample that reaches the goal; they continue a neighbor's plane or answer ``inf``."""
+        """Whether each leaf is stored as unreachable; it continues a neighbor's plane or answers ``inf``."""
         return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
 
     @property

@@ -106,7 +106,7 @@ class Nodes(Rows):
     """The nodes of a growing tree, parents before children; ``len`` is the number of leaves.
 
     Attributes:
-        error: Mean absolute error over the samples in the node's cell that reach the goal.
+        error: Weighted mean absolute error over the samples in the node's cell that reach the goal.
         share: Share of the domain's volume that these samples represent.
         key: Priority of splitting the node, at most its parent's key; ``-inf`` if the node may not be split.
         child: Index of the lower child; the upper child is the next node. -1 for a leaf.
