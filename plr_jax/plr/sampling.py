@@ -222,8 +222,8 @@ class CellFit(Rows):
 class Sampler:
     """A function that samples the distance in cells and fits planes.
 
-    ``dense_pattern`` is for cells in which few samples reach the goal. A ``memory`` replaces calls of
-    ``distance_fn``.
+    ``dense_pattern`` is for cells in which few samples reach the goal. If there is a ``memory``, it computes
+    the distances inside of cells, instead of ``distance_fn``.
     """
 
     distance_fn: DistanceFn
