@@ -75,8 +75,8 @@ def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
         raise ValueError(
-            f"The limits allow {num_nodes / 2:.3g} leaves or more, which need about {needed / 2**30:.3g} GiB of "
-            f"memory; this machine has {memory / 2**30:.3g}. Reduce max_depth, max_leaves or max_bytes, or set a "
+            f"The limits allow {num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB; "
+            f"this machine has {memory / 2**30:.3g}. Reduce max_depth, max_leaves or max_bytes, or set a "
             "tolerance."
         )
 

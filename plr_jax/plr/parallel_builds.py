@@ -53,7 +53,7 @@ class Checkpoint:
                 )
             raise ValueError(
                 f"{path} is the checkpoint of other work: with another distance function, grid, domain, option or "
-                "release. Choose another path, or delete the file to start again."
+                "release. Choose another path, or delete it to start again."
             )
         self._end = self._read(data) if len(head) == len(self._head) else 0
         if not self._end:

@@ -210,6 +210,7 @@ class CellFit(Rows):
 
     @property
     def can_split(self) -> Bool[np.ndarray, "cells"]:
+        """Whether each cell may still be halved along some axis."""
         return np.any(self.cells.depth < self.max_axis_depth, axis=1)
 
     @property
