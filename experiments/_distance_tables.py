@@ -178,10 +178,10 @@ def proofs(results: dict[str, Any], oracles: dict[str, Any]) -> str:
     of_maps = ", ".join(f"{name} {_BYTES_A_CORNER * corners[name]:,}" for name in names)
     return table + (
         f"\nMeans over {sizes['points']:,} free points. Exact: share of points whose error is at most "
-        f"{sizes['exact']:.0e} of the largest distance. Seconds run from polygons to the certified PLR. The proven "
-        f"largest error exceeds the measured one by a factor of at most {worst:.3f}. The maps themselves, as 16-bit "
-        f"corners, take {of_maps} bytes, mostly less than these files. In return, the files need no visibility "
-        "tests, prove their errors, and lead home.\n"
+        f"{sizes['exact']:.0e} of the largest distance. Seconds: from polygons to the certified PLR. The proven "
+        f"largest error is at most {worst:.3f} times the measured one. The corners of the maps, as 16-bit numbers, "
+        f"take {of_maps} bytes, mostly less than these files. In return, queries of the files need no visibility "
+        "tests, and the files prove errors and give paths to the goal.\n"
     )
 
 
@@ -282,19 +282,18 @@ def solve_bodies(results: dict[str, Any]) -> str:
     for name, grid in results["grids"].items():
         sizes, half = (" x ".join(map(str, grid[which])) for which in ("sizes", "half"))
         parts.append(
-            f"Grid of the {name}: {sizes}, {grid['seconds']:.0f} s; a grid of {half} differs by "
-            f"{grid['difference']:.2%}; {grid['reached']:.1%} of free configurations have a path."
+            f"The grid of the {name} has {sizes} cells and takes {grid['seconds']:.0f} s; a grid of {half} cells "
+            f"differs by {grid['difference']:.2%}. {grid['reached']:.1%} of free configurations have a path."
         )
         of_body = [row for row in results["rows"] if row["body"] == name]
         roadmaps = [row for row in of_body if row["method"] == "PRM*"]
         for row in (row for row in of_body if row["method"] != "PRM*"):
             tests, is_more = _tests_at_equal_error(roadmaps, row["mean"])
             parts.append(
-                f"For the error of our {row['cells']:,} cells, PRM* needs "
-                f"{'> ' if is_more else ''}{tests:,.0f} tests "
-                f"of configurations and motions; ours needs "
+                f"To reach the error of our {row['cells']:,} cells, PRM* tests "
+                f"{'more than ' if is_more else ''}{tests:,.0f} configurations and motions. Ours tests "
                 f"{row['tests']['configurations'] + row['tests']['motions']:,}, and {row['tests']['boxes']:,} "
-                "of boxes."
+                "boxes."
             )
     return _solved("body", results["rows"], **shares) + f"\n{' '.join(parts)}\n"
 
@@ -385,7 +384,7 @@ def summaries(results: dict[str, Any]) -> str:
         "free pairs. "
         f"Below and above: pairs whose answer is too small or too large by more than {TOLERANCE:.0e} of that mean. "
         f"ns a pair: warm, all pairs in one call; *: not compiled as a whole, measured on the first {slow:,} pairs. "
-        "s: from workspace to file, for all settings that were tried. "
+        "s: seconds from workspace to file, for all settings that were tried. "
         "Published: relative errors of the 160 published lengths of the arena.\n"
     )
 

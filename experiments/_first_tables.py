@@ -34,10 +34,11 @@ def cost_distance(
     hike, big = mountain["rows"], large["rows"][0]
     return table + (
         f"\nErrors are shares of the mean distance, on {errors['side']} x {errors['side']} cells. Truth: a march of "
-        f"scikit-fmm over {errors['finer']} times as many nodes along each axis; off by: its mean distance from a "
-        f"march over half as many. Proven bounds are {min(gaps):.1%} to {max(gaps):.1%} of the mean distance apart "
-        f"and take {min(seconds):.0f} to {max(seconds):.0f} CPU s; {sum(row['broken'] for row in proven)} are "
-        "broken: among walls, both bounds are compared with exact distances, elsewhere lower bounds with the march. "
+        f'scikit-fmm over {errors["finer"]} times as many nodes along each axis; "truth off by": its mean '
+        f"difference to a march over half as many. Proven bounds are {min(gaps):.1%} to {max(gaps):.1%} of the mean "
+        f"distance apart and take {min(seconds):.0f} to {max(seconds):.0f} CPU s. "
+        f"{sum(row['broken'] for row in proven)} bounds are broken: among walls, both bounds are compared with exact "
+        "distances, elsewhere only lower bounds, with the march. "
         f"By Tobler's function on a mountain, distances change by {max(row['mean'] for row in hike):.1%} on average "
         f"when the raster is three times finer. {big['side']:,} x {big['side']:,} cells with {big['sources']} "
         f"sources take {big['cpu_seconds'] / 60:.1f} CPU minutes and {big['megabytes'] / 1e3:.1f} GB.\n"
