@@ -134,7 +134,8 @@ def test_a_bend_where_two_walls_touch_crosses_none_however_the_file_rounds_it():
         walls = shapely.union_all(list(map(shapely.Polygon, wedges))).buffer(-2e-6)
         assert not walls.intersects(shapely.LineString(along.paths[0]))
         # A wall of 2e-4 across the contact is crossed, and so is the contact on the straight way to it.
-        shut = Workspace(bounds, [*wedges, [*(contact + [(-1, -1e-4), (1, -1e-4), (1, 1e-4), (-1, 1e-4)])]])
+        wall = np.array([(-1, -1e-4), (1, -1e-4), (1, 1e-4), (-1, 1e-4)])
+        shut = Workspace(bounds, [*wedges, contact + wall])
         assert trace(plr, starts[:1], shut).status.tolist() == [CROSSES_WALL]
     through = construct(VisibilityGraph(Workspace(bounds), at(80, 3.0)), bounds, leaf="cone", max_leaves=1)
     assert trace(through, starts[1:], room).status.tolist() == [CROSSES_WALL]
