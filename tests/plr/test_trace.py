@@ -120,14 +120,14 @@ def test_corners_that_the_file_rounds_are_no_walls():
 def test_a_bend_where_two_walls_touch_crosses_none_however_the_file_rounds_it():
     """Two wedges touch at a point, above which free space is wider than a straight angle: paths bend there."""
     bounds = np.array([(41.923294, 43.768486), (62.551895, 65.369339)])
-    for contact in np.random.default_rng(0).uniform((49, 55), (53, 57), (3, 2)):
+    for contact in np.random.default_rng(0).uniform((49, 55), (53, 57), (2, 2)):
 
         def at(degrees, distance, contact=contact):
             return contact + distance * np.stack([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], axis=-1)
 
         wedges = [[contact, *at(np.array(sides), 5.0)] for sides in ((200, 220), (300, 340))]
         room, goal = Workspace(bounds, wedges), at(345, 3.0)
-        plr = construct(VisibilityGraph(room, goal), room.bounds, leaf="cone", max_leaves=16)
+        plr = construct(VisibilityGraph(room, goal), room.bounds, leaf="cone", max_bytes=500)
         starts = at(np.array([195, 260]), 3.0)  # above the left wedge; below the contact
         along = trace(plr, starts[:1], room)
         assert along.arrived.all() and along.lengths[0] == pytest.approx(6, abs=1e-6)
