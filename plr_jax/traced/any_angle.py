@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int32, UInt32
 
-from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, free_cells, pack
+from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, containing_cells, pack
 
 Broadcast = Float[Array, "*#batch 2"]
 Ends = Float[Array, "*batch 2 2"]
@@ -36,11 +36,16 @@ def margin(shape: Shape, dtype: Any) -> float:
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Return each point moved inside its first and last free cell, ``(..., 2, 2)``, and whether it has one."""
-    *cells, is_free = free_cells(free, x)
-    cell = jnp.stack([jnp.stack([column, row], axis=-1) for row, column in cells], axis=-2).astype(x.dtype)
+    """Return each point moved inside its first and last free cell, ``(..., 2, 2)``, and whether it has one.
+
+    If only two of the four cells around a corner are free, diagonally, these are the first and last.
+    """
+    (rows, columns), is_inside = containing_cells(free.shape, x)
+    is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
+    which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
+    cell = jnp.moveaxis(jnp.take_along_axis(cells, which[..., None], axis=0), 0, -2).astype(x.dtype)
     inset = margin(free.shape, x.dtype)
-    return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_free
+    return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_inside & is_free.any(axis=0)
 
 
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
