@@ -106,10 +106,13 @@ class StepPairs:
         return cls(to_cell(rows, columns).reshape(free.shape * 2))
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
-        (rows, columns), is_x_inside = containing_cells(self.table.shape[:2], x)
-        y_cells, is_y_inside = containing_cells(self.table.shape[2:], y)
-        steps = self.table[(rows[:, None], columns[:, None], *y_cells)]
-        return jnp.where(is_x_inside & is_y_inside, steps.min(axis=(0, 1)), jnp.inf)
+        h, w = self.table.shape[:2]
+        ((rows, columns), is_x_inside), (others, is_y_inside) = (containing_cells((h, w), end) for end in (x, y))
+        places = (rows * w + columns)[:, None] * (h * w) + others[0] * w + others[1]
+        # A gather for each of the 16 pairs of cells takes an eighth of the time of one gather for all.
+        get = self.table.ravel().at
+        steps = reduce(jnp.minimum, (get[place].get(mode="promise_in_bounds") for place in places.reshape(16, -1)))
+        return jnp.where(is_x_inside & is_y_inside, steps, jnp.inf)
 
 
 def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
