@@ -108,7 +108,7 @@ class StepPairs:
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
         h, w = self.table.shape[:2]
         ((rows, columns), is_x_inside), (others, is_y_inside) = (containing_cells((h, w), end) for end in (x, y))
-        places = (rows * w + columns)[:, None] * (h * w) + others[0] * w + others[1]
+        places = (rows * w + columns)[:, None] * (h * w) + (others[0] * w + others[1])[None]
         # A gather for each of the 16 pairs of cells takes an eighth of the time of one gather for all.
         get = self.table.ravel().at
         steps = reduce(jnp.minimum, (get[place].get(mode="promise_in_bounds") for place in places.reshape(16, -1)))

@@ -63,11 +63,11 @@ def test_corners_are_in_all_free_cells_around_them(moves):
         cells = ((i, j) for i in (row - 1, row) for j in (column - 1, column) if 0 <= i < h and 0 <= j < w)
         return [cell for cell in cells if free[cell]]
 
-    for free in FREE[:4]:
+    for free in FREE[:2]:
         h, w = free.shape
         corners = np.indices((w + 1, h + 1)).reshape(2, -1).T.astype(float)
         pairs = grid_distance(free, None, moves=moves)
-        for goal in corners[:: h + 2]:
+        for goal in corners[9 :: 2 * h]:
             cells = np.min([np.full(free.shape, np.inf), *(dijkstra(free, c, moves) for c in around(goal))], axis=0)
             expected = [min((cells[c] for c in around(x)), default=np.inf) for x in corners]
             steps = grid_distance(free, goal, moves=moves)
