@@ -30,10 +30,10 @@ class Status(enum.StrEnum):
     """Reason why a planner ended; its value is a phrase for messages."""
 
     SOLVED = "a path within the cost factor was found"
-    EXHAUSTED = "the frontier is empty: no path, or none within the cost factor, on this lattice"
+    EXHAUSTED = "no search is left, and none found a path within the cost factor on the lattices"
     TIME_LIMIT = "the time limit was reached"
     EXPANSION_LIMIT = "the limit on expansions was reached"
-    MEMORY_LIMIT = "the memory limit was reached"
+    MEMORY_LIMIT = "the memory limit was reached, or a search left out children to save memory"
     INTERRUPTED = "interrupted by the user"
 
 

@@ -28,7 +28,7 @@ _BATCH = 16  # most nodes expanded at once; the batch doubles from 1 while the s
 _WIDTH = 1024  # initial beam width
 _STORED_SHARE = 16  # 1 / 16 of the beam width is stored as successors
 _WIDTH_GROWTH = 8  # growth of the beam width when a node's stored successors are used up
-_MAX_WIDTH = 1 << 16
+_MAX_WIDTH = 1 << 16  # bounds the memory of a beam
 _PRODUCTS = 1 << 20  # joint children scored at once, which bounds the temporary memory
 Table: TypeAlias = Float[np.ndarray, "_"]  # the estimate at each node of a robot's lattice
 
@@ -129,6 +129,7 @@ class BestFirstSearch:
         self.successors: dict[int, SuccessorList] = {}
         self.next_widths: dict[int, int] = {}
         self.pushed, self.batch_size, self.num_expansions = 0, 1, 0
+        self.is_complete = True  # whether no node has lost children to the cut of the widest beam
         self.found = 0 if np.array_equal(start, self.goal) else None  # the node at the goals
         budget.num_nodes += 1
 
@@ -151,7 +152,9 @@ class BestFirstSearch:
             self.batch_size = 1 if self.least_estimate < nearest else min(2 * self.batch_size, _BATCH)
         if self.found is not None:
             return Status.SOLVED
-        return None if self.frontier else Status.EXHAUSTED
+        if self.frontier:
+            return None
+        return Status.EXHAUSTED if self.is_complete else Status.MEMORY_LIMIT
 
     @property
     def solution_states(self) -> State:
@@ -229,7 +232,11 @@ class BestFirstSearch:
             self.memory_use.add(_NODE_BYTES + 8 * len(state))
         del self.successors[node]
         self.memory_use.add(-successors.num_bytes)
-        if not successors.is_complete and successors.width < _MAX_WIDTH:
+        if successors.is_complete:
+            return
+        if successors.width >= _MAX_WIDTH:
+            self.is_complete = False
+        else:
             self.next_widths[node] = successors.width * _WIDTH_GROWTH
             # A cut may leave only children that collide: then the node returns with its own cost.
             self._return(successors.score[-1] if len(successors.score) else self.costs[node], node)

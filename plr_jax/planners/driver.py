@@ -80,9 +80,10 @@ def bl_plan(
     Returns:
         The best path found, with a lower bound of all path costs and a status. SOLVED: the cost is within
         ``cost_factor`` (default: any) of the lower bound. EXHAUSTED: no search is left on the finest lattice (the
-        given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. Otherwise a limit, or
-        INTERRUPTED after Ctrl-C. Any status except SOLVED may come without a path. Results are deterministic unless
-        the time limit ends a search.
+        given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the limit
+        was reached, or best-first search found nothing after it left out children to save memory. Otherwise another
+        limit, or INTERRUPTED after Ctrl-C. Any status except SOLVED may come without a path. Results are
+        deterministic unless the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
@@ -207,6 +208,7 @@ class Run:
         """
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
+        is_complete = True
         try:
             while True:
                 if limit := self.budget.exceeded():
@@ -214,7 +216,7 @@ class Run:
                 # A lattice without room to pass would keep one search busy forever: every round adds a lattice.
                 fits = step >= finest and self._fits(step)
                 if not running and not fits:
-                    return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
+                    return (Status.EXHAUSTED if step < finest and is_complete else Status.MEMORY_LIMIT), step
                 if fits and (joint := self._lattices(step, may_halve=options.step is None and not running)):
                     step = joint.step
                     with suppress(TimeoutError):
@@ -239,6 +241,7 @@ class Run:
                             other.release()
                         self._improve(searches)
                     elif status is Status.EXHAUSTED:
+                        is_complete &= searches.is_complete
                         searches.release()
                         running.remove(searches)
                     if status not in (None, Status.EXHAUSTED):
@@ -403,6 +406,7 @@ class Searches:
         self.running: dict[str, LaCAM | BestFirstSearch] = {}
         if "lacam" in options.searchers:
             self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), budget)
+        self.is_complete = True  # False if the search ended because its beams were cut
         self.turn = 1.0  # length of the next turn, as a multiple of the first
 
     def run(self, bar: tqdm) -> Status | None:
@@ -416,7 +420,10 @@ class Searches:
             if "bl" not in self.running:
                 self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, budget)
             expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
-            status = self.running["bl"].run(max(1, int(self.turn * expansions)), bar)
+            search = self.running["bl"]
+            status = search.run(max(1, int(self.turn * expansions)), bar)
+            if status is Status.MEMORY_LIMIT and not search.frontier:  # its beams were cut; LaCAM goes on
+                self.is_complete, status = finds_all, None if finds_all else Status.EXHAUSTED
         elif not finds_all:
             return Status.MEMORY_LIMIT
         self.turn *= _TURN_GROWTH
