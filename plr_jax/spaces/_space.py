@@ -71,7 +71,7 @@ class MotionCost:
         return self.norm(np.eye(self.dof))
 
     def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, "n"]:
-        """Return the costs of straight motions, ``(n,)``; NaN where a coordinate is NaN, else ``inf`` where one is infinite.
+        """Return the costs of straight motions, ``(n,)``; NaN or ``inf`` where a coordinate is NaN or infinite.
 
         Motions from ``q0`` to ``q1``, both ``(n, dof)``, cross periodic axes of the domain the short way, and ignore
         obstacles. Wrong shapes, or a domain of another dimension, raise ``ValueError``.
