@@ -116,7 +116,7 @@ class Solution:
         return self.path is not None
 
     def path_at(self, times: ArrayLike) -> Float[np.ndarray, "*batch robots dof"]:
-        """Return the joint configurations at given times, if the robots follow the path by a common clock.
+        """Return the joint configurations at given times; all robots follow the path by one clock.
 
         Each motion, from one row of the path to the next, takes as long as its costliest robot needs at unit speed.
         The other robots move at a constant rate and arrive at the same time. Headings turn the shorter way, starting
@@ -356,7 +356,7 @@ class SearchBudget:
     memory: int = 0
 
     def exceeded(self) -> Status | None:
-        """Return the status of a limit that is reached, or None; one more expansion must be allowed."""
+        """Return the status of the limit that rules out one more expansion, or None."""
         if self.num_expansions + 1 > self.max_expansions and time.perf_counter() < self.deadline:
             return Status.EXPANSION_LIMIT
         return self.spent()
@@ -369,7 +369,7 @@ class SearchBudget:
 
 
 class MemoryUse:
-    """Bytes of one data structure, counted in ``budget.memory`` until they are released."""
+    """A count of the bytes of one data structure, which is part of ``budget.memory`` until :meth:`release`."""
 
     def __init__(self, budget: SearchBudget):
         self.budget, self.num_bytes = budget, 0

@@ -157,7 +157,6 @@ class Run:
             self.history.append((seconds, cost))
 
     def end_phase(self, phase: str) -> None:
-        """Add the seconds since the last call to the time of a phase."""
         now = time.perf_counter()
         self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._mark
         self._mark = now
@@ -343,7 +342,7 @@ class Run:
         return path, (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
 
     def _fits(self, step: float) -> bool:
-        """Return whether lattices of cell size ``step`` fit into memory; store the memory needed in ``num_bytes``."""
+        """Return whether lattices of cell size ``step`` fit into memory; record the memory that they need."""
         needed = self._needed(step)
         self.num_bytes = max(self.num_bytes, needed)
         return needed < self.options.max_memory
@@ -358,7 +357,7 @@ _TURNING = 4  # time of a motion test with turns, over the time without
 
 
 def num_bytes(problem: Problem, step: float) -> float:
-    """Estimate the memory, in bytes, of lattices of cell size ``step``, supposing that all cells are free."""
+    """Estimate the memory, in bytes, of lattices of cell size ``step`` if all cells are free."""
     total = 0.0
     for (robot, _), count in _kinds(problem).items():
         nodes = num_configurations(problem.workspace, robot, step) + 2 * count
@@ -367,7 +366,7 @@ def num_bytes(problem: Problem, step: float) -> float:
 
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
-    """Estimate the time to test all motions of lattices of cell size ``step``, in tests of motions without turns."""
+    """Estimate the time to test all motions of lattices of cell size ``step``; the unit is a test without turns."""
     of_dof = {2: 1, 3: _TURNING}
     each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
     return (1 + len(PRIMITIVES)) * sum(each)
@@ -430,7 +429,6 @@ class Searches:
         return status
 
     def release(self) -> None:
-        """Stop counting the memory of the lattices and the searches."""
         for each in (self, *self.running.values()):
             each.memory_use.release()
 

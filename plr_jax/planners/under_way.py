@@ -54,11 +54,10 @@ def replan(
         problem = Problem(workspace, robots, solution.path_at(time), new_goals)
         solution = replan(problem, solution, time)
 
-    Robots keep their lines, not their clock: all must switch to the new path, whose times differ from the old ones. A
-    robot is replanned if its motion does not end at its goal, hits an obstacle, or meets a standing robot. If it
-    finds no path among the others, it moves as if it were alone, and the robots that it meets are replanned in turn.
-    If too many robots need replanning, or the path costs more than ``cost_factor`` allows, :func:`bl_plan` plans the
-    whole team.
+    Robots keep their routes, but not their times: all must switch to the new path at once. A robot is replanned if
+    its motion does not end at its goal, hits an obstacle, or meets a standing robot. If it finds no path among the
+    others, it moves as if it were alone, and the robots that it meets are replanned in turn. If too many robots need
+    replanning, or the path costs more than ``cost_factor`` allows, :func:`bl_plan` plans the whole team.
 
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
