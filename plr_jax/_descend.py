@@ -109,8 +109,8 @@ def descend(
         cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:
-        Status, path, length and cost for each start. Costs from a cost map have an error of at most 0.1 %, and far
-        less if the map is smooth.
+        Status, path, length and cost for each start. Costs from a cost map have an error of about 0.1 % at most,
+        and far less if the map is smooth.
 
     Raises:
         ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
@@ -228,5 +228,5 @@ def _edges(
 
 
 def _unique_pairs(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
-    """Remove repeated pairs, regardless of their order."""
+    """Remove repeated pairs; the order within a pair does not matter."""
     return np.unique(np.sort(pairs, axis=1), axis=0)

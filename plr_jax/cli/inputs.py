@@ -30,8 +30,8 @@ MapArgument = Annotated[
     typer.Argument(
         metavar="MAP",
         help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml; "
-        'costs are ignored), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI '
-        "grid (.map), polygons with holes (.json), a scene (.json).",
+        'costs are ignored), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), well-known '
+        "text (.wkt), a Moving AI grid (.map), polygons with holes (.json), a scene (.json).",
         show_default=False,
         autocompletion=lambda: list(SCENES),
     ),

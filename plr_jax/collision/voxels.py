@@ -43,7 +43,7 @@ def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Number
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers, Numbers]]:
-    """Yield rows of voxels, along the last axis, near boxes: index of the box, first and last voxel of the row."""
+    """Yield rows of voxels, along the last axis, within ``radius`` of a box: the box's index, and both end voxels."""
     first, last = _touching(grid, lo - radius, hi + radius)
     num = np.maximum(last - first + 1, 0)[:-1]
     for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):
@@ -105,7 +105,7 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers]]:
-    """Yield batches of pairs: the index of a box, and a blocked voxel nearer to it than a radius."""
+    """Yield the indices of boxes, and for each a blocked voxel nearer to it than ``radius``, in batches."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         some = np.flatnonzero(grid.num_blocked(begin, end))
         row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
@@ -116,7 +116,7 @@ def _blocked_voxels_within(
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, "n"]:
-    """Return the least squared distance of each straight motion to its own voxel."""
+    """Return the least squared distance of each straight motion to the voxel of its column."""
     lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
     hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
     change = q1 - q0
@@ -169,7 +169,6 @@ class _Traversal:
         self.strides = np.array(grid.padded.strides)
 
     def passes(self) -> Booleans:
-        """Return whether each motion reaches its end through free voxels."""
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
         rows = np.flatnonzero(~passes)

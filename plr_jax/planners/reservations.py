@@ -102,7 +102,7 @@ class ReservationTable:
         return [known[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Find robot ``i``'s cheapest path up to ``max_cost``, while it blocks nothing; return whether there is one."""
+        """Find a robot's cheapest path up to ``max_cost`` without its reservations; return whether there is one."""
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()

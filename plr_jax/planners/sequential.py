@@ -163,7 +163,7 @@ def sequential_path(problem: Problem) -> Path | None:
         return not any(_comes_within(route, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
     def is_ready(i: int, *ignored: int) -> bool:
-        """Return whether robot ``i`` can go to its goal, and there blocks no waiting robot except ``ignored`` ones."""
+        """Return whether robot ``i`` can go to its goal and blocks no waiting robot there, but for ``ignored``."""
         others = [j for j in waiting if j not in ignored]
         goal = all_routes[i].goal
         return clears(i, chosen[i], ignored) and not any(_comes_within(chosen[j], goal, reach[i][j]) for j in others)

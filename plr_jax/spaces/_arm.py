@@ -20,7 +20,7 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _BOXES, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
 _MOST_BISECTIONS = 12
-_SIDES = 12  # of the polygon around a disc that a link's end sweeps; it reaches 3.5 % farther than the disc
+_SIDES = 12  # sides of the polygon around the disc that a link's end sweeps; it reaches 3.5 % farther than the disc
 _PROBES = np.array([0.0, 0.5, 1.0])  # positions along each link at which it is tested against obstacles
 
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
@@ -122,7 +122,7 @@ class PlanarArm:
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Return whether straight motions, each joint turning the shorter way, are proven free all the way.
 
-        Some motions that come closer to a wall than about 1e-3 of their length are not proven free.
+        Motions that come closer to a wall than about 1e-3 of their length may not be proven free.
         """
         q0, q1 = as_motions(q0, q1, self.dof)
         free = self.is_free(q0) & self.is_free(q1)
@@ -193,7 +193,7 @@ class PlanarArm:
 
     @cached_property
     def _max_reach(self) -> Float[np.ndarray, "joints joints_plus_one"]:
-        """Largest distance of the base and of each link's end from each joint; 0 for joints that do not move it."""
+        """Largest distance from each joint to the base and the links' ends; 0 if the joint does not move them."""
         along = np.append(0.0, np.cumsum(self.lengths))
         return np.maximum(0.0, along - along[:-1, None])
 
@@ -207,6 +207,6 @@ class PlanarArm:
         return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
     def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
-        """Bound, for each pair of links, how far the later one moves relative to the other within boxes of angles."""
+        """Bound, for each pair of links, how far one moves relative to the other within boxes of angles."""
         moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]
         return np.reshape(moves, (len(self._link_pairs), len(half))).T

@@ -15,7 +15,7 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, p
 
 _BATCH, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
 _MOST_BISECTIONS = 10
-_ROUNDING = 16.0  # units in the last place by which a clearance may be off
+_ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the last place
 # Clearances contradict the constants only if they differ by more than this factor times the bound.
 _LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
@@ -184,7 +184,7 @@ class ClearanceSpace:
         return clearance
 
     def _rounding(self, clearance: Numbers, q: Configurations) -> Numbers:
-        """Bound the rounding errors of clearances by their size, that of the configurations, and the precision."""
+        """Bound the rounding errors of clearances at configurations ``q``."""
         return _ROUNDING * self._unit * (np.abs(clearance) + np.abs(q) @ self.lipschitz)
 
     @cached_property
@@ -208,7 +208,7 @@ class ClearanceSpace:
 
 
 def _least_constants(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
-    """Return a sentence that says which Lipschitz constants allow a given change and difference of clearances."""
+    """Return advice: which Lipschitz constants allow a difference of clearances over a change of configuration."""
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "No constant explains it: the clearance must be a function of the configuration."

@@ -184,7 +184,7 @@ def precision_of(numbers: ArrayLike) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
-    """A wrapper of a configuration space that checks the answers of ``is_free``, and the base of other wrappers."""
+    """A wrapper of a configuration space that checks the answers of its ``is_free``; a base of other wrappers."""
 
     space: FreeTest
 
