@@ -46,9 +46,7 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"]
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Return the vertices of paths from starts via nodes ``first`` and ``onward`` to node 0, and their number.
-
-    The number is 0 for paths that end elsewhere."""
+    """Follow ``first`` and ``onward`` from starts to node 0; return the vertices, and their number, 0 where stuck."""
     chain = [first]
     while (chain[-1] > 0).any():
         chain.append(np.where(chain[-1] > 0, onward[chain[-1]], chain[-1]))

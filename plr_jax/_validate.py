@@ -93,9 +93,10 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
         return ValidationReport(False, cost, clearance, message, (i,), when, where)
-    step = closest.findings.motion
-    message = f"Valid: clearance {clearance:.4g}, {_describe_pair(closest)} in the motion from step {step}."
-    return ValidationReport(True, cost, clearance, message, closest.who)
+    who, step = closest.who, closest.findings.motion
+    pair = f"s {who[0]} and {who[1]}" if len(who) > 1 else f" {who[0]} to an obstacle or the bounds"
+    message = f"Valid: clearance {clearance:.4g}, of robot{pair} in the motion from step {step}."
+    return ValidationReport(True, cost, clearance, message, who)
 
 
 @dataclass(frozen=True)
@@ -391,9 +392,3 @@ def _describe_violation(workspace: Workspace, body: Any) -> str:
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
     return "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"
-
-
-def _describe_pair(encounter: _Encounter) -> str:
-    if encounter.other_path is None:
-        return f"of robot {encounter.who[0]} to an obstacle or the bounds"
-    return f"of robots {encounter.who[0]} and {encounter.who[1]}"

@@ -1,7 +1,7 @@
 """The command ``plr-jax``: build, query, inspect and draw piecewise linear regressions, and plan with them.
 
-Heavy libraries are imported inside the commands, so that ``--help`` is fast. ``query`` of a PLR
-loads JAX only for ``--gradient``.
+Heavy libraries are imported inside the commands, so that ``--help`` is fast. ``query`` of a PLR loads JAX only for
+``--gradient``.
 """
 
 import os

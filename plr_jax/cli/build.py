@@ -142,7 +142,7 @@ def build(
 
 
 def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
-    """Return a remark on the small specks (groups of pixels) that a map still has, or an empty text."""
+    """Return a remark on the groups of at most 4 pixels (specks) that a map still has, or an empty text."""
     from plr_jax.geometry.masks import without_specks
 
     _, count = without_specks(without_specks(free, num_dropped)[0], _SPECK)

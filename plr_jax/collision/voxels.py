@@ -53,21 +53,15 @@ def _rows_within(
         square = np.full(len(box), radius**2)
         for axis in range(grid.dim - 1):
             place, beyond = np.divmod(place, num[axis, box])
-            row[axis] = first[axis, box] + beyond
-            square -= _gaps(grid, axis, row[axis], lo[axis, box], hi[axis, box]) ** 2
+            row[axis], faces = first[axis, box] + beyond, grid.faces[axis]
+            gaps = np.maximum(faces[row[axis]] - hi[axis, box], lo[axis, box] - faces[row[axis] + 1])
+            square -= np.maximum(gaps, 0.0) ** 2
         near = square > 0
         box, row, reach = box[near], row[:, near], np.sqrt(square[near])
         begin, end = row, row.copy()
         begin[-1], _ = grid.numbers_along(grid.dim - 1, lo[-1, box] - reach)
         _, end[-1] = grid.numbers_along(grid.dim - 1, hi[-1, box] + reach)
         yield box, begin, end
-
-
-def _gaps(
-    grid: VoxelGrid, axis: int, number: Which, lo: Float[np.ndarray, "m"], hi: Float[np.ndarray, "m"]
-) -> Float[np.ndarray, "m"]:
-    faces = grid.faces[axis]
-    return np.maximum(np.maximum(faces[number] - hi, lo - faces[number + 1]), 0.0)
 
 
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
