@@ -37,7 +37,7 @@ _ROUNDING = 1e-9
 
 
 class Moves(NamedTuple):
-    """Each robot's motion primitives from a joint configuration, and which of them collide with others' ones."""
+    """The motion primitives of all robots from a joint configuration, and which of them collide."""
 
     child: list[list[int]]  # the node that each primitive of each robot leads to
     ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first

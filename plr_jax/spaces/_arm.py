@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int8
 
-from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points
+from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, set_fields
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace, require_workspace
@@ -74,11 +74,8 @@ class PlanarArm:
         if clearance < width / 2 - workspace.tolerance:
             expected = f"a clearance of at least {width / 2:g}, half the width of the links"
             raise ValueError(f"The base of the arm at {base.tolist()} must have {expected}, got {clearance:.3g}.")
-        object.__setattr__(self, "workspace", workspace)
-        object.__setattr__(self, "lengths", lengths)
-        object.__setattr__(self, "base", base)
-        object.__setattr__(self, "width", width)
-        object.__setattr__(self, "self_collision", self_collision)
+        fields = {"lengths": lengths, "base": base, "width": width, "self_collision": self_collision}
+        set_fields(self, workspace=workspace, **fields)
 
     @property
     def dof(self) -> int:

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int8
 
-from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, format_numbers, shortened
+from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, format_numbers, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, precision_of
@@ -87,10 +87,7 @@ class ClearanceSpace:
                 f"motion_cost must be a MotionCost of {domain.dim} axes, as the domain has, got "
                 f"{shortened(motion_cost)}."
             )
-        object.__setattr__(self, "domain", domain)
-        object.__setattr__(self, "clearance", clearance)
-        object.__setattr__(self, "lipschitz", lipschitz)
-        object.__setattr__(self, "motion_cost", motion_cost)
+        set_fields(self, domain=domain, clearance=clearance, lipschitz=lipschitz, motion_cost=motion_cost)
         self._clearances(domain.lo[None])  # to reject a function with a wrong answer at once
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:

@@ -7,7 +7,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_finite, as_numbers, as_values, shortened
+from plr_jax._arrays import as_finite, as_numbers, as_values, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.spaces._space import MotionCost, precision_of
 
@@ -110,8 +110,8 @@ class LipschitzCost:
     def __post_init__(self):
         if not callable(self.cost_fn):
             raise ValueError(f"cost_fn must be a function of configurations (n, dof), got {shortened(self.cost_fn)}.")
-        object.__setattr__(self, "lipschitz", as_finite("lipschitz", self.lipschitz))
-        object.__setattr__(self, "least", as_finite("least", self.least, positive=True))
+        lipschitz, least = as_finite("lipschitz", self.lipschitz), as_finite("least", self.least, positive=True)
+        set_fields(self, lipschitz=lipschitz, least=least)
 
     def __call__(self, q: ArrayLike) -> Rates:
         """Return the factor, ``(n,)``; ``ValueError`` if it is not finite, or more than rounding below ``least``."""
