@@ -93,10 +93,9 @@ def bl_plan(
     1. A few discs among few walls move one after the other, from corner to corner. This path is kept if no cheaper
        one is found.
     2. Robots move on lattices (grids of configurations) that include the exact starts and goals. Two searches
-       alternate, on finer and finer lattices, until one succeeds. LaCAM moves the whole team one step at a time: by
-       priority inheritance (PIBT), each robot takes its best free motion and pushes others out of its way. It is fast
-       in the open and at doors, even for a hundred robots. Best-first search expands joint configurations as A* does,
-       but each only once. It finds coordinated maneuvers, such as a swap in a tight place.
+       alternate, on finer and finer lattices, until one succeeds. LaCAM moves the whole team one step at a time: each
+       robot takes its best free motion and pushes others out of its way (PIBT). It is fast, even for a hundred
+       robots. Best-first search finds coordinated maneuvers, such as a swap in a tight place.
     3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
        and deviations within narrow corridors, shorten the path.
     4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and

@@ -208,10 +208,9 @@ def lifelong(
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
 
     :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
-    keep their motions. A robot at its goal blocks others only for a short time, since it then gets another goal. A
-    robot that finds no path goes to a place near its goal where it may rest, and is replanned later, robots with the
-    oldest goals first. If it cannot make way, the robots that would pass go another way. The robot that is latest is
-    also replanned. If all this fails, the whole team is planned again.
+    keep their motions. A robot at its goal blocks others only for a short time, since it will leave for its next
+    goal. A robot that finds no path goes to a place near its goal where it may rest, and is replanned later. If it
+    cannot make way, robots that would pass there are replanned. If all this fails, the whole team is planned again.
 
     The function shows progress. Ctrl-C ends it and returns the run so far. Results are deterministic unless a time
     limit is reached.
@@ -227,7 +226,8 @@ def lifelong(
             None: replanning as described above.
 
     Raises:
-        ValueError: If ``num_goals`` is not a positive integer, or a goal is not ``(dof,)``, free and reachable.
+        ValueError: If ``num_goals`` is not a positive integer, or a goal has another shape than ``(dof,)``, is not
+            free, or is cut off by obstacles.
 
     References: Silver, "Cooperative pathfinding", 2005. Li et al., "Lifelong multi-agent path finding in large-scale
     warehouses", 2021.

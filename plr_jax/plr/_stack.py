@@ -232,8 +232,8 @@ class PLRStack:
             indices that are negative or too large.
 
         Raises:
-            ValueError: If the last axis of ``x`` is not ``dim`` long, ``index`` is not of integers, or ``outside`` is
-                invalid.
+            ValueError: If the last axis of ``x`` is not ``dim`` long, ``index`` is not of integers, ``outside`` is
+                invalid, or the type of the points is too coarse for a domain (see :func:`evaluate`).
         """
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_queries(x)
@@ -270,11 +270,9 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     Args:
         plrs: At least one PLR, of any leaf models and sizes, all of one dimension.
 
-    Returns:
-        The function.
-
     Raises:
-        ValueError: If ``plrs`` is no such list, or all tables together are too large for 32-bit indices.
+        ValueError: If ``plrs`` is no such list, leaves are too deep for a stack, or all tables together are too large
+            for 32-bit indices.
     """
     plrs = as_plrs(plrs)
     if len(dims := {plr.dim for plr in plrs}) != 1:
@@ -345,9 +343,8 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     Outside of ``jit``, NumPy answers the first small batches of each shape, to the same bits as compiled code. Shapes
     that are asked often are compiled.
 
-    ``jax.export`` turns a query into a program that runs without this package, for batches of any size. It takes some
-    hundred kilobytes and needs the package ``flatbuffers``. Close over the PLR or pass the leaves of
-    ``jax.tree.flatten(plr)``, as a program that takes the PLR itself cannot be serialized::
+    ``jax.export`` turns a query into a program that runs without this package, for batches of any size. It needs the
+    package ``flatbuffers``. Close over the PLR, since a program that takes a PLR cannot be serialized::
 
         n, dim = jax.export.symbolic_shape("n, 2")
         exported = jax.export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))
@@ -365,10 +362,9 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
     Returns:
         Distances of shape ``(...)``. A PLR never tests collision: every point of the closed domain gets a finite
-        value, also in obstacles. Exceptions are leaves from which the goal cannot be reached and that touch no leaf
-        from which it can: they answer ``inf``, except cones, which are always finite. NaN coordinates give NaN. The
-        upper edge of the domain belongs to the last cell; along a periodic axis it is the lower edge. Near the goal,
-        values may be slightly negative.
+        value, also in obstacles. Only leaves cut off from the goal that touch no leaf connected to it answer ``inf``;
+        cones never do. NaN coordinates give NaN. The upper edge of the domain belongs to the last cell; along a
+        periodic axis it is the lower edge. Near the goal, values may be slightly negative.
 
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long, ``x`` is not real, or ``outside`` is invalid; or if

@@ -28,16 +28,14 @@ Numbers: TypeAlias = Float[np.ndarray, "n"]
 class ClearanceSpace:
     """Configurations of any robot whose signed distance to obstacles is known: an arm, a drone, several bodies.
 
-    The clearance at any configuration of a box differs from the one at its center by at most the sum over axes of
-    ``lipschitz`` times the half width. So one evaluation can prove a box free or blocked, and two evaluations an
-    interval of a motion. Proofs hold only if the constants are right. If clearances contradict them, an error names
-    constants that would fit; the absence of an error proves nothing.
+    Within a box, the clearance differs from the one at the center by at most the sum over axes of ``lipschitz`` times
+    the half width. So one evaluation can prove a box free or blocked. Proofs hold only if the constants are right. If
+    clearances contradict them, an error names constants that would fit; the absence of an error proves nothing.
 
     Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
     joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
-    largest constant along each axis. Smaller constants prove larger boxes: give one per axis, as small as possible.
-    Rounding errors are allowed for, relative to the size of clearances and configurations and the precision of the
-    answers. If a clearance has larger errors, lower it by them.
+    largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of the answers' precision
+    are allowed for; lower a clearance that has larger errors by these.
 
     Args:
         domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
