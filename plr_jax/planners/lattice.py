@@ -2,7 +2,7 @@
 
 A lattice is a grid of cells over a robot's configuration space, periodic in the heading. A node is a free
 configuration in a cell, its representative: the center if that is free, else the free sample with the largest
-clearance; a passage narrower than a cell is thus still found. A primitive is a motion between neighboring cells'
+clearance; so a passage narrower than a cell can still be found. A primitive is a motion between neighboring cells'
 representatives.
 
 Robots of the same shape and rotation weight share one table of motions. A robot's start and goal are additional
