@@ -82,9 +82,9 @@ class DirectionalCost(CostMap, Protocol):
         """Return, for each box, vectors ``a`` and ``b``, ``(n, dof)``, and numbers ``least`` and ``most``, ``(n,)``.
 
         Every motion ``dq`` in the box costs ``max(a . dq, b . dq)`` plus between ``least`` and ``most`` times
-        ``|dq|``. The bounds of the cost map replace them where costs vary too much: where ``least`` is at most a
-        quarter of ``most``, or exceeds the distance of the segment from ``a`` to ``b`` from 0 by at most 2 % of
-        ``most``.
+        ``|dq|``. Where costs vary too much, the bounds of the cost map are used instead: where ``least`` is at most a
+        quarter of ``most``, or exceeds the norm of the shortest vector on the segment from ``a`` to ``b`` by at most
+        2 % of ``most``.
         """
         ...
 
