@@ -36,7 +36,7 @@ def main() -> None:
 def _stop(number: int, frame: FrameType | None) -> None:
     """Handle SIGINT or SIGTERM by an exception, so that cleanup runs; during an import, end the process at once.
 
-    Some libraries swallow an exception in an incomplete import, or abort the process. No file is open for writing then.
+    Some libraries swallow an exception in an incomplete import, or abort. No file is open for writing then.
     """
     interrupted = number == signal.SIGINT
     while frame is not None:
