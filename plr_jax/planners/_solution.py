@@ -127,8 +127,8 @@ class Solution:
                 (or at ``inf``) at their goals.
 
         Returns:
-            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. At the time of a row, also the
-            first and the last, they equal the row exactly.
+            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. At a row's time, they equal the
+            row exactly.
 
         Raises:
             ValueError: If there is no path, or if a time is NaN, masked or not a number.
@@ -192,9 +192,8 @@ class Solution:
                             "num_children_valid": count, "num_bytes": count, "seconds": {phase: seconds, ...},
                             "history": [[seconds, cost], ...], "found_by": name of a search, or ""}
 
-        Returns:
-            The saved solution, with every float64 restored exactly. Its ``samples`` are empty because the file omits
-            them. Use :func:`plr_jax.validate` to check the path against a problem.
+        Every float64 is restored exactly; ``samples`` are empty, since the file omits them. :func:`plr_jax.validate`
+        checks the path against a problem.
 
         Raises:
             ValueError: If the file is not a solution, is damaged, or was written by a newer version.
@@ -289,10 +288,9 @@ class BLOptions:
     """Options of :func:`plr_jax.bl_plan`.
 
     Args:
-        searchers: Searches that alternate until one finds a path. "lacam" moves the whole team one step at a time: it
-            is fast, even for large teams, where robots can push one another along. "bl" is best-first search over
-            joint configurations: it finds coordinated maneuvers, such as swaps in tight places. With both, the
-            planner also tries to move a few discs one after the other.
+        searchers: Searches that alternate until one finds a path. "lacam" moves the whole team one step at a time,
+            which is fast, even for large teams. "bl", a best-first search over joint configurations, finds
+            coordinated maneuvers. With both, the planner also tries to move a few discs one after the other.
         step: Side of a lattice cell, in workspace units. None: chosen for each problem, and refined until the problem
             is solved.
         heuristic_weight: Factor of the heuristic in "bl", from 0 to 1e6; larger is greedier. None: 2, or 3/8 times

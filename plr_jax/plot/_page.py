@@ -35,7 +35,6 @@ PLAY = '<button id="play" aria-label="Play or pause"><svg viewBox="0 0 14 14"><p
 
 
 def asset(name: str) -> str:
-    """Return the text of a file in this folder, such as a script or style of pages."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 

@@ -76,7 +76,6 @@ BODY, LABEL = 5.0, 6.0  # z-orders, above obstacles
 
 
 def color_of(i: int) -> str:
-    """Return the color of robot ``i``; robots from number 8 on repeat the colors."""
     return ROBOT_COLORS[i % len(ROBOT_COLORS)]
 
 

@@ -255,7 +255,7 @@ def plot_error(
         workspace: Its obstacles are drawn on top. Alternatively, the configuration space of the errors.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
-        unit: The unit of the errors.
+        unit: The unit of the errors, such as "m".
         largest: Error at the upper end of the logarithmic color scale, which starts at a thousandth of it. Errors
             beyond its ends are clipped. By default the 99.9 % quantile. Use the same number in pictures to compare.
     """

@@ -123,7 +123,7 @@ def grid_distance(
             else half of them.
 
     Returns:
-        A function of points, or of pairs of points if ``goal`` is None.
+        :class:`GridDistance`, a function of points; if ``goal`` is None, :class:`GridDistances`, of pairs of points.
 
     Raises:
         ValueError: If ``free`` is no non-empty boolean matrix, ``goal`` no point, ``moves`` or ``max_corners``
