@@ -120,7 +120,7 @@ def test_corners_that_the_file_rounds_are_no_walls():
 def test_a_bend_where_two_walls_touch_crosses_none_however_the_file_rounds_it():
     """Two wedges touch at a point, above which free space is wider than a straight angle: paths bend there."""
     bounds = np.array([(41.923294, 43.768486), (62.551895, 65.369339)])
-    for contact in np.random.default_rng(0).uniform((49, 55), (53, 57), (2, 2)):
+    for contact in np.random.default_rng(0).uniform((49, 55), (53, 57), (1, 2)):
 
         def at(degrees, distance, contact=contact):
             return contact + distance * np.stack([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], axis=-1)
