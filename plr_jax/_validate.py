@@ -94,7 +94,8 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         where = tuple(path[int(when), i, :2].tolist())
         return ValidationReport(False, cost, clearance, message, (i,), when, where)
     who, step = closest.who, closest.findings.motion
-    pair = f"s {who[0]} and {who[1]}" if len(who) > 1 else f" {who[0]} to an obstacle or the bounds"
+    is_alone = closest.other_path is None
+    pair = f" {who[0]} to an obstacle or the bounds" if is_alone else f"s {who[0]} and {who[1]}"
     message = f"Valid: clearance {clearance:.4g}, of robot{pair} in the motion from step {step}."
     return ValidationReport(True, cost, clearance, message, who)
 

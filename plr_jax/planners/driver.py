@@ -420,6 +420,7 @@ class Searches:
             expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
             search = self.running["bl"]
             status = search.run(max(1, int(self.turn * expansions)), bar)
+            assert isinstance(search, BestFirstSearch)
             if status is Status.MEMORY_LIMIT and not search.frontier:  # its beams were cut; LaCAM goes on
                 self.is_complete, status = finds_all, None if finds_all else Status.EXHAUSTED
         elif not finds_all:
