@@ -89,15 +89,13 @@ def descend(
 
     *Lengths in a workspace*: paths go from corner to corner. The field is evaluated once per corner, to rank the
     edges between corners; every segment is tested for visibility. A corner without a path to the goal is joined to
-    all corners that it sees, so each start reaches the goal if that is possible, whatever the field. A path is
-    shortest unless the field's error exceeds the difference between the best continuations. Even a field of zeros
-    often yields shortest paths, so path lengths say little about the quality of a field.
+    all corners that it sees, so each start reaches the goal if that is possible, whatever the field. Even a field of
+    zeros often yields shortest paths, so path lengths say little about the quality of a field.
 
     *Other costs and spaces*: paths take finite steps of many lengths and directions, to the visible point where the
-    field falls most per cost of the step. Then vertices are skipped or shifted to reduce the cost. Local minima that
-    no step leaves are filled by a slower search, which gives up (STUCK) after 1,000 expansions. A step may cross a
-    ridge of the field and pass an obstacle on the other side, possibly with a much longer path. Better fields yield
-    better paths in less time. With a cost map, each start takes a few tenths of a second.
+    field falls most per cost of the step. Then vertices are skipped or shifted to reduce the cost. A slower search
+    leaves local minima, and gives up (STUCK) after 1,000 expansions. A step may cross a ridge of the field and pass
+    an obstacle on the longer side. With a cost map, each start takes a few tenths of a second.
 
     Args:
         distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)`` through free
@@ -109,8 +107,8 @@ def descend(
         cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:
-        Status, path, length and cost for each start. Costs from a cost map have an error of at most 0.1 %, and far
-        less if the map is smooth.
+        Status, path, length and cost for each start. Costs from a cost map have an error of about 0.1 % at most,
+        and far less if the map is smooth.
 
     Raises:
         ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
@@ -228,5 +226,5 @@ def _edges(
 
 
 def _unique_pairs(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
-    """Remove repeated pairs, regardless of their order."""
+    """Remove repeated pairs; the order within a pair does not matter."""
     return np.unique(np.sort(pairs, axis=1), axis=0)

@@ -46,7 +46,7 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"]
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Return vertices of paths from starts via ``first`` and ``onward`` to node 0, and their number, 0 if stuck."""
+    """Follow ``first`` and ``onward`` from starts to node 0; return the vertices, and their number, 0 where stuck."""
     chain = [first]
     while (chain[-1] > 0).any():
         chain.append(np.where(chain[-1] > 0, onward[chain[-1]], chain[-1]))
@@ -59,22 +59,25 @@ def chains_of(
 _CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and per axis in more dimensions
 _STEP_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # relative errors allowed for the costs of steps, and of final paths
 _SAMPLES = 8  # samples of a motion whose cost is estimated
-_LEAST_SHARE = 1 / 16  # shorter parts of a motion are allowed the absolute error of a part of this share
+_LEAST_SHARE = 1 / 16  # parts of a motion shorter than this share may have the absolute error of such a share
 _MOST_HALVINGS = 40
 _LONGEST, _NUM_LENGTHS = 1 / 4, 8  # longest step, as a share of the domain, and number of lengths, each half as long
 _FALL = 0.1  # least fall of the field along a step, as a share of the step's cost
 _LONGER = 0.01  # loss of slope that is accepted for a step twice as long
 _DEARER = 0.02  # a step may cost more than its estimate by this share
-_MOST_EXPANSIONS = 1000  # of the search that leaves a local minimum
-_CELL, _CELL_STEPS = 1 / 32, (1, 2, 4)  # side of its cells, as a share of the domain; lengths of its steps, in sides
+_MOST_EXPANSIONS = 1000  # limit of the search that leaves a local minimum
+_CELL, _CELL_STEPS = (
+    1 / 32,
+    (1, 2, 4),
+)  # side of that search's cells, as a share of the domain; lengths of its steps, in sides
 _KNOWN = 1e-3  # estimates with a smaller relative error are trusted to find the best place
 _GAIN = 1e-6  # least saving of a change, as a share of the cost of the segments
-_WIDEST_SHIFT = 1 / 32  # of a node, as a share of the domain
-_NUM_SHIFTS = 8  # each half as wide as the one before
+_WIDEST_SHIFT = 1 / 32  # first shift of a node, as a share of the domain
+_NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions: of all axes, and of each group of axes with one Euclidean norm."""
+    """Return motions of cost 1 in many directions: of all axes, and of the axes of each block of the cost."""
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
@@ -204,7 +207,7 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Step down the field; return nodes (0: the goal), each one's next node (-1: stuck), and nodes of starts."""
+        """Step down the field; return nodes (0 is the goal), their next nodes (-1: stuck), and the starts' nodes."""
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):
@@ -229,7 +232,7 @@ class _Lookahead:
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
     def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
-        """Return where the best step from each configuration ends, and 1 at the goal, -1 if there is none, else 0."""
+        """Return the end of each configuration's best step, and 1 if it is the goal, -1 without a step, or else 0."""
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
 
@@ -264,7 +267,7 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Return a path out of a local minimum to a value less than ``below``, or None; reuse paths found before."""
+        """Return a path from a local minimum to a value less than ``below``, or None; reuse earlier paths."""
         for stuck, chain in self.minima:
             if self.space.are_free(x[None], stuck[None])[0]:
                 if chain is None:
@@ -310,7 +313,7 @@ class _Lookahead:
 
 
 def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
-    """Skip nodes of paths where the straight motion past them is free and cheaper; return each node's next node."""
+    """Return each node's next node, after skipping nodes that a free and cheaper straight motion passes by."""
     stuck = onward < 0
     onward = np.where(stuck, np.arange(len(nodes)), onward)
     leg = costs.integrals(nodes, nodes[onward], _STEP_TOLERANCE)
@@ -330,7 +333,7 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
 
 
 def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
-    """Shift inner nodes of paths that reach the goal to where the segments to their neighbors cost least."""
+    """Shift inner nodes of paths that reach the goal so that the segments to their neighbors cost least."""
     nodes, motion = nodes.copy(), costs.space.motion_cost
     before, number = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
     node, count = first, 0
@@ -350,7 +353,7 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
 def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """Return where paths from ``before`` to ``after`` cost least: at ``x``, or ``x`` plus one of ``changes``."""
+    """Return the cheapest way points from ``before`` to ``after``: ``x``, or ``x`` plus one of ``changes``."""
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:

@@ -105,10 +105,7 @@ def straight_costs(
 
 
 def path_cost(problem: Problem, path: ArrayLike) -> float:
-    """Return the cost of a path ``(steps, robots, dof)``: the sum of its motion costs, in workspace units.
-
-    The sum is over all steps and robots. A path of another shape raises ``ValueError``.
-    """
+    """Return the sum of motion costs over a path ``(steps, robots, dof)``; another shape raises ``ValueError``."""
     path = as_path(problem, path)
     return float(motion_costs(problem, path[:-1], path[1:]).sum())
 
@@ -116,13 +113,13 @@ def path_cost(problem: Problem, path: ArrayLike) -> float:
 def makespan(problem: Problem, path: ArrayLike) -> float:
     """Return the duration of a path ``(steps, robots, dof)`` if each motion's costliest robot has unit speed.
 
-    It is the sum over motions of the largest cost of a robot. A path of another shape raises ``ValueError``.
+    It is the sum, over motions, of the largest cost of any robot. Another shape raises ``ValueError``.
     """
     return float(row_times(problem, path)[-1])
 
 
 def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps"]:
-    """Return the times at which a path reaches its rows: nondecreasing, from 0 to the :func:`makespan`."""
+    """Return the time at which a path reaches each row: nondecreasing, from 0 to the :func:`makespan`."""
     path = as_path(problem, path)
     return np.append(0.0, np.cumsum(motion_costs(problem, path[:-1], path[1:]).max(axis=1)))
 

@@ -1,7 +1,7 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-There are two exceptions: where obstacles touch and how that divides free space (the workspace says so), and which way
-a robot turns (part of the meaning of a path).
+There are two exceptions: the points where obstacles touch, which come from the workspace, and the direction in which
+a robot turns, which is part of the meaning of a path.
 
 Bodies are Shapely geometries. A motion without turns sweeps a convex hull, whose distance is exact. Other motions are
 bisected in time: the clearance in the middle of an interval, less the distance that the bodies move, bounds it in
@@ -93,15 +93,17 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
         return ValidationReport(False, cost, clearance, message, (i,), when, where)
-    step = closest.findings.motion
-    message = f"Valid: clearance {clearance:.4g}, {_describe_pair(closest)} in the motion from step {step}."
-    return ValidationReport(True, cost, clearance, message, closest.who)
+    who, step = closest.who, closest.findings.motion
+    is_alone = closest.other_path is None
+    pair = f" {who[0]} to an obstacle or the bounds" if is_alone else f"s {who[0]} and {who[1]}"
+    message = f"Valid: clearance {clearance:.4g}, of robot{pair} in the motion from step {step}."
+    return ValidationReport(True, cost, clearance, message, who)
 
 
 @dataclass(frozen=True)
 class _Findings:
     clearance: float
-    motion: int  # with the smallest clearance
+    motion: int  # motion with the smallest clearance
     collision: int | None  # first motion that collides
 
 
@@ -152,7 +154,7 @@ class _Encounter:
 
     @cached_property
     def max_rates(self) -> Float[np.ndarray, "motions"]:
-        """Upper bound of the change of clearance during each motion: how far points of both bodies move."""
+        """Upper bound of the change of clearance in each motion: the distances that points of both bodies move."""
         velocity = np.diff(self.path[:, :2], axis=0)
         max_rates = _rim_speeds(self.robot, self.path)
         if self.other_path is not None:
@@ -237,7 +239,7 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
 
 
 def _tolerance(workspace: Workspace) -> float:
-    """Return the check's tolerance: at least twice the workspace's, which grows far from the origin."""
+    """Return the tolerance of this check: 1e-7 of the extent, but at least twice the workspace's."""
     return max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
 
 
@@ -284,7 +286,6 @@ def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "
 
 
 def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
-    """Return a robot's core at some configurations as Shapely geometries; a disc's core is its center."""
     corners = _corners(robot, q)
     if len(robot.core) == 1:
         return shapely.points(corners[:, 0])
@@ -315,7 +316,7 @@ def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"])
 def _changes_of_side(
     boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
 ) -> list[int]:
-    """Return the motions, from the first change of side on, while a point stays near a vertex where obstacles touch.
+    """Return motions of a point near a contact (a vertex where obstacles touch), from its first change of side on.
 
     There are none if ``motion`` misses the vertex. Sides are the sectors of free space there. In a disc of half the
     length of the vertex's shortest edge, sectors meet only at the vertex, so the path in this disc decides.
@@ -392,9 +393,3 @@ def _describe_violation(workspace: Workspace, body: Any) -> str:
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
     return "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"
-
-
-def _describe_pair(encounter: _Encounter) -> str:
-    if encounter.other_path is None:
-        return f"of robot {encounter.who[0]} to an obstacle or the bounds"
-    return f"of robots {encounter.who[0]} and {encounter.who[1]}"

@@ -118,7 +118,7 @@ def error_grid(
         workspace: The workspace, or a configuration space whose free configurations count.
         at: For a space of more than two dimensions, the slice that the grid covers: coordinates of all axes but two,
             by axis number from 0.
-        resolution: Number of square cells along the longer side of the bounds, at least 1.
+        resolution: Number of nearly square cells along the longer side of the bounds, at least 1.
 
     Returns:
         Errors ``(rows, columns)``; row 0 has the lowest ``y``. NaN where a cell center is not free or not reachable,

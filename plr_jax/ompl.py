@@ -32,9 +32,8 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
     The heuristic is *admissible* between free states from which the PLR's goal is reachable. BIT*, BFMT* and SORRT*
     need nothing else, and are the only planners that use it. It is not *consistent*: bounds jump between leaves by up
-    to ``2 * plr.max_error``, so a graph search must reopen states. RRT* and Informed RRT* do not benefit: they use
-    ``costToGo``, which cannot be set from Python. A call takes tens of microseconds for a new state, and one or two
-    for a cached state. This pays off if motion tests take longer.
+    to ``2 * plr.max_error``, so a graph search must reopen states. RRT* and Informed RRT* use ``costToGo`` instead,
+    which cannot be set from Python. A call takes tens of microseconds: it pays off if motion tests take longer.
 
     Args:
         space_information: OMPL's ``SpaceInformation``; its space's distance must be the cost of motions.

@@ -1,7 +1,7 @@
 """The command ``plr-jax``: build, query, inspect and draw piecewise linear regressions, and plan with them.
 
-Heavy libraries are imported inside the commands, so that ``--help`` is fast. ``query`` of a PLR
-loads JAX only for ``--gradient``.
+Heavy libraries are imported inside the commands, so that ``--help`` is fast. ``query`` of a PLR loads JAX only for
+``--gradient``.
 """
 
 import os
@@ -36,7 +36,7 @@ def main() -> None:
 def _stop(number: int, frame: FrameType | None) -> None:
     """Handle SIGINT or SIGTERM by an exception, so that cleanup runs; during an import, end the process at once.
 
-    Libraries swallow an exception in an incomplete import, or abort the process. No file is open for writing then.
+    Some libraries swallow an exception in an incomplete import, or abort. No file is open for writing then.
     """
     interrupted = number == signal.SIGINT
     while frame is not None:

@@ -106,7 +106,7 @@ def reason_of(error: OSError | ValueError) -> str:
 
 @contextmanager
 def progress(what: str) -> Iterator[None]:
-    """Show on the terminal, if there is one, what is being done until it is done."""
+    """Show a message on the terminal, if there is one, while the block runs."""
     if not sys.stderr.isatty():
         yield
         return
@@ -120,7 +120,6 @@ def progress(what: str) -> Iterator[None]:
 
 
 def warn(message: str) -> None:
-    """Print a warning as one line on standard error."""
     if sys.stderr.isatty():
         sys.stderr.write(_ERASE_LINE)
     typer.echo("Warning: " + _as_line(message), err=True)
@@ -135,7 +134,7 @@ def fail(message: str, code: int = 2) -> NoReturn:
 def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, bool]:
     """Call a function that returns partial work on Ctrl-C; return its result, and whether it was interrupted.
 
-    The function warns of an interrupt by :class:`ConstructionInterrupted`; other warnings are shown as usual.
+    The function reports an interrupt by the warning ``ConstructionInterrupted``; other warnings are shown.
     """
     from plr_jax.plr import ConstructionInterrupted
 

@@ -135,11 +135,14 @@ def build(
     # 3. Report the error at points of another seed than the samples to which leaves were fitted.
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
     _print_errors(plr, oracle, seed + 1)
+    if radius:
+        # A total error needs a second oracle, among polygons around the grown obstacles, which may close passages.
+        typer.echo("        proven for polygons inside the grown obstacles; the disc's own distances are not smaller")
     typer.echo(f"time    {seconds:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
 
 
 def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
-    """Return a remark on the small specks (groups of pixels) that a map still has, or an empty text."""
+    """Return a remark on the groups of at most 4 pixels (specks) that a map still has, or an empty text."""
     from plr_jax.geometry.masks import without_specks
 
     _, count = without_specks(without_specks(free, num_dropped)[0], _SPECK)

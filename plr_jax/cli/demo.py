@@ -19,7 +19,7 @@ from plr_jax.plr import PLR
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
 _CONE_BYTES = 1024
-_GIF_SECONDS, _GIF_RATE = 6, 12.5  # drawing frames takes longer than planning, so there are few
+_GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames, since drawing them takes longer than planning
 
 
 def run(output: Path) -> None:
@@ -61,7 +61,9 @@ def _maze(output: Path) -> None:
         f"  error   max {report.max:.4f}, mean {report.mean:.4f} over {report.num_points:,} random free points "
         f"(distances reach {report.max_distance:.2f})"
     )
-    typer.echo("  query   a batch of random free points, after compilation, on " + _device())
+    device = jax.devices()[0]
+    where = "this machine's CPU" if device.platform == "cpu" else device.device_kind
+    typer.echo(f"  query   a batch of random free points, after compilation, on {where}")
     plr_rate = _rate(plr, jnp.asarray(points, jnp.float32), _PLR_REPEATS)
     oracle_rate = _rate(oracle, points[:_ORACLE_POINTS], _ORACLE_REPEATS)
     typer.echo(f"          PLR           {plr_rate / 1e6:8.1f} million points per second")
@@ -73,11 +75,6 @@ def _maze(output: Path) -> None:
     plot.page(cones.with_label("maze"), workspace).save(page := output / "maze.html")
     typer.echo(f"  wrote   {page}   (open it in a browser: the distance as {cones.num_bytes:,} bytes of cones)")
     typer.echo(f"  wrote   {output / 'maze.plr'}   (try: plr-jax query {output / 'maze.plr'})")
-
-
-def _device() -> str:
-    device = jax.devices()[0]
-    return "this machine's CPU" if device.platform == "cpu" else device.device_kind
 
 
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:

@@ -101,7 +101,7 @@ def _reader(file: Path, is_pairs: bool) -> Any:
 
 
 def _gradients(file: Path) -> Any:
-    """Return a function that maps points to gradients, compiled for a few batch sizes; NaN for NaN points."""
+    """Return a function that maps points to gradients, NaN for NaN points; it compiles for few batch sizes."""
     import jax
 
     from plr_jax import load

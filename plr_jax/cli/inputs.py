@@ -30,8 +30,8 @@ MapArgument = Annotated[
     typer.Argument(
         metavar="MAP",
         help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml; "
-        'costs are ignored), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), a Moving AI '
-        "grid (.map), polygons with holes (.json), a scene (.json).",
+        'costs are ignored), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), well-known '
+        "text (.wkt), a Moving AI grid (.map), polygons with holes (.json), a scene (.json).",
         show_default=False,
         autocompletion=lambda: list(SCENES),
     ),
@@ -136,7 +136,6 @@ class NamedMap:
         return named
 
     def given_options(self) -> dict[str, Any]:
-        """Return the options that are not None, by field name."""
         fields_of_map = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
         return {key: value for key, value in fields_of_map.items() if value is not None}
 
@@ -199,7 +198,7 @@ class NamedMap:
 def read_map_of_file(
     file: Path, content: Any, map_text: str | None, goal: str | None, *, is_needed: bool
 ) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
-    """Return the workspace and the goal of a file; None for what neither the user nor the file's label names.
+    """Return the workspace and the goal of a file; each is None if neither the user nor the file's label names it.
 
     The user's ``map_text`` (MAP and options) and ``goal`` override the label of ``content``, the PLR or pairs. A map
     is also looked for beside ``file``. If a map is not needed and cannot be read, a warning is shown.
@@ -248,9 +247,9 @@ def read_map_of_file(
 def require_writable(
     path: Path | None, endings: Sequence[str] = (), *, inputs: Sequence[str | Path | None] = ()
 ) -> None:
-    """Raise an error, before any work is done, if a file cannot be written; None is accepted.
+    """Raise an error, before any work is done, if a file cannot be written, or if it is one of the inputs.
 
-    The file must have one of the endings, if any are given, and must not be one of the inputs.
+    None is accepted. If ``endings`` are given, the file must have one of them.
     """
     if path is None:
         return

@@ -115,7 +115,7 @@ def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
 
 
 def _is_header(line: bytes) -> bool:
-    """Return whether a line is a header: all names begin with a letter or ``_``, and none is ``nan`` or ``inf``."""
+    """Return whether a line is a header: each name begins with a letter or ``_`` and is not ``nan`` or ``inf``."""
     names = [name for name in re.split(r"[,;\s\"'#]+", line.decode(errors="replace")) if name]
     begin = all(name[0].isalpha() or name[0] == "_" for name in names)
     return bool(names) and begin and not any(map(numbers_of, names))

@@ -27,7 +27,7 @@ Columns: TypeAlias = tuple[Column, Column]
 
 
 class MovingBodies(NamedTuple):
-    """Bodies in straight motion, one per column; ``size`` is half sides of boxes, or vertices, as the tests need."""
+    """Bodies in straight motion, one per column; ``size`` is the half sides of boxes ``(2, n)``, or vertices."""
 
     size: Float[np.ndarray, "*size n"]
     x: Column
@@ -39,19 +39,17 @@ class MovingBodies(NamedTuple):
 
     @property
     def num_corners(self) -> int:
-        """Number of vertices if ``size`` has shape ``(2, vertices, n)``, else the length of ``size``."""
+        """Number of vertices; for boxes, the number of half sides."""
         return len(self.size) if self.size.ndim == 2 else self.size.shape[1]
 
     def take(self, columns: np.ndarray | slice) -> "MovingBodies":
-        """Return the bodies of some columns, chosen by indices, a mask or a slice."""
         return MovingBodies(self.size[..., columns], *(column[columns] for column in self[1:]))
 
     def with_size(self, size: Float[np.ndarray, "*size"]) -> "MovingBodies":
-        """Return the same motions for bodies that all have the same size."""
         return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
 
     def bisected(self) -> "MovingBodies":
-        """Return both halves of each motion, in adjacent columns."""
+        """Return the two halves of each motion, in adjacent columns."""
         half = [0.5 * rate for rate in self[4:]]
         pose = [np.stack([q, q + rate], axis=1).ravel() for q, rate in zip(self[1:4], half, strict=True)]
         return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
@@ -76,11 +74,12 @@ def bisect(
 ) -> Booleans:
     """Return whether bodies certainly keep the distance ``reach``; bisect motions until the kernel is certain.
 
-    ``kernel`` returns which motions certainly do, and which certainly do not. A negative ``reach`` is an allowed
-    depth of overlap. Depth-first order in small batches bounds the memory.
+    A negative ``reach`` is an allowed depth of overlap. Depth-first order in small batches bounds the memory.
     """
     k, m = a.num_corners, b.num_corners
-    size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # a distance takes all pairs of corners
+    size = max(
+        1, _CORNERS // max(k + m, k * m if reach > 0 else 0)
+    )  # distances are computed for all pairs of corners
     apart = np.ones(len(a.x), dtype=bool)
     waiting = [(a, b, np.arange(len(a.x)), 0)]
     while waiting:
@@ -102,9 +101,9 @@ def bisect(
 
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
-    """Bound by how much gaps along axes that turn with ``a``, and with ``b``, fall below those at both ends.
+    """Bound how far the gap along an axis that turns with ``a``, and with ``b``, falls below its smaller end value.
 
-    Bounds cover the motion and turn of the other body, in the frame of the axis. A ``rim`` is a circumscribed radius.
+    ``rim_a`` and ``rim_b`` are circumscribed radii. The frame of the axis moves with its body.
     """
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
@@ -115,7 +114,7 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Colu
 
 
 def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
-    """Return the unit normal of each relative motion; ``(0, 1)`` if the bodies do not move against one another."""
+    """Return the unit normal of each relative motion; ``(0, 1)`` if there is no relative motion."""
     dx, dy = b.dx - a.dx, b.dy - a.dy
     speed = np.hypot(dx, dy)
     nx = np.divide(-dy, speed, out=np.zeros_like(dx), where=speed > 0)
@@ -171,7 +170,7 @@ def _offset(a: MovingBodies, b: MovingBodies, end: float) -> Columns:
 
 
 def _side_gaps(p: Corners, q: Corners) -> Sides:
-    """Return the gaps between two bodies along the normals of the first one's sides; a single corner has no sides."""
+    """Return the gaps between two bodies along the normals of the first body's sides; a point has none."""
     sides = p.shape[1] if p.shape[1] > 1 else 0
     dx, dy = (np.roll(p, -1, axis=1) - p)[:, :sides]
     length = np.hypot(dx, dy)
@@ -207,8 +206,8 @@ def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
     """Return the direction in which two disjoint bodies come nearest, and their distances at begin and end.
 
-    The swept Minkowski difference is nearest to the origin on an edge: a side less a corner, or a corner's path less
-    a corner.
+    The nearest point of the swept Minkowski difference lies on a side minus a corner, or on a corner's path minus a
+    corner.
     """
     first, last = (q[:, None] - p[:, :, None] for p, q in ends)
     at_ends = [[nearest_on_segment(*w, *(np.roll(w, -1, axis=axis) - w)) for axis in (1, 2)] for w in (first, last)]
@@ -254,14 +253,14 @@ def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verd
         distances.append(  # signed distance to the box, negative inside
             np.hypot(np.maximum(beside, 0), np.maximum(above, 0)) + np.minimum(np.maximum(beside, above), 0)
         )
-    bulge, _ = rotation_bounds(a, b, *b.size)  # a point has no rim
+    bulge, _ = rotation_bounds(a, b, *b.size)  # the point's radius is 0
     nearer = np.minimum(*distances)
     clear = np.minimum(nearer, _distance_of_chord(*ends, *a.size)) >= reach + bulge
     return clear, (nearer < reach) | ((a.turn == 0) & ~clear)
 
 
 def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:
-    """Return the centers' offset and the sum of half widths, along the two axes of ``a``, then those of ``b``."""
+    """Return the offset of the centers and the sum of half widths, along both axes of ``a``, then of ``b``."""
     (ca, sa), (cb, sb), (length_a, width_a), (length_b, width_b) = at_a, at_b, a.size, b.size
     c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
     x, y = _offset(a, b, end)
@@ -279,7 +278,7 @@ def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Co
 
 
 def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
-    """Return the distance of each segment to a box around the origin; minus the depth of overlap if they cross."""
+    """Return the distance of each segment to a box around the origin; if they cross, minus the depth of overlap."""
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]
     length = np.hypot(dx, dy)

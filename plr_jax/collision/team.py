@@ -41,15 +41,13 @@ Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 
 
 class Circles(NamedTuple):
-    """Circles, by centers and radii."""
-
     x: Column
     y: Column
     radius: Column
 
 
 class TeamTrajectory:
-    """A copy of a team's path whose motions can be replaced, with a circle around each robot's body in each one."""
+    """A copy of a team's path in which motions can be replaced, with a circle around each motion of each robot."""
 
     def __init__(self, robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]):
         self.path = path.copy()
@@ -59,7 +57,7 @@ class TeamTrajectory:
             self.move(i, path[:, i])
 
     def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
-        """Replace robot ``i``'s configurations in some rows of the path; the first and last must be as before."""
+        """Replace robot ``i``'s configurations in some rows of the path, except the first and last of these rows."""
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
         x, y, radius = circles_along(q[:, None])
@@ -68,9 +66,9 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return pairs of an index ``k`` and a robot that may meet robot ``i``, as two arrays.
+        """Return indices ``k``, and for each a robot that robot ``i`` may meet there.
 
-        Robot ``i``'s reference point stays in circle ``around[k]`` during the path's motion ``motion[k]``.
+        Robot ``i`` moves within circle ``k`` of ``around`` during the path's motion ``motion[k]``.
         """
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
@@ -96,7 +94,7 @@ def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Ci
 
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
-    """Return, for each row, a circle around all straight motions from the ``k`` first to the ``l`` last positions."""
+    """Return, for each row, a circle around all straight motions from ``k`` begin to ``l`` end positions."""
     return _between(_around(begin), _around(end))
 
 
@@ -125,8 +123,8 @@ def motions_apart(
     """Return whether two robots keep clear of one another while they move from ``a0`` to ``a1`` and ``b0`` to ``b1``.
 
     Shapes ``(..., dof)`` broadcast. An overlap up to ``tolerance``, usually ``Workspace.tolerance``, counts as
-    touching, which is allowed. The result is exact for two round robots, and if nothing turns. Otherwise a motion may
-    be rejected that comes within about 1e-7 of a robot's size to a collision, but no collision is accepted.
+    touching, which is allowed. The result is exact for two round robots, and if nothing turns. Otherwise a motion
+    within about 1e-7 of a robot's size of a collision may be rejected, but no collision is accepted.
     """
     require_time(deadline, "all motions were tested")
     motions = a0, a1, b0, b1
@@ -168,7 +166,7 @@ def motions_apart(
 
 @dataclass(frozen=True, eq=False)
 class JointMotionTest:
-    """A test of straight motions of a whole team: they may hit no obstacle and no other robot; it has a deadline."""
+    """A test, with a deadline, whether straight motions of a whole team hit no obstacle and no other robot."""
 
     workspace: Workspace
     robots: Sequence[Robot]
@@ -176,7 +174,6 @@ class JointMotionTest:
 
     @cached_property
     def wall_tests(self) -> tuple[MotionTest, ...]:
-        """The robots' motion tests against obstacles and bounds."""
         return tuple(motion_test(self.workspace, robot, self.deadline) for robot in self.robots)
 
     @cached_property
@@ -195,13 +192,12 @@ class JointMotionTest:
         return free
 
     def apart(self, i: int, a0: OfA, a1: OfA, j: int, b0: OfB, b1: OfB) -> Apart:
-        """Return whether robots ``i`` and ``j`` keep clear of one another (see :func:`motions_apart`)."""
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return which motions of robot ``i`` collide with robots ``other`` in motions ``motion`` of a trajectory."""
+        """Return which motions of robot ``i`` collide with robots ``other`` in motions ``motion`` of their path."""
         others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)

@@ -43,7 +43,7 @@ def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Number
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers, Numbers]]:
-    """Yield rows of voxels, along the last axis, near boxes: index of the box, first and last voxel of the row."""
+    """Yield rows of voxels, along the last axis, within ``radius`` of a box: the box's index, and both end voxels."""
     first, last = _touching(grid, lo - radius, hi + radius)
     num = np.maximum(last - first + 1, 0)[:-1]
     for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):
@@ -53,21 +53,15 @@ def _rows_within(
         square = np.full(len(box), radius**2)
         for axis in range(grid.dim - 1):
             place, beyond = np.divmod(place, num[axis, box])
-            row[axis] = first[axis, box] + beyond
-            square -= _gaps(grid, axis, row[axis], lo[axis, box], hi[axis, box]) ** 2
+            row[axis], faces = first[axis, box] + beyond, grid.faces[axis]
+            gaps = np.maximum(faces[row[axis]] - hi[axis, box], lo[axis, box] - faces[row[axis] + 1])
+            square -= np.maximum(gaps, 0.0) ** 2
         near = square > 0
         box, row, reach = box[near], row[:, near], np.sqrt(square[near])
         begin, end = row, row.copy()
         begin[-1], _ = grid.numbers_along(grid.dim - 1, lo[-1, box] - reach)
         _, end[-1] = grid.numbers_along(grid.dim - 1, hi[-1, box] + reach)
         yield box, begin, end
-
-
-def _gaps(
-    grid: VoxelGrid, axis: int, number: Which, lo: Float[np.ndarray, "m"], hi: Float[np.ndarray, "m"]
-) -> Float[np.ndarray, "m"]:
-    faces = grid.faces[axis]
-    return np.maximum(np.maximum(faces[number] - hi, lo - faces[number + 1]), 0.0)
 
 
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
@@ -105,7 +99,7 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers]]:
-    """Yield batches of pairs: the index of a box, and a blocked voxel nearer to it than a radius."""
+    """Yield the indices of boxes, and for each a blocked voxel nearer to it than ``radius``, in batches."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         some = np.flatnonzero(grid.num_blocked(begin, end))
         row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
@@ -116,7 +110,7 @@ def _blocked_voxels_within(
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, "n"]:
-    """Return the least squared distance of each straight motion to its own voxel."""
+    """Return the least squared distance of each straight motion to the voxel of its column."""
     lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
     hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
     change = q1 - q0
@@ -169,7 +163,6 @@ class _Traversal:
         self.strides = np.array(grid.padded.strides)
 
     def passes(self) -> Booleans:
-        """Return whether each motion reaches its end through free voxels."""
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
         rows = np.flatnonzero(~passes)

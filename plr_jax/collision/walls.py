@@ -38,7 +38,7 @@ Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 
 
 class MotionTest:
-    """A test whether straight motions keep a robot off obstacles and within the bounds; touching is allowed.
+    """A test of straight motions: whether a robot stays off obstacles and within the bounds. It may touch both.
 
     The position moves at constant velocity, and the heading turns at a constant rate, the shorter way. The
     constructor and the tests raise ``TimeoutError`` past the deadline, on the clock of ``time.perf_counter``.
@@ -55,7 +55,7 @@ class MotionTest:
         self._shape = columns, rows = tuple(np.ceil(width / cell).astype(int).tolist())
         x, y = (lo + (np.arange(num) + 0.5) * cell for lo, num in zip(workspace.bounds.lo, self._shape, strict=True))
         centers = np.stack([np.tile(x, rows), np.repeat(y, columns)], axis=1)
-        self._longest = max(2 * cell, size) if size > 0 else np.inf  # the workspace finds a point's walls
+        self._longest = max(2 * cell, size) if size > 0 else np.inf  # a point is tested by `is_visible` instead
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
         # Clearance at each center, and edges within reach: those of cell i from _first[i] to _first[i + 1].
         segments: Any = shapely.linestrings(workspace.boundary.segments)
@@ -75,8 +75,8 @@ class MotionTest:
     def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
         """Return whether motions from ``q0`` to ``q1`` are free all along, up to ``workspace.tolerance``.
 
-        Exact for points, discs and motions without turns. A turning robot may be rejected within about 1e-7 of its
-        size from a wall, but never passes a wall. Robots without a heading ignore a third coordinate.
+        Exact for points, discs and motions without turns. A turning robot within about 1e-7 of its size from a wall
+        may be rejected, but never passes a wall. Robots without a heading ignore a third coordinate.
         """
         dof = (2, 3)[self.robot.dof - 2 :]
         for name, q in (("q0", q0), ("q1", q1)):
@@ -101,7 +101,7 @@ class MotionTest:
         return np.asarray(tree.query(q[..., :2])[0]) <= self.workspace.tolerance
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
-        """Return whether the robot is certainly free, at any heading, with its reference point in given circles."""
+        """Return whether the robot is surely free, at any heading, with its reference point in each circle."""
         cell, away = self._locate(x, y)
         return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
 
@@ -197,7 +197,7 @@ _cached_motion_test = lru_cache(maxsize=16)(MotionTest)
 
 
 def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
-    """Return the motion test of a robot in a workspace, from a cache; raise ``TimeoutError`` past the deadline."""
+    """Return a cached motion test; raise ``TimeoutError`` past the deadline."""
     return _cached_motion_test(workspace, robot, IgnoredByCache(deadline))
 
 

@@ -21,7 +21,7 @@ from plr_jax._types import (
 
 AnyDistanceFn: TypeAlias = Callable[[Any], ArrayLike]  # returns a NumPy or JAX array
 PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # never returns NaN
-# Few sizes, as a jitted function compiles once per size; close together if large, as padding costs oracle time.
+# Few sizes, since a jitted function compiles once per size; close together if large, since padding costs time.
 _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 
 
@@ -31,8 +31,7 @@ class SumOverRobots:
 
     Args:
         per_robot: Function of joint configurations ``(n, robots, dof)`` that returns the terms, ``(n, robots)``.
-        is_lower_bound: Whether the sum never exceeds the true cost-to-go, so that it proves a lower bound of path
-            costs.
+        is_lower_bound: Whether the sum never exceeds the true cost-to-go; it then proves lower bounds of path costs.
     """
 
     per_robot: PerRobot
@@ -56,8 +55,8 @@ def zero() -> SumOverRobots:
 def straight_line(problem: Problem) -> SumOverRobots:
     """Return the heuristic that ignores obstacles: the cost of straight motions to the goals, including turns.
 
-    It is a lower bound of the true cost-to-go, for the team of ``problem``. It is ``inf`` for a configuration that is
-    not finite.
+    It is a lower bound of the true cost-to-go of the problem's team, and ``inf`` for configurations that are not
+    finite.
     """
     num_robots, dof = problem.goals.shape
 
@@ -73,9 +72,8 @@ def straight_line(problem: Problem) -> SumOverRobots:
 def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
     """Return the heuristic that adds up the robots' distances to their goals, each as if alone (paper, Section V-B).
 
-    If all functions have one type that offers ``stack``, as PLRs do, one call evaluates all. Otherwise they are
-    called one by one, in batches padded to a few fixed sizes, so that jit-compiled functions compile only a few
-    times.
+    If all functions have one type that offers ``stack``, as PLRs do, one call evaluates all. Others are called one by
+    one, in batches of a few fixed sizes, so that functions under ``jit`` compile only a few times.
 
     Args:
         distance_fns: One distance function per robot, in the order of the robots. It returns NumPy or JAX arrays. If

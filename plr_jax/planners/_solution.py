@@ -30,10 +30,10 @@ class Status(enum.StrEnum):
     """Reason why a planner ended; its value is a phrase for messages."""
 
     SOLVED = "a path within the cost factor was found"
-    EXHAUSTED = "the frontier is empty: no path, or none within the cost factor, on this lattice"
+    EXHAUSTED = "no search is left, and none found a path within the cost factor on the lattices"
     TIME_LIMIT = "the time limit was reached"
     EXPANSION_LIMIT = "the limit on expansions was reached"
-    MEMORY_LIMIT = "the memory limit was reached"
+    MEMORY_LIMIT = "the memory limit was reached, or a search left out children to save memory"
     INTERRUPTED = "interrupted by the user"
 
 
@@ -116,7 +116,7 @@ class Solution:
         return self.path is not None
 
     def path_at(self, times: ArrayLike) -> Float[np.ndarray, "*batch robots dof"]:
-        """Return the joint configurations at given times, if the robots follow the path by a common clock.
+        """Return the joint configurations at given times; all robots follow the path by one clock.
 
         Each motion, from one row of the path to the next, takes as long as its costliest robot needs at unit speed.
         The other robots move at a constant rate and arrive at the same time. Headings turn the shorter way, starting
@@ -127,8 +127,8 @@ class Solution:
                 (or at ``inf``) at their goals.
 
         Returns:
-            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. At the time of a row, also the
-            first and the last, they equal the row exactly.
+            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. At a row's time, they equal the
+            row exactly.
 
         Raises:
             ValueError: If there is no path, or if a time is NaN, masked or not a number.
@@ -192,9 +192,8 @@ class Solution:
                             "num_children_valid": count, "num_bytes": count, "seconds": {phase: seconds, ...},
                             "history": [[seconds, cost], ...], "found_by": name of a search, or ""}
 
-        Returns:
-            The saved solution, with every float64 restored exactly. Its ``samples`` are empty because the file omits
-            them. Use :func:`plr_jax.validate` to check the path against a problem.
+        Every float64 is restored exactly; ``samples`` are empty, since the file omits them. :func:`plr_jax.validate`
+        checks the path against a problem.
 
         Raises:
             ValueError: If the file is not a solution, is damaged, or was written by a newer version.
@@ -289,10 +288,9 @@ class BLOptions:
     """Options of :func:`plr_jax.bl_plan`.
 
     Args:
-        searchers: Searches that alternate until one finds a path. "lacam" moves the whole team one step at a time: it
-            is fast, even for large teams, where robots can push one another along. "bl" is best-first search over
-            joint configurations: it finds coordinated maneuvers, such as swaps in tight places. With both, the
-            planner also tries to move a few discs one after the other.
+        searchers: Searches that alternate until one finds a path. "lacam" moves the whole team one step at a time,
+            which is fast, even for large teams. "bl", a best-first search over joint configurations, finds
+            coordinated maneuvers. With both, the planner also tries to move a few discs one after the other.
         step: Side of a lattice cell, in workspace units. None: chosen for each problem, and refined until the problem
             is solved.
         heuristic_weight: Factor of the heuristic in "bl", from 0 to 1e6; larger is greedier. None: 2, or 3/8 times
@@ -356,7 +354,7 @@ class SearchBudget:
     memory: int = 0
 
     def exceeded(self) -> Status | None:
-        """Return the status of a limit that is reached, or None; one more expansion must be allowed."""
+        """Return the status of the limit that rules out one more expansion, or None."""
         if self.num_expansions + 1 > self.max_expansions and time.perf_counter() < self.deadline:
             return Status.EXPANSION_LIMIT
         return self.spent()
@@ -369,7 +367,7 @@ class SearchBudget:
 
 
 class MemoryUse:
-    """Bytes of one data structure, counted in ``budget.memory`` until they are released."""
+    """A count of the bytes of one data structure, which is part of ``budget.memory`` until :meth:`release`."""
 
     def __init__(self, budget: SearchBudget):
         self.budget, self.num_bytes = budget, 0

@@ -27,8 +27,8 @@ _SCORE_BYTES = 12  # memory of a joint child's score while the beam is cut
 _BATCH = 16  # most nodes expanded at once; the batch doubles from 1 while the search makes no progress
 _WIDTH = 1024  # initial beam width
 _STORED_SHARE = 16  # 1 / 16 of the beam width is stored as successors
-_WIDTH_GROWTH = 8  # growth of the beam width when a node's stored successors are used up
-_MAX_WIDTH = 1 << 16
+_WIDTH_GROWTH = 8  # factor of the beam width when a node's stored successors are used up
+_MAX_WIDTH = 1 << 16  # bounds the memory of a beam
 _PRODUCTS = 1 << 20  # joint children scored at once, which bounds the temporary memory
 Table: TypeAlias = Float[np.ndarray, "_"]  # the estimate at each node of a robot's lattice
 
@@ -40,7 +40,7 @@ class Successors(NamedTuple):
     primitive: UInt8[np.ndarray, "n m robots"]
     num_scored: int  # children scored, including those in which only the first robots have moved
     num_valid: int  # collision-free children in which every robot has moved, over all nodes
-    is_complete: Bool[np.ndarray, "n"]  # whether no collision-free child is missing
+    is_complete: Bool[np.ndarray, "n"]  # whether surely no collision-free child is missing
 
 
 def best_successors(
@@ -48,8 +48,8 @@ def best_successors(
 ) -> Successors:
     """Find the best children of joint states by beam search, adding one robot at a time.
 
-    Before the next robot joins, only the ``width`` best joint motions of the earlier robots are kept.
-    ``terms[robot]`` has the score of each motion primitive at each lattice node; ``inf`` if it is blocked.
+    Before a robot joins, only the ``width`` best joint motions of the robots before it are kept. ``terms[robot]``
+    is the score of each motion primitive at each node of the robot's lattice, ``inf`` if it is blocked.
     """
     score = np.zeros((len(state), 1), np.float32)
     primitive = np.zeros((len(state), 1, 0), np.uint8)
@@ -78,7 +78,7 @@ def best_successors(
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
-    """Return, for each robot, the heuristic's term at all nodes of its lattice; ``TimeoutError`` if time is up."""
+    """Return each robot's term of the heuristic at all nodes of its lattice; raise ``TimeoutError`` if time is up."""
     size, chunk = max(len(lattice.q) for lattice in joint.lattices), max(1, _CHUNK // (1 + len(joint.lattices) // 16))
     # One column per robot, so that one call evaluates a team's PLRs. Shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
@@ -98,9 +98,9 @@ class SuccessorList:
     cost: Float[np.ndarray, "m"]  # cost-to-come
     state: State
     width: int  # the beam width of the search that found them
-    is_complete: bool  # whether the node has no other successors
+    is_complete: bool  # whether the node surely has no other successors
     num_bytes: int
-    next_index: int = 0  # of the first successor that was not considered yet
+    next_index: int = 0  # index of the first successor that was not considered yet
 
 
 class BestFirstSearch:
@@ -129,6 +129,7 @@ class BestFirstSearch:
         self.successors: dict[int, SuccessorList] = {}
         self.next_widths: dict[int, int] = {}
         self.pushed, self.batch_size, self.num_expansions = 0, 1, 0
+        self.is_complete = True  # whether no node has lost children to the cut of the widest beam
         self.found = 0 if np.array_equal(start, self.goal) else None  # the node at the goals
         budget.num_nodes += 1
 
@@ -151,7 +152,9 @@ class BestFirstSearch:
             self.batch_size = 1 if self.least_estimate < nearest else min(2 * self.batch_size, _BATCH)
         if self.found is not None:
             return Status.SOLVED
-        return None if self.frontier else Status.EXHAUSTED
+        if self.frontier:
+            return None
+        return Status.EXHAUSTED if self.is_complete else Status.MEMORY_LIMIT
 
     @property
     def solution_states(self) -> State:
@@ -229,7 +232,11 @@ class BestFirstSearch:
             self.memory_use.add(_NODE_BYTES + 8 * len(state))
         del self.successors[node]
         self.memory_use.add(-successors.num_bytes)
-        if not successors.is_complete and successors.width < _MAX_WIDTH:
+        if successors.is_complete:
+            return
+        if successors.width >= _MAX_WIDTH:
+            self.is_complete = False
+        else:
             self.next_widths[node] = successors.width * _WIDTH_GROWTH
             # A cut may leave only children that collide: then the node returns with its own cost.
             self._return(successors.score[-1] if len(successors.score) else self.costs[node], node)

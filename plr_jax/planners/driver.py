@@ -80,9 +80,10 @@ def bl_plan(
     Returns:
         The best path found, with a lower bound of all path costs and a status. SOLVED: the cost is within
         ``cost_factor`` (default: any) of the lower bound. EXHAUSTED: no search is left on the finest lattice (the
-        given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. Otherwise a limit, or
-        INTERRUPTED after Ctrl-C. Any status except SOLVED may come without a path. Results are deterministic unless
-        the time limit ends a search.
+        given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the limit
+        was reached, or best-first search found nothing after it left out children to save memory. Otherwise another
+        limit, or INTERRUPTED after Ctrl-C. Any status except SOLVED may come without a path. Results are
+        deterministic unless the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
@@ -92,10 +93,9 @@ def bl_plan(
     1. A few discs among few walls move one after the other, from corner to corner. This path is kept if no cheaper
        one is found.
     2. Robots move on lattices (grids of configurations) that include the exact starts and goals. Two searches
-       alternate, on finer and finer lattices, until one succeeds. LaCAM moves the whole team one step at a time: by
-       priority inheritance (PIBT), each robot takes its best free motion and pushes others out of its way. It is fast
-       in the open and at doors, even for a hundred robots. Best-first search expands joint configurations as A* does,
-       but each only once. It finds coordinated maneuvers, such as a swap in a tight place.
+       alternate, on finer and finer lattices, until one succeeds. LaCAM moves the whole team one step at a time: each
+       robot takes its best free motion and pushes others out of its way (PIBT). It is fast, even for a hundred
+       robots. Best-first search finds coordinated maneuvers, such as a swap in a tight place.
     3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
        and deviations within narrow corridors, shorten the path.
     4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
@@ -156,7 +156,6 @@ class Run:
             self.history.append((seconds, cost))
 
     def end_phase(self, phase: str) -> None:
-        """Add the seconds since the last call to the time of a phase."""
         now = time.perf_counter()
         self.seconds[phase] = self.seconds.get(phase, 0.0) + now - self._mark
         self._mark = now
@@ -207,6 +206,7 @@ class Run:
         """
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
+        is_complete = True
         try:
             while True:
                 if limit := self.budget.exceeded():
@@ -214,7 +214,7 @@ class Run:
                 # A lattice without room to pass would keep one search busy forever: every round adds a lattice.
                 fits = step >= finest and self._fits(step)
                 if not running and not fits:
-                    return (Status.EXHAUSTED if step < finest else Status.MEMORY_LIMIT), step
+                    return (Status.EXHAUSTED if step < finest and is_complete else Status.MEMORY_LIMIT), step
                 if fits and (joint := self._lattices(step, may_halve=options.step is None and not running)):
                     step = joint.step
                     with suppress(TimeoutError):
@@ -239,6 +239,7 @@ class Run:
                             other.release()
                         self._improve(searches)
                     elif status is Status.EXHAUSTED:
+                        is_complete &= searches.is_complete
                         searches.release()
                         running.remove(searches)
                     if status not in (None, Status.EXHAUSTED):
@@ -340,7 +341,7 @@ class Run:
         return path, (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
 
     def _fits(self, step: float) -> bool:
-        """Return whether lattices of cell size ``step`` fit into memory; store the memory needed in ``num_bytes``."""
+        """Return whether lattices of cell size ``step`` fit into memory; record the memory that they need."""
         needed = self._needed(step)
         self.num_bytes = max(self.num_bytes, needed)
         return needed < self.options.max_memory
@@ -355,7 +356,7 @@ _TURNING = 4  # time of a motion test with turns, over the time without
 
 
 def num_bytes(problem: Problem, step: float) -> float:
-    """Estimate the memory, in bytes, of lattices of cell size ``step``, supposing that all cells are free."""
+    """Estimate the memory, in bytes, of lattices of cell size ``step`` if all cells are free."""
     total = 0.0
     for (robot, _), count in _kinds(problem).items():
         nodes = num_configurations(problem.workspace, robot, step) + 2 * count
@@ -364,7 +365,7 @@ def num_bytes(problem: Problem, step: float) -> float:
 
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
-    """Estimate the time to test all motions of lattices of cell size ``step``, in tests of motions without turns."""
+    """Estimate the time to test all motions of lattices of cell size ``step``; the unit is a test without turns."""
     of_dof = {2: 1, 3: _TURNING}
     each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
     return (1 + len(PRIMITIVES)) * sum(each)
@@ -403,6 +404,7 @@ class Searches:
         self.running: dict[str, LaCAM | BestFirstSearch] = {}
         if "lacam" in options.searchers:
             self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), budget)
+        self.is_complete = True  # False if the search ended because its beams were cut
         self.turn = 1.0  # length of the next turn, as a multiple of the first
 
     def run(self, bar: tqdm) -> Status | None:
@@ -416,14 +418,17 @@ class Searches:
             if "bl" not in self.running:
                 self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, budget)
             expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)
-            status = self.running["bl"].run(max(1, int(self.turn * expansions)), bar)
+            search = self.running["bl"]
+            status = search.run(max(1, int(self.turn * expansions)), bar)
+            assert isinstance(search, BestFirstSearch)
+            if status is Status.MEMORY_LIMIT and not search.frontier:  # its beams were cut; LaCAM goes on
+                self.is_complete, status = finds_all, None if finds_all else Status.EXHAUSTED
         elif not finds_all:
             return Status.MEMORY_LIMIT
         self.turn *= _TURN_GROWTH
         return status
 
     def release(self) -> None:
-        """Stop counting the memory of the lattices and the searches."""
         for each in (self, *self.running.values()):
             each.memory_use.release()
 

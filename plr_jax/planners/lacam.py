@@ -37,7 +37,7 @@ _ROUNDING = 1e-9
 
 
 class Moves(NamedTuple):
-    """The motion primitives of each robot from a joint configuration, and which of them collide."""
+    """The motion primitives of all robots from a joint configuration, and which of them collide."""
 
     child: list[list[int]]  # the node that each primitive of each robot leads to
     ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first
@@ -119,11 +119,10 @@ class TeamMoves:
                 neighbors[other].append((robot, known[key_back]))
 
     def estimates(self, state: JointNode) -> Float[np.ndarray, "robots"]:
-        """Return the heuristic's term of each robot at its lattice node."""
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
-        """Yield kinds ``a`` and ``b``, and robots of these kinds that are near enough to collide in a step."""
+        """Yield pairs of kinds, ``a`` and ``b``, and pairs of their robots near enough to collide in a step."""
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
@@ -139,7 +138,7 @@ class TeamMoves:
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
-    """Return, for each ``m`` and ``p``, the set of all ``q`` whose flag is set, as the bits of an integer."""
+    """Return sets as integers: bit ``q`` of entry ``[m][p]`` is the flag ``[m, p, q]``."""
     return np.dot(flags.astype(np.int64), 1 << np.arange(flags.shape[2])).tolist()
 
 
@@ -152,11 +151,11 @@ class PIBT:
         self.allowed: list[Bits] = [-1] * len(moves.ranked)
         self.num_left = _MOST_CHOICES * len(moves.ranked)
         self.num_failures = [0] * len(moves.ranked)
-        self._robots: list[int] = []  # in the order of their choices
+        self._robots: list[int] = []  # those that have chosen, in order
         self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
-        """Return one motion primitive per robot, free of collisions, or None; ``constraints`` are prescribed ones."""
+        """Return one primitive per robot, free of collisions, or None. Constraints are pairs (robot, primitive)."""
         in_the_way = []
         for robot, primitive in constraints:
             if not self.allowed[robot] >> primitive & 1:
@@ -170,7 +169,7 @@ class PIBT:
         return self.chosen
 
     def _decide(self, robot: int) -> bool:
-        """Choose a robot's best motion for which robots in its way can make room; return whether there is one."""
+        """Choose the best motion for which all robots in the way can make way; return whether there is one."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
                 self.num_left -= 1
@@ -221,9 +220,11 @@ class Node:
 
     state: JointNode
     parent: "Node | None"
-    priority: Float[np.ndarray, "robots"]  # steps since the robot was at its goal; below 1 at the goal
+    priority: Float[
+        np.ndarray, "robots"
+    ]  # steps since the start, or since the robot was at its goal, plus a share below 1
     order: list[int]  # robots by priority, the highest first
-    constraints: deque[tuple[tuple[int, int], ...]]  # of the next steps from here
+    constraints: deque[tuple[tuple[int, int], ...]]  # of the steps that are still to be tried from here
 
 
 class LaCAM:
@@ -238,7 +239,9 @@ class LaCAM:
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
         far = np.nan_to_num(moves.estimates(start), posinf=0.0)
-        self.rest_priority = far / (1 + far.max())  # among robots at their goals, higher for a longer way
+        self.rest_priority = far / (
+            1 + far.max()
+        )  # priority at the start and the goal: a share below 1, the larger the farther the start
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []
         self.found: Node | None = None

@@ -2,7 +2,7 @@
 
 A lattice is a grid of cells over a robot's configuration space, periodic in the heading. A node is a free
 configuration in a cell, its representative: the center if that is free, else the free sample with the largest
-clearance; a passage narrower than a cell is thus still found. A primitive is a motion between neighboring cells'
+clearance; so a passage narrower than a cell can still be found. A primitive is a motion between neighboring cells'
 representatives.
 
 Robots of the same shape and rotation weight share one table of motions. A robot's start and goal are additional
@@ -33,7 +33,7 @@ _NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or d
 PRIMITIVES = (*_NEIGHBORS, (0, 0, 1), (0, 0, -1))
 
 _GOALS, _NODES = 8, 1 << 19  # most goals, and most nodes times goals, of one Dijkstra call, which has no deadline
-_SECONDS = 3e-7  # estimated time of a Dijkstra call per node
+_SECONDS = 3e-7  # estimated time of a Dijkstra call, in seconds per node
 _SAMPLES = 7  # samples per axis in a cell whose center is blocked
 _WIDEST_TURN = np.pi / 4
 _ROUNDING = 1e-9
@@ -51,7 +51,7 @@ class Terminals(NamedTuple):
     """Starts (column 0) and goals (column 1) of a kind's robots: their nodes, their cells, and motions into them."""
 
     node: Int[np.ndarray, "robots 2"]
-    cell: Int[np.ndarray, "robots 2"]  # nodes of the cells' representatives, which the robot never visits
+    cell: Int[np.ndarray, "robots 2"]  # nodes that the robot's start and goal replace
     # Begin nodes (-1 for none) and costs (inf if not free) of the motions into starts and goals, by primitive. Third
     # axis: motions from a representative, or from the robot's other terminal. No motion leads to both terminals.
     begin: Int[np.ndarray, "robots 2 2 primitives"]
@@ -74,7 +74,7 @@ class Kind:
         q: Float[np.ndarray, "nodes dof"],
         leads: tuple[Int[np.ndarray, "nodes primitives"], Float[np.ndarray, "nodes primitives"]],  # child and cost
         num_cells: int,
-        side: Float[np.ndarray, "dof"],  # of a cell
+        side: Float[np.ndarray, "dof"],  # side lengths of a cell
         offset: Float[np.ndarray, "primitives dof"],  # displacement of each primitive between cell centers
         terminals: Terminals,
     ):
@@ -95,7 +95,7 @@ class Kind:
         self.reach = robot.circumscribed_radius + self.stride  # farthest a motion takes the body from its begin
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return target nodes and costs of the motion primitives, from nodes of robot ``row`` or one per robot."""
+        """Return child and cost of each primitive, from nodes of robot ``row``, or else from one node per robot."""
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
@@ -107,7 +107,6 @@ class Kind:
 
     @cached_property
     def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
-        """For each node, the edges into it that all robots share, padded with ``num_edges``."""
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))
         size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.terminal_edges))
@@ -132,7 +131,6 @@ class Kind:
         return order, key[order]
 
     def edges_along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
-        """Return the cheapest edge of each motion along a path of nodes."""
         order, key = self._sorted_edges
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
@@ -177,12 +175,12 @@ class Lattice:
 
     @property
     def child(self) -> Int[np.ndarray, "nodes primitives"]:
-        """Node to which each motion primitive leads from each node; the node itself if the primitive is blocked."""
+        """Node that each primitive leads to from each node; the node itself if the primitive is blocked."""
         return self._motions[0]
 
     @property
     def cost(self) -> Float[np.ndarray, "nodes primitives"]:
-        """Cost of each motion primitive (motion to a neighboring cell) from each node; ``inf`` if it is blocked."""
+        """Cost of each primitive from each node; ``inf`` if it is blocked."""
         return self._motions[1]
 
 
@@ -231,7 +229,7 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return rows in which robots ``i`` and ``j`` are near, and which of their motion primitives collide."""
+        """Return the rows in which robots ``i`` and ``j`` are near, and which of their primitives collide there."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
@@ -324,7 +322,7 @@ class CellGrid(NamedTuple):
         end: Float[np.ndarray, "n #primitives dof"],
         deadline: float = math.inf,
     ) -> Float[np.ndarray, "n primitives"]:
-        """Return the costs of straight motions; ``inf`` for those that are not ``possible`` or not free."""
+        """Return the costs of straight motions; ``inf`` for motions that are not ``possible`` or hit an obstacle."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
         free = self.test(begin, end, deadline)
@@ -342,13 +340,13 @@ class CellGrid(NamedTuple):
 
 
 def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
-    """Estimate the number of cells of a robot's lattice, of size ``step``, if all are free; ``inf`` on overflow."""
+    """Estimate the number of cells, of size ``step``, of a robot's lattice; ``inf`` on overflow."""
     turns = 2 * math.pi * max(1 / _WIDEST_TURN, robot.circumscribed_radius / step) if robot.dof == 3 else 1
     return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices with cells at most ``step`` wide; a turn by a cell moves no point farther."""
+    """Build all robots' lattices. Cells are at most ``step`` wide, and a turn by one moves no point farther."""
     each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])

@@ -51,7 +51,10 @@ class ReservationTable:
             order = np.argsort(begin, kind="stable")
             first = np.searchsorted(begin[order], np.arange(len(kind.q) + 1))
             self._near.append((KDTree(kind.q[:, :2]), order, first))
-        self.cost, self.least_costs = np.zeros(state.shape[1]), joint.least_costs  # in the team, and alone
+        self.cost, self.least_costs = (
+            np.zeros(state.shape[1]),
+            joint.least_costs,
+        )  # of each robot: its cost in the team, and alone
         for i, (k, _) in self.kind_and_row.items():
             kind = self.kinds[k]
             self.cost[i] = kind.edge_cost[kind.edges_along(self.state[:, i])].sum()
@@ -63,13 +66,13 @@ class ReservationTable:
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
-        """Count a robot's path as blocking all lattice motions that collide with it; ``change=-1`` undoes this."""
+        """Count robot ``i``'s path as blocking all edges that collide with it; ``change=-1`` undoes this."""
         a = self.kind_and_row[i][0]
         motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
             colliding = self.collisions(a, motions, b)
             step = np.repeat(np.arange(len(motions)), [len(edges) for edges in colliding])
-            blocked[step, np.concatenate(colliding)] += change  # no index occurs twice
+            blocked[step, np.concatenate(colliding)] += change  # correct, as no pair of indices occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
         """Return, for each lattice motion (edge) of kind ``a``, the edges of kind ``b`` that collide with it."""
@@ -99,7 +102,7 @@ class ReservationTable:
         return [known[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Give a robot that blocks nothing its cheapest path up to ``max_cost``; return whether there is one."""
+        """Find a robot's cheapest path up to ``max_cost`` without its reservations; return whether there is one."""
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()
@@ -140,7 +143,7 @@ def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan robots one by one, the largest cost above the least cost first, in rounds until one saves little."""
+    """Replan robots one by one, those with the largest detours first, in rounds until a round saves little."""
     while True:
         before = table.cost.sum()
         for i in np.argsort(table.least_costs - table.cost).tolist():
@@ -179,7 +182,7 @@ def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
 
 
 def replan_neighborhoods(table: ReservationTable, count: int, rng: np.random.Generator) -> None:
-    """Replan ``count`` groups: a random robot that costs more than if alone, and four robots that come near it."""
+    """Replan ``count`` groups: a random robot with a detour, and the four robots that come nearest to it."""
     for _ in range(count):
         loss = np.maximum(table.cost - table.least_costs, 0.0)
         if table.budget.spent() or loss.sum() <= _ROUNDING * table.least_costs.sum():

@@ -27,7 +27,7 @@ _STILL = 1e-200  # replaces a velocity of 0 as a divisor
 _COMPLEX = np.array([1, 1j])  # converts points to complex numbers, which are faster in plain Python
 _DEPARTURES = 32  # most departure times that are tried for a robot, besides the last one
 Points = Float[np.ndarray, "n 2"]
-Route = list[complex]
+Route = list[complex]  # positions of the disc's center
 Path = Float[np.ndarray, "steps robots dof"]
 Retimed = Float[np.ndarray, "rows robots dof"]
 TouchDistances = list[list[float]]
@@ -73,7 +73,6 @@ class CornerRoadmap:
         return ~(inside.any(axis=0) | hits.any(axis=0))
 
     def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
-        """Return the :class:`Routes` of discs of this radius from their starts to their goals."""
         num, size, ends = len(starts), len(self.q), np.concatenate([starts, goals])
         begin, end = np.concatenate([starts, ends.repeat(size, axis=0)]), np.concatenate([goals, *[self.q] * 2 * num])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
@@ -84,7 +83,7 @@ class CornerRoadmap:
         return [Routes(self, *of_one) for of_one in zip(*columns, strict=True)]
 
     def between(self, u: int, v: int) -> Route:
-        """Return the shortest route, as positions of the disc's center, from corner ``u`` to corner ``v``."""
+        """Return the shortest route from corner ``u`` to corner ``v``."""
         route = [v]
         while route[-1] != u:
             route.append(int(self._previous[u, route[-1]]))
@@ -128,21 +127,21 @@ class Routes(NamedTuple):
     to_go: Float[np.ndarray, "corners"]  # cost of the shortest route from each corner to the goal
 
     def shortest(self) -> Route | None:
-        """Return the shortest route from start to goal, as positions of the disc's center; None if there is none."""
+        """Return the shortest route from start to goal, or None."""
         if self.straight < np.inf:
             return [self.start, self.goal]
         total = self.out + self.to_go
         return [self.start, *self.route_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
 
     def route_home(self, corner: int) -> Route:
-        """Return the shortest route from a corner, given by index, to the goal, as positions of the disc's center."""
+        """Return the shortest route to the goal from the corner of this index."""
         return [*self.roadmap.between(corner, int((self.home + self.roadmap.cost[corner]).argmin())), self.goal]
 
 
 def sequential_path(problem: Problem) -> Path | None:
     """Return a path on which one robot after the other moves from corner to corner, or None if none is found.
 
-    None is returned unless there are at most 8 discs, without headings and wider than the tolerance, and 48 walls.
+    It is for at most 8 discs among at most 48 walls, and None for other problems.
     """
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
@@ -164,7 +163,7 @@ def sequential_path(problem: Problem) -> Path | None:
         return not any(_comes_within(route, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
     def is_ready(i: int, *ignored: int) -> bool:
-        """Return whether robot ``i`` can go to its goal and there blocks no waiting robot but ``ignored`` ones."""
+        """Return whether robot ``i`` can go to its goal and blocks no waiting robot there, but for ``ignored``."""
         others = [j for j in waiting if j not in ignored]
         goal = all_routes[i].goal
         return clears(i, chosen[i], ignored) and not any(_comes_within(chosen[j], goal, reach[i][j]) for j in others)
@@ -220,7 +219,7 @@ def _comes_within(route: Route, place: complex, reach: float) -> bool:
 
 
 def _touch_distances(problem: Problem) -> TouchDistances:
-    """Return distances between the centers of any two robots below which they collide, less half the tolerance."""
+    """Return the distance between the centers of each two robots at which they touch, less half the tolerance."""
     radii, slack = [robot.rounding for robot in problem.robots], problem.workspace.tolerance / 2
     return [[a + b - slack for b in radii] for a in radii]
 

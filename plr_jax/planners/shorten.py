@@ -23,7 +23,9 @@ from plr_jax.robots.robot import between
 
 Path = Float[np.ndarray, "steps robots dof"]
 Rows = Int[np.ndarray, "m"]
-Corridor = Float[np.ndarray, "steps _ dof"]  # robots of different kinds have patterns of different sizes
+Corridor = Float[
+    np.ndarray, "steps _ dof"
+]  # one configuration per row and place; robots with a heading have more places
 Costs = Float[np.ndarray, "motions size size"]
 CostsOfRobot = Float[np.ndarray, "motions _ _"]
 Robots = tuple[int, ...]
@@ -142,7 +144,6 @@ def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tup
 
 
 def _touching(problem: Problem, path: Path, i: int, width: float) -> Bool[np.ndarray, "steps others"]:
-    """Return in which rows robot ``i`` nearly touches each robot of lower index."""
     size = np.array([robot.circumscribed_radius for robot in problem.robots[: i + 1]])
     offset = path[:, :i, :2] - path[:, i, None, :2]
     return np.hypot(offset[..., 0], offset[..., 1]) < size[i] + size[:i] + _REACH * width
@@ -225,7 +226,7 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _least_cost_through(cost: Costs) -> Costs:
-    """Return, for each motion, the cost of the cheapest sequence of motions with it from place 0 to place 0."""
+    """Return, for each motion, the least cost of a sequence of motions through it that begins and ends at place 0."""
     both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0

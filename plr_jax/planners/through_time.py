@@ -44,14 +44,16 @@ class Timetable:
         self.problem, self.patience = problem, patience
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
         moves = (path != path[-1]).any(axis=2)
-        self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)  # last row of each motion
+        self.ends = np.where(
+            moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0
+        )  # for each robot, the row in which it comes to rest
         self.ignored: set[int] = set()  # robots without a planned motion, which block nobody
         self._last = len(path) - 1
         self._trajectory = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))
 
     @property
     def path(self) -> JointPath:
-        """Configurations row by row, up to the row from which on all robots rest."""
+        """Configurations by row, up to the row in which the last robot comes to rest."""
         return self._trajectory.path[: int(self.ends.max()) + 1]
 
     def move(self, i: int, q: Motion) -> None:
@@ -92,10 +94,12 @@ class Timetable:
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
         taken[self._meetings(i, at, at, row)[0]] = True
         until = np.minimum.accumulate(np.where(taken, row, np.inf)[::-1])[::-1]
-        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]  # last: later rows too
+        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[
+            ::-1
+        ]  # the last entry holds for all later rows
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
-        """Return which motions of robot ``i``, each lasting its given row, meet other robots, and the robots met."""
+        """Return which motions of robot ``i``, each during one given row, meet other robots, and the robots met."""
         around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
         piece, other = self._trajectory.robots_near(i, around, motion, list(self.ignored))
         there = row[piece] < self.ends[other] + self.patience
@@ -114,7 +118,6 @@ def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.nda
 
 
 def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray, "*n"]:
-    """Return how many rows, each of duration ``length``, motions of given costs take at unit speed."""
     return np.ceil(cost / length - _ROUNDING)
 
 
@@ -197,7 +200,7 @@ def plan_through_time(
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """Replace waypoints ``q``, reached at rows ``row``, by straight motions where possible; none is reached later."""
+    """Skip waypoints ``q`` by straight motions where possible; reach the others by their rows ``row``."""
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:

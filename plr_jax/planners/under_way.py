@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -35,6 +35,7 @@ _ATTEMPTS = 3  # most plans per robot of the team, or per waiting robot, before 
 _WINDOW = 15  # rows after which waiting robots are replanned at the latest
 _PATIENCE = 2 * _WINDOW  # rows for which a robot that has arrived, or waits, blocks others
 _FEW_STATES = 600  # most states expanded for one robot of a lifelong run, which otherwise goes only part of its way
+_ROUNDING = 1e-9
 _LATE = 10  # rows later than on a straight line, above which a robot is replanned
 _MOST_IDLE = 20  # windows in a row without any robot bound for its goal, after which the whole team is planned
 
@@ -53,24 +54,24 @@ def replan(
         problem = Problem(workspace, robots, solution.path_at(time), new_goals)
         solution = replan(problem, solution, time)
 
-    Robots keep their lines, not their clock: all must switch to the new path, whose times differ from the old ones. A
-    robot is replanned if its motion does not end at its goal, hits an obstacle, or meets a standing robot. If it
-    finds no path among the others, it moves as if it were alone, and the robots that it meets are replanned in turn.
-    If too many robots need replanning, :func:`bl_plan` plans the whole team.
+    Robots keep their routes, but not their times: all must switch to the new path at once. A robot is replanned if
+    its motion does not end at its goal, hits an obstacle, or meets a standing robot. If it finds no path among the
+    others, it moves as if it were alone, and the robots that it meets are replanned in turn. If too many robots need
+    replanning, or the path costs more than ``cost_factor`` allows, :func:`bl_plan` plans the whole team.
 
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
         solution: The current motion of the same robots, from any planner.
         at: The time since the start of the solution's path, at least 0; after its makespan, all robots are at its
             end.
-        options: ``step`` and ``time_limit`` apply. If :func:`bl_plan` plans the whole team, all options apply, and
-            the time limit starts again.
+        options: ``step``, ``time_limit``, ``lower_bound`` and ``cost_factor`` apply. If :func:`bl_plan` plans the
+            whole team, all options apply, and the time limit starts again; the cheaper path is returned.
         standing: Indices of robots that do not move; their goals must equal their starts. Other robots may make way
             and return, even if their goals are their starts. With standing robots, :func:`bl_plan` is not used.
 
     Returns:
-        The solution from now on, at unit speed. Its status is EXHAUSTED if no path was found beside standing robots,
-        TIME_LIMIT if the limit was reached, or INTERRUPTED; its path may then be None.
+        The solution from now on, at unit speed. Its status is EXHAUSTED if no path within the cost factor was found
+        beside standing robots, TIME_LIMIT if the limit was reached, or INTERRUPTED; its path may then be None.
 
     Raises:
         ValueError: If the solution has no path or other robots, the starts differ from ``solution.path_at(at)`` by
@@ -117,11 +118,19 @@ def replan(
         status = Status.TIME_LIMIT
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
-    if status is Status.EXHAUSTED and not fixed:
-        return bl_plan(problem, options=options)
     found = timetable.path if status is Status.SOLVED else None
     stats = Stats(0, seconds={"replan": time.perf_counter() - began}, found_by="replan")
-    return make_solution(problem, found, straight_line_bound(problem), status, stats, problem.starts[None].copy())
+    lower_bound = max(options.lower_bound or 0.0, straight_line_bound(problem))
+    repaired = make_solution(problem, found, lower_bound, status, stats, problem.starts[None].copy())
+    # 4. If there is no path, or only one that costs too much, plan the whole team.
+    if status is Status.SOLVED and repaired.cost > (1 + _ROUNDING) * options.cost_factor * lower_bound:
+        status = Status.EXHAUSTED
+    if status is not Status.EXHAUSTED or fixed:
+        return replace(repaired, status=status)
+    planned = bl_plan(problem, options=options)
+    if repaired.cost < planned.cost:
+        return replace(repaired, lower_bound=planned.lower_bound, status=planned.status)
+    return planned
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
@@ -199,10 +208,9 @@ def lifelong(
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
 
     :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
-    keep their motions. A robot at its goal blocks others only for a short time, since it then gets another goal. A
-    robot that finds no path goes to a place near its goal where it may rest, and is replanned later, robots with the
-    oldest goals first. If it cannot make way, the robots that would pass go another way. The robot that is latest is
-    also replanned. If all this fails, the whole team is planned again.
+    keep their motions. A robot at its goal blocks others only for a short time, since it will leave for its next
+    goal. A robot that finds no path goes to a place near its goal where it may rest, and is replanned later. If it
+    cannot make way, robots that would pass there are replanned. If all this fails, the whole team is planned again.
 
     The function shows progress. Ctrl-C ends it and returns the run so far. Results are deterministic unless a time
     limit is reached.
@@ -218,7 +226,8 @@ def lifelong(
             None: replanning as described above.
 
     Raises:
-        ValueError: If ``num_goals`` is not a positive integer, or a goal is not ``(dof,)``, free and reachable.
+        ValueError: If ``num_goals`` is not a positive integer, or a goal has another shape than ``(dof,)``, is not
+            free, or is cut off by obstacles.
 
     References: Silver, "Cooperative pathfinding", 2005. Li et al., "Lifelong multi-agent path finding in large-scale
     warehouses", 2021.

@@ -30,7 +30,7 @@ _POSITION, _HEADING = ("x", "y", "z"), "heading"
 
 @runtime_checkable
 class FunctionsOfLeaves(PiecewiseFunction, Protocol):
-    """A piecewise function with the leaf number of each box, and the values of given leaves at points."""
+    """A piecewise function that tells the leaf of each box, and the values of given leaves at points."""
 
     @property
     def leaf_of_box(self) -> Any: ...
@@ -128,8 +128,7 @@ def _ink(ax: Axes) -> None:
 
 
 def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "neither") -> None:
-    """Add a color bar to the right of 2-D axes."""
-    # An inset has exactly the height of the axes, for any aspect.
+    """Add a color bar to the right of 2-D axes, as high as they are for any aspect."""
     place = ax.inset_axes((1.035, 0.0, 0.045, 1.0))
     style_colorbar(ax.figure.colorbar(mappable, cax=place, extend=extend), label)
 

@@ -26,18 +26,15 @@ from plr_jax.plr.container import Container
 from plr_jax.plr.leaves import Cone, leaf_of_code
 from plr_jax.plr.portable.javascript import js_cone_reader, js_file_reader
 
-_FRAME = (560, 900)  # pixels of a page that is embedded in a notebook
+_FRAME = (560, 900)  # width and height, in pixels, of a page in a notebook
 _EXPORTED = re.compile(r"^export function (\w+)", re.MULTILINE)
-SIZE = 520.0
-"""Pixels of the longer side of the bounds, before the browser scales the picture."""
-BORDER = 2.0
-"""Pixels of margin around the bounds."""
+SIZE = 520.0  # pixels of the longer side of the bounds, before the browser scales the picture
+BORDER = 2.0  # pixels of margin around the bounds
 PLAY = '<button id="play" aria-label="Play or pause"><svg viewBox="0 0 14 14"><path id="icon"/></svg></button>'
 """The play button that ``clock.js`` controls."""
 
 
 def asset(name: str) -> str:
-    """Return the text of a file in this folder, such as a script or style of pages."""
     return Path(__file__).with_name(name).read_text(encoding="utf-8")
 
 

@@ -34,7 +34,7 @@ class Timeline:
         return float(self.times[-1])
 
     def at(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n robots dof"]:
-        """Return joint configurations, interpolated at times; these are clipped to those of the path."""
+        """Return joint configurations at times, which are clipped to those of the path."""
         row, after, share = motions_under_way(self.times, times)
         share = share[:, None, None]
         return (1 - share) * self.configurations[row] + share * self.configurations[after]
@@ -67,7 +67,7 @@ def timeline(problem: Problem, path: ArrayLike) -> Timeline:
 ROBOT_COLORS = ("#0072B2", "#E69F00", "#B22222", "#56B4E9", "#009988", "#882255", "#D55E00", "#1B4F9C")
 DASHES = (3.0, 1.6)  # dash and gap of a goal's outline, in line widths
 _DOT = 0.011  # radius of a point robot's dot, as a share of the longer side of the bounds
-_CORNERS = 72  # of the polygon that draws a disc
+_CORNERS = 72  # corners of the polygon that draws a disc
 _AHEAD = 0.7  # cosine of the largest angle between the heading and the normal of a front side
 _LIGHT = 0.55  # bodies of brighter colors get dark numbers
 _AROUND = [(np.cos(angle), np.sin(angle)) for angle in np.pi / 4 * np.array([1, 3, 5, 7, 0, 2, 4, 6])]
@@ -76,7 +76,6 @@ BODY, LABEL = 5.0, 6.0  # z-orders, above obstacles
 
 
 def color_of(i: int) -> str:
-    """Return the color of robot ``i``; robots from number 8 on repeat the colors."""
     return ROBOT_COLORS[i % len(ROBOT_COLORS)]
 
 
@@ -96,7 +95,6 @@ def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
 
 
 def drawn_rounding(robot: Robot, bounds: Box) -> float:
-    """Return the radius by which the drawn core is rounded; a point robot is drawn as a small disc."""
     return robot.rounding if robot.circumscribed_radius > 0 else _DOT * float(bounds.width.max())
 
 
@@ -124,7 +122,7 @@ def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
 
 
 def outline(robot: Robot, q: Float[np.ndarray, "dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
-    """Return a polygon that draws a robot's body, counterclockwise; a point is a small disc, sized by `bounds`."""
+    """Return the corners of a robot's body at a configuration, counterclockwise; a point is a small disc."""
     return placed(robot, body_outline(robot, bounds), q)
 
 
@@ -198,7 +196,7 @@ def number_size(ax: Axes, i: int) -> float:
 def _least_covered(
     spots: Sequence[Float[np.ndarray, "2"]], taken: Sequence[shapely.Geometry], size: float
 ) -> Float[np.ndarray, "2"]:
-    """Return the place at which a number of a given size covers least of the shapes already drawn."""
+    """Return the spot at which a number covers the least length of the shapes ``taken``."""
     covered = [shapely.length(shapely.intersection(_square(spot, size), taken)).sum() for spot in spots]
     return spots[int(np.argmin(covered))]
 

@@ -80,7 +80,7 @@ def plot_surface(
 
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
-    """Return polygons in space: corners of each cell, or of its free parts, with the leaf's values as heights."""
+    """Return polygons in space: each cell, or its free parts, with the leaf's values as heights."""
     parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cell_corners(plr)]
     pieces = [corners for of_leaf in parts for corners in of_leaf]
     if not pieces:
@@ -105,7 +105,7 @@ def _free_parts(cell: Corners, workspace: Workspace) -> list[Corners]:
 
 _CELL_COLOR = "#6e6e6e"
 OBSTACLE = "#ececec"
-_ERROR_COLORS, _ERROR_RANGE = "inferno", 1e-3  # smallest error that is told apart, as a share of the largest
+_ERROR_COLORS, _ERROR_RANGE = "inferno", 1e-3  # smallest error of the color scale, as a share of the largest
 
 
 def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
@@ -255,7 +255,7 @@ def plot_error(
         workspace: Its obstacles are drawn on top. Alternatively, the configuration space of the errors.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
-        unit: The unit of the errors.
+        unit: The unit of the errors, such as "m".
         largest: Error at the upper end of the logarithmic color scale, which starts at a thousandth of it. Errors
             beyond its ends are clipped. By default the 99.9 % quantile. Use the same number in pictures to compare.
     """
@@ -305,7 +305,7 @@ def free_points(
 def _split_by_reachability(
     workspace: Workspace, goal: Float[np.ndarray, "2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into parts connected to the goal, and other parts; without a goal in it, all are connected."""
+    """Split free space into parts connected to the goal and other parts; all are connected if the goal is in none."""
     parts = shapely.get_parts(workspace.free_space)
     reached, num = shapely.distance(parts, shapely.Point(goal)) <= workspace.tolerance, 0
     while workspace.squeeze and num < (num := np.count_nonzero(reached)):  # add parts that touch

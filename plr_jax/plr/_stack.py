@@ -235,8 +235,8 @@ class PLRStack:
             NaN for indices that are negative or too large.
 
         Raises:
-            ValueError: If the last axis of ``x`` is not ``dim`` long, ``index`` is not of integers, or ``outside`` is
-                invalid.
+            ValueError: If the last axis of ``x`` is not ``dim`` long, ``index`` is not of integers, ``outside`` is
+                invalid, or the type of the points is too coarse for a domain (see :func:`evaluate`).
         """
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_queries(x)
@@ -244,13 +244,15 @@ class PLRStack:
             raise ValueError(f"index must hold integer indices of PLRs, got an array of {index.dtype}.")
         if x.ndim == 0 or x.shape[-1] != self.dim:
             raise ValueError(f"Points must have shape (..., {self.dim}), got {x.shape}.")
+        if not isinstance(index, jax.Array):  # JAX would wrap indices of more than 32 bits
+            index = np.where((index >= 0) & (index < len(self)), index.astype(np.int32), np.int32(-1))
         if x.ndim == 1 and index.ndim:
             x = jnp.broadcast_to(x, (*index.shape, self.dim)) if isinstance(x, jax.Array) else x[(None,) * index.ndim]
         corners, outside = self.corners, as_outside(outside)
         if corners is None or isinstance(corners, Tracer) or isinstance(index, jax.Array) or isinstance(x, jax.Array):
             require_resolved(jax.dtypes.canonicalize_dtype(x.dtype), self.unresolved)
             return self._answer(_evaluate, (self, index), x, outside)
-        from_corner = x - self._exact_corners[np.where((index >= 0) & (index < len(self)), index, 0)]
+        from_corner = x - self._exact_corners[index]
         return self._answer(_evaluate, (replace(self, corners=None), index), from_corner, outside)
 
     @cached_property

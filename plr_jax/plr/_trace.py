@@ -93,6 +93,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
         raise ValueError(f"plr must be a PLR of cones, got {shortened(plr)}.")
     sources, source_of_leaf = as_sourced(plr.leaf).sources(plr.stored)
     if workspace is not None:
+        from scipy.spatial import KDTree
+
         from plr_jax.geometry.workspace import Workspace  # needs Shapely, which a query does not
 
         if not isinstance(workspace, Workspace):
@@ -123,10 +125,14 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     is_at_goal = sources.distances[way[:, -1]] <= rounding
     status = np.where(is_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
     if workspace is not None:
+        # Undo the rounding of corners: beside a point where two walls touch, a rounded corner lies on either side.
+        corners, tolerance = workspace.boundary.vertices, max(workspace.tolerance, rounding)
+        away, corner = KDTree(corners).query(sources.points)
+        points = np.where((away <= tolerance)[:, None], corners[corner], sources.points)
         used, place = np.unique(way, return_inverse=True)
-        tolerance, onward = max(workspace.tolerance, rounding), sources.points[sources.parents[used]]
-        is_clear = workspace.is_visible(sources.points[used], onward, tolerance)[place.reshape(way.shape)].all(axis=1)
-        is_clear &= workspace.is_visible(starts[inside], sources.points[first], tolerance)
+        is_clear = workspace.is_visible(points[used], points[sources.parents[used]], tolerance)
+        is_clear = is_clear[place.reshape(way.shape)].all(axis=1)
+        is_clear &= workspace.is_visible(starts[inside], points[first], tolerance)
         status = np.where(is_clear, status, TraceStatus.CROSSES_WALL)
     lengths = np.linalg.norm(np.diff(paths, axis=1), axis=2).sum(axis=1)
 

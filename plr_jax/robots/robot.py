@@ -13,8 +13,8 @@ from plr_jax._arrays import as_finite, set_fields
 from plr_jax.geometry.boundary import as_polygon
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
-_ROUNDING = 1e-12  # share of the body's size
-_HALF_TURN = 0.5 + 1e-10  # of a full turn; absorbs the rounding of headings up to 1e5
+_ROUNDING = 1e-12  # slack of the checks of a body, as a share of its size
+_HALF_TURN = 0.5 + 1e-10  # in full turns; the excess absorbs the rounding of headings up to 1e5
 _MOST_VERTICES = 1_000
 _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, the front left one first
 Headings: TypeAlias = Float[np.ndarray, "*#batch"]
@@ -44,7 +44,7 @@ class Robot:
 
     @cached_property
     def inscribed_radius(self) -> float:
-        """Radius of the largest disc around the reference point within the body; negative if the point is outside."""
+        """Radius of the largest disc around the reference point in the body; negative if that point is outside."""
         core = self.core
         if len(core) > 2 and (depth := side_offsets(core, np.zeros((1, 2))).min()) >= 0:
             return self.rounding + float(depth)

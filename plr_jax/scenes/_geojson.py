@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -55,6 +56,9 @@ _PARTS_KEY = {
     "MultiPolygon": "coordinates",
     "Polygon": "coordinates",
 }  # supported objects, and the key of their parts
+_NUMBER = r"\s*[-+]?(?:nan|inf|[\d.]+(?:e[-+]?\d+)?)"  # of WKT
+_ALTITUDES = re.compile(rf"(?i)([(,]{_NUMBER}\s{_NUMBER})(?:\s{_NUMBER}){{1,2}}(?=\s*[,)])")  # and measures
+_DIMENSIONS = re.compile(r"(?i)([a-z])\s*(?:z|m|zm)\s*(?=\(|empty)")  # as in POLYGON ZM
 _MOST_NESTED = 32  # parentheses of WKT: GEOS parses them by recursion
 _UNSUPPORTED = ("Point", "MultiPoint", "LineString", "MultiLineString")
 
@@ -122,7 +126,9 @@ def read_wkt(
             raise ValueError(f"expected parentheses at most {_MOST_NESTED} deep, got deeper ones.")
         try:
             with np.errstate(all="ignore"):
-                geometry = shapely.force_2d(shapely.from_wkt(text))
+                # GEOS refuses a geometry of which only some points have altitudes.
+                text = _ALTITUDES.sub(r"\1", _DIMENSIONS.sub(r"\1 ", text))
+                geometry = shapely.from_wkt(text)
         except (shapely.errors.GEOSException, NotImplementedError) as error:
             raise ValueError(
                 f"expected one geometry in WKT, got something else ({error}). Put several geometries into a "

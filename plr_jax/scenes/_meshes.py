@@ -20,7 +20,7 @@ from plr_jax._arrays import shortened
 MESH_ENDINGS = (".stl", ".obj", ".ply")
 _DAMAGE = ValueError, TypeError, LookupError, OverflowError, DeprecationWarning, struct.error, ShapelyError
 _MOST_BYTES = 2**26
-_MIN_CORNERS = 3  # of a face; elements with fewer, such as lines, are skipped
+_MIN_CORNERS = 3  # fewest corners of a face; elements with fewer, such as lines, are skipped
 _STL_HEADER = 84  # bytes of a binary STL file; the last four are the number of triangles
 _STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _PLY_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}

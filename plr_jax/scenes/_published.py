@@ -1,4 +1,4 @@
-"""Ready-made scenes of the paper and our experiments, built here or read from ``published``; and variants of them."""
+"""Ready-made scenes of the paper and the experiments, built here or read from ``published``; variants of scenes."""
 
 import math
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
     """Return a variant of a problem with its starts and goals moved slightly, all still free.
 
     Positions move by at most ``distance``, in workspace units. Headings turn by at most the angle that moves the
-    robot's farthest corner that far. ``ValueError``: an argument is out of range, or no free variant is found.
+    robot's farthest corner that far. An argument out of range, or no free variant, raises ``ValueError``.
     """
     as_finite("distance", distance, positive=True)
     require_integer("seed", seed, 0)

@@ -16,7 +16,7 @@ from plr_jax.scenes._meshes import MESH_ENDINGS, Triangles, read_mesh
 
 _MOST_VOXELS, _MOST_RANK = 2**28, 4
 _MOST_LIST_BYTES = 2**25
-_SMALL_LIST, _VOXELS_PER_BYTE = 2**24, 2**8  # a list may have this many voxels, or this many per byte of the file
+_SMALL_LIST, _VOXELS_PER_BYTE = 2**24, 2**8  # most voxels of a list: this many, or this many per byte of the file
 _MOST_MESH_VOXELS = 2**24
 _MOST_ROWS, _MOST_MET = 2**22, 2**26  # rows and voxels that the triangles meet, each counted once per triangle
 _AT_A_TIME = 2**15  # slabs or rows in a batch, which bounds the memory
@@ -167,7 +167,7 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
 
 
 def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
-    """Mark all voxels that triangles meet as blocked; coordinates are in units of voxels, and touching counts."""
+    """Mark all voxels that triangles meet or touch as blocked; coordinates are in units of voxels."""
     if not (np.abs(triangles) <= _FARTHEST).all():
         raise ValueError(
             f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one that is farther away."
@@ -192,7 +192,7 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
 def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
 ) -> Iterator[tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
-    """Yield batches of pairs: the index of a polygon, and a layer of the grid that it reaches along an axis."""
+    """Yield, in batches, the index of a polygon, and a layer of the grid that it reaches along one axis."""
     first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
         piece, place = ragged_indices(count[part])
@@ -200,7 +200,7 @@ def _split_into_layers(
 
 
 def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Return the first layer of the grid that each polygon reaches, and the number of layers that it reaches."""
+    """Return the first layer of the grid that each polygon reaches, and the number of layers."""
     lowest, highest = np.fmin.reduce(ends, axis=(0, 1)), np.fmax.reduce(ends, axis=(0, 1))
     first = np.maximum(np.ceil(lowest - _TOUCHES) - 1, 0).astype(np.int64)
     last = np.minimum(np.floor(highest + _TOUCHES), size - 1).astype(np.int64)
@@ -220,7 +220,7 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return outlines of clipped triangles: their clipped edges, and segments that join the ends of these."""
+    """Return outlines of clipped triangles: the clipped edges, and segments that join the ends of these edges."""
     return np.concatenate(
         [edges, *(np.stack([of, np.roll(of, -1, axis=1)], axis=1) for of in (edges[:, 0], edges[:, 1]))], axis=2
     )

@@ -54,7 +54,7 @@ def reader_of(path: Path) -> Callable[..., Workspace]:
             return read_wkt
         case ".json":
             if is_scene(path):
-                return _workspace_of_scene
+                return lambda path: load(path).workspace
             with errors_named(path):
                 return read_geojson if is_geojson(json_of(path)) else read_polygons
         case ending if ending in YAML_ENDINGS:
@@ -62,7 +62,3 @@ def reader_of(path: Path) -> Callable[..., Workspace]:
         case ending if ending in PICTURE_ENDINGS:
             return read_image
     raise ValueError(f"{path}: expected a file that ends in one of {', '.join(_ENDINGS)}.")
-
-
-def _workspace_of_scene(path: Path) -> Workspace:
-    return load(path).workspace

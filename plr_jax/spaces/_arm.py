@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int8
 
-from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points
+from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, set_fields
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace, require_workspace
@@ -20,7 +20,7 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 _BOXES, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
 _MOST_BISECTIONS = 12
-_SIDES = 12  # of the polygon around a disc that a link's end sweeps; it reaches 3.5 % farther than the disc
+_SIDES = 12  # sides of the polygon around the disc that a link's end sweeps; it reaches 3.5 % farther than the disc
 _PROBES = np.array([0.0, 0.5, 1.0])  # positions along each link at which it is tested against obstacles
 
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
@@ -74,11 +74,8 @@ class PlanarArm:
         if clearance < width / 2 - workspace.tolerance:
             expected = f"a clearance of at least {width / 2:g}, half the width of the links"
             raise ValueError(f"The base of the arm at {base.tolist()} must have {expected}, got {clearance:.3g}.")
-        object.__setattr__(self, "workspace", workspace)
-        object.__setattr__(self, "lengths", lengths)
-        object.__setattr__(self, "base", base)
-        object.__setattr__(self, "width", width)
-        object.__setattr__(self, "self_collision", self_collision)
+        fields = {"lengths": lengths, "base": base, "width": width, "self_collision": self_collision}
+        set_fields(self, workspace=workspace, **fields)
 
     @property
     def dof(self) -> int:
@@ -122,7 +119,7 @@ class PlanarArm:
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Return whether straight motions, each joint turning the shorter way, are proven free all the way.
 
-        Some motions that come closer to a wall than about 1e-3 of their length are not proven free.
+        Motions that come closer to a wall than about 1e-3 of their length may not be proven free.
         """
         q0, q1 = as_motions(q0, q1, self.dof)
         free = self.is_free(q0) & self.is_free(q1)
@@ -193,7 +190,7 @@ class PlanarArm:
 
     @cached_property
     def _max_reach(self) -> Float[np.ndarray, "joints joints_plus_one"]:
-        """Largest distance of the base and of each link's end from each joint; 0 for joints that do not move it."""
+        """Largest distance from each joint to the base and the links' ends; 0 if the joint does not move them."""
         along = np.append(0.0, np.cumsum(self.lengths))
         return np.maximum(0.0, along - along[:-1, None])
 
@@ -207,6 +204,6 @@ class PlanarArm:
         return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
     def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
-        """Bound, for each pair of links, how far the later one moves relative to the other within boxes of angles."""
+        """Bound, for each pair of links, how far one moves relative to the other within boxes of angles."""
         moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]
         return np.reshape(moves, (len(self._link_pairs), len(half))).T

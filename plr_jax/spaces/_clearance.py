@@ -8,14 +8,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int8
 
-from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, format_numbers, shortened
+from plr_jax._arrays import as_finite, as_finite_point, as_points, as_values, format_numbers, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions, precision_of
 
 _BATCH, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
 _MOST_BISECTIONS = 10
-_ROUNDING = 16.0  # units in the last place by which a clearance may be off
+_ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the last place
 # Clearances contradict the constants only if they differ by more than this factor times the bound.
 _LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
@@ -28,16 +28,14 @@ Numbers: TypeAlias = Float[np.ndarray, "n"]
 class ClearanceSpace:
     """Configurations of any robot whose signed distance to obstacles is known: an arm, a drone, several bodies.
 
-    The clearance at any configuration of a box differs from the one at its center by at most the sum over axes of
-    ``lipschitz`` times the half width. So one evaluation can prove a box free or blocked, and two evaluations an
-    interval of a motion. Proofs hold only if the constants are right. If clearances contradict them, an error names
-    constants that would fit; the absence of an error proves nothing.
+    Within a box, the clearance differs from the one at the center by at most the sum over axes of ``lipschitz`` times
+    the half width. So one evaluation can prove a box free or blocked. Proofs hold only if the constants are right. If
+    clearances contradict them, an error names constants that would fit; the absence of an error proves nothing.
 
     Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
     joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
-    largest constant along each axis. Smaller constants prove larger boxes: give one per axis, as small as possible.
-    Rounding errors are allowed for, relative to the size of clearances and configurations and the precision of the
-    answers. If a clearance has larger errors, lower it by them.
+    largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of the answers' precision
+    are allowed for; lower a clearance that has larger errors by these.
 
     Args:
         domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
@@ -87,10 +85,7 @@ class ClearanceSpace:
                 f"motion_cost must be a MotionCost of {domain.dim} axes, as the domain has, got "
                 f"{shortened(motion_cost)}."
             )
-        object.__setattr__(self, "domain", domain)
-        object.__setattr__(self, "clearance", clearance)
-        object.__setattr__(self, "lipschitz", lipschitz)
-        object.__setattr__(self, "motion_cost", motion_cost)
+        set_fields(self, domain=domain, clearance=clearance, lipschitz=lipschitz, motion_cost=motion_cost)
         self._clearances(domain.lo[None])  # to reject a function with a wrong answer at once
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
@@ -184,7 +179,7 @@ class ClearanceSpace:
         return clearance
 
     def _rounding(self, clearance: Numbers, q: Configurations) -> Numbers:
-        """Bound the rounding errors of clearances by their size, that of the configurations, and the precision."""
+        """Bound the rounding errors of clearances at configurations ``q``."""
         return _ROUNDING * self._unit * (np.abs(clearance) + np.abs(q) @ self.lipschitz)
 
     @cached_property
@@ -208,7 +203,7 @@ class ClearanceSpace:
 
 
 def _least_constants(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
-    """Return a sentence that says which Lipschitz constants allow a given change and difference of clearances."""
+    """Return advice: which Lipschitz constants allow a difference of clearances over a change of configuration."""
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "No constant explains it: the clearance must be a function of the configuration."

@@ -7,11 +7,11 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from plr_jax._arrays import as_finite, as_numbers, as_values, shortened
+from plr_jax._arrays import as_finite, as_numbers, as_values, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.spaces._space import MotionCost, precision_of
 
-_ROUNDING = 16.0  # units in the last place by which a user's function may be off
+_ROUNDING = 16.0  # error of a user's function that is allowed for, in units in the last place
 
 Vectors: TypeAlias = Float[np.ndarray, "n dof"]
 Pulls: TypeAlias = Float[np.ndarray, "2 n dof"]
@@ -19,7 +19,7 @@ Rates: TypeAlias = Float[np.ndarray, "n"]
 
 
 def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
-    """Raise ``ValueError`` if ``fine`` is False anywhere, with the first such row of ``got`` and its place."""
+    """Raise ``ValueError`` with the first row of ``got`` and ``at`` that is not ``fine``, if there is one."""
     if not fine.all():
         i = int(fine.argmin())
         what = " and ".join(str(column[i].tolist()) for column in got)
@@ -82,9 +82,9 @@ class DirectionalCost(CostMap, Protocol):
         """Return, for each box, vectors ``a`` and ``b``, ``(n, dof)``, and numbers ``least`` and ``most``, ``(n,)``.
 
         Every motion ``dq`` in the box costs ``max(a . dq, b . dq)`` plus between ``least`` and ``most`` times
-        ``|dq|``. The bounds of the cost map replace them where costs vary too much: where ``least`` is at most a
-        quarter of ``most``, or exceeds the distance of the segment from ``a`` to ``b`` from 0 by at most 2 % of
-        ``most``.
+        ``|dq|``. Where costs vary too much, the bounds of the cost map are used instead: where ``least`` is at most a
+        quarter of ``most``, or exceeds the norm of the shortest vector on the segment from ``a`` to ``b`` by at most
+        2 % of ``most``.
         """
         ...
 
@@ -110,8 +110,8 @@ class LipschitzCost:
     def __post_init__(self):
         if not callable(self.cost_fn):
             raise ValueError(f"cost_fn must be a function of configurations (n, dof), got {shortened(self.cost_fn)}.")
-        object.__setattr__(self, "lipschitz", as_finite("lipschitz", self.lipschitz))
-        object.__setattr__(self, "least", as_finite("least", self.least, positive=True))
+        lipschitz, least = as_finite("lipschitz", self.lipschitz), as_finite("least", self.least, positive=True)
+        set_fields(self, lipschitz=lipschitz, least=least)
 
     def __call__(self, q: ArrayLike) -> Rates:
         """Return the factor, ``(n,)``; ``ValueError`` if it is not finite, or more than rounding below ``least``."""
@@ -162,7 +162,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
             raise ValueError(f"Each of a DirectionalCost's pulls must be {expected}, got {shortened(vectors)}.")
     expected = "Bounds of a DirectionalCost's pulls must be finite with least nowhere above most"
     _require((least <= most) & np.isfinite(least) & np.isfinite(most), expected, [least, most], [lo, hi])
-    # Distance of the segment between the two vectors from 0: what pulls save per length in the cheapest direction.
+    # The pulls save at most this cost per unit of length: the distance from 0 to the segment between both vectors.
     change = second - first
     square = np.sum(change * change, axis=1)
     share = np.divide(-np.sum(first * change, axis=1), square, out=np.zeros(len(first)), where=square > 0)
@@ -173,7 +173,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
 
 
 def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the cost factor at configurations and, for a ``DirectionalCost``, two vectors each (pulls), else None.
+    """Return the cost factor at configurations and, for a ``DirectionalCost``, their two pulls, else None.
 
     With pulls ``a`` and ``b``, a motion ``dq`` costs its length times the factor, plus ``max(a @ dq, b @ dq)``.
     """
@@ -187,7 +187,7 @@ def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rate
 
 
 def motion_rates(motion: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
-    """Return the costs of motions ``change`` as if the cost at ``q`` held along each whole motion."""
+    """Return the costs of motions ``change``, with the cost at ``q`` along each whole motion."""
     factors, pulls = point_costs(motion, cost_map, q)
     return factors * motion.norm(change) + pulled(pulls, change)
 

@@ -111,8 +111,8 @@ class PlaneSpace(BodySpace):
 
     The robot is a PointRobot, the default, or a DiscRobot; another robot, or one that fits nowhere, raises
     ``ValueError``. A position is free if the robot overlaps neither obstacles nor the outside of the bounds, up to
-    ``workspace.tolerance``. Boxes are classified exactly, except for discs near corners: boxes up to 0.5 % of the
-    radius inside the inflated obstacle may be MIXED instead of BLOCKED.
+    ``workspace.tolerance``. Boxes are classified exactly, but for a disc near corners, blocked boxes within 0.5 % of
+    its radius of free space may be MIXED.
     """
 
     robot: Robot = field(default_factory=PointRobot)

@@ -33,8 +33,8 @@ class RigidBodySpace(BodySpace):
     A configuration is free if the body overlaps neither obstacles nor the outside of the bounds, up to
     ``workspace.tolerance``. Headings count modulo a full turn. Classification of boxes is conservative, and tighter
     for smaller boxes. The robot must have a heading, as a RectangleRobot or a PolygonRobot; others raise
-    ``ValueError``. A turn by one radian costs ``rotation_weight``, in workspace units, by default the circumscribed
-    radius.
+    ``ValueError``. A turn by one radian costs ``rotation_weight`` workspace units, positive, by default the
+    circumscribed radius.
     """
 
     rotation_weight: float | int | None = None
@@ -119,7 +119,7 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _deepest_point(self) -> tuple[Float[np.ndarray, "2"], float]:
-        """Approximate center of the largest disc in the core, and its depth there; 0 for a core without area."""
+        """Approximate center of the largest disc in the core, and its distance to the boundary, 0 without an area."""
         core = self.robot.core
         if len(core) < 3:
             return core.mean(axis=0), 0.0
@@ -145,7 +145,7 @@ def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
 
 
 def _placed(points: Points, q: Boxes, turn: Turns | float = 0.0) -> Float[np.ndarray, "n k 2"]:
-    """Return the positions of a body's points at configurations whose headings are increased by ``turn``."""
+    """Return the positions of a body's points at configurations turned further by ``turn``."""
     c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
     x, y = points[..., 0], points[..., 1]
     return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)

@@ -71,7 +71,7 @@ class MotionCost:
         return self.norm(np.eye(self.dof))
 
     def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, "n"]:
-        """Return the costs of straight motions, ``(n,)``; NaN or ``inf`` where a configuration is not finite.
+        """Return the costs of straight motions, ``(n,)``; NaN or ``inf`` where a coordinate is NaN or infinite.
 
         Motions from ``q0`` to ``q1``, both ``(n, dof)``, cross periodic axes of the domain the short way, and ignore
         obstacles. Wrong shapes, or a domain of another dimension, raise ``ValueError``.
@@ -79,7 +79,10 @@ class MotionCost:
         if domain.dim != self.dof:
             raise ValueError(f"A cost of {self.dof} axes needs a domain of {self.dof} axes, got {domain}.")
         q0, q1 = as_motions(q0, q1, self.dof)
-        return self.norm(domain.difference(q1, q0))
+        fine = (np.isfinite(q0) & np.isfinite(q1)).all(axis=1)
+        costs = np.where((np.isnan(q0) | np.isnan(q1)).any(axis=1), np.nan, np.inf)
+        costs[fine] = self.norm(domain.difference(q1[fine], q0[fine]))
+        return costs
 
     def norm(self, change: Configurations) -> Float[np.ndarray, "n"]:
         """Return the costs, ``(n,)``, of straight motions given as end minus start, ``(n, dof)``."""
@@ -181,7 +184,7 @@ def precision_of(numbers: ArrayLike) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
-    """A wrapper of a configuration space that checks the answers of ``is_free``, and the base of other wrappers."""
+    """A wrapper of a configuration space that checks the answers of its ``is_free``; a base of other wrappers."""
 
     space: FreeTest
 

@@ -118,11 +118,12 @@ def grid_distance(
             ``Workspace.from_mask(free, tolerance=0)``. 4: steps between cells that share a side, from the point's
             cell to the goal's. 8: also diagonal steps, of length sqrt(2), if both adjacent cells are free.
         max_corners: For any-angle paths only: most convex corners of blocked cells, where paths can bend. Time and
-            memory grow with its square. Maps with more corners give NaN and ``is_complete`` false. Default: all cell
-            corners inside grids with at most 256 of them (17 x 17 cells), else half of them.
+            memory grow with its square; without a goal, time grows with its cube. Maps with more corners give NaN and
+            ``is_complete`` false. Default: all cell corners inside grids with at most 256 of them (17 x 17 cells),
+            else half of them.
 
     Returns:
-        A function of points, or of pairs of points if ``goal`` is None.
+        :class:`GridDistance`, a function of points; if ``goal`` is None, :class:`GridDistances`, of pairs of points.
 
     Raises:
         ValueError: If ``free`` is no non-empty boolean matrix, ``goal`` no point, ``moves`` or ``max_corners``
@@ -235,5 +236,5 @@ def _as_array(value: ArrayLike) -> Array | np.ndarray:
 
 
 def _finite(x: Points) -> Points:
-    """Replace points that are not finite by a point outside every grid."""
+    """Replace coordinates that are not finite by -1, which is outside every grid."""
     return jnp.where(jnp.isfinite(x), x, -1)

@@ -18,7 +18,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int32, UInt32
 
-from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, free_cells, pack
+from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, containing_cells, pack
 
 Broadcast = Float[Array, "*#batch 2"]
 Ends = Float[Array, "*batch 2 2"]
@@ -31,16 +31,21 @@ MAX_LATTICE = 2**8
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """Return how far points that are moved inside a cell stay from its sides: 32 rounding errors of coordinates."""
+    """Return the distance that points moved inside a cell keep from its sides: 32 rounding errors of coordinates."""
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Return each point moved inside its first and last free cell, ``(..., 2, 2)``, and whether it has one."""
-    *cells, is_free = free_cells(free, x)
-    cell = jnp.stack([jnp.stack([column, row], axis=-1) for row, column in cells], axis=-2).astype(x.dtype)
+    """Return each point moved inside its first and last free cell, ``(..., 2, 2)``, and whether it has one.
+
+    If only two of the four cells around a corner are free, diagonally, these are the first and last.
+    """
+    (rows, columns), is_inside = containing_cells(free.shape, x)
+    is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
+    which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
+    cell = jnp.moveaxis(jnp.take_along_axis(cells, which[..., None], axis=0), 0, -2).astype(x.dtype)
     inset = margin(free.shape, x.dtype)
-    return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_free
+    return jnp.clip(x[..., None, :], cell + inset, cell + 1 - inset), is_inside & is_free.any(axis=0)
 
 
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
@@ -126,7 +131,7 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
 
 
 def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
-    """Return the one of two points (``ends``) on whose side of their bisector ``x`` lies."""
+    """Return the one of the two ``ends`` that is nearer to ``x``."""
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
     return jnp.where(is_second[..., None], second, first)
@@ -146,7 +151,7 @@ class Corners:
 
     @property
     def _is_lattice(self) -> bool:
-        """Whether every corner of cells inside the grid has an entry, so that :func:`crossed_cells` applies."""
+        """Whether every point of :func:`lattice` has an entry and :func:`crossed_cells` applies."""
         return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
@@ -178,7 +183,6 @@ class Corners:
         return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
 
     def seen_from_centers(self, dtype: jnp.dtype) -> Bool[Array, "cells corners"]:
-        """Return which convex corners are visible from each cell center."""
         if self._is_lattice:
             table = crossed_cells(self.free.shape, from_centers=True)
             return are_unobstructed(table, pack(~self.free.reshape(1, -1))[0])
@@ -280,7 +284,7 @@ class CornerPaths:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPairs:
-    """Distances between any two points, straight or through convex corners; ``between``: those of two corners."""
+    """Distances between any two points, straight or through convex corners, by the distances ``between`` corners."""
 
     corners: Corners
     between: Float[Array, "*maps corners corners"]
@@ -314,8 +318,8 @@ def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Ar
 def _shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
     """Return the minimum of ``first + onward`` over the last axis, with the gradient of a single minimizer.
 
-    Of minimizers that are equal up to rounding it is one with ``first > 0``: at a corner, the segment to that corner
-    has length 0 and no direction, but the rest of its path has one.
+    Among minimizers equal up to rounding, one with ``first > 0`` is preferred: at a corner, the segment to that
+    corner has no direction.
     """
     return jnp.min(first + onward, axis=-1)
 

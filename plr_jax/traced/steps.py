@@ -4,7 +4,8 @@ For 4 neighbors, grids are stored as bits: a word holds 32 cells of a row, the f
 """
 
 from dataclasses import dataclass
-from itertools import product
+from functools import reduce
+from operator import or_
 from typing import Any, Literal
 
 import jax
@@ -19,7 +20,7 @@ Words = UInt32[Array, "h words"]
 Grids = UInt32[Array, "h words *grids"]
 Shape = tuple[int, ...]
 Points = Float[Array, "*batch 2"]
-Cells = tuple[Int32[Array, "*batch"], ...]
+Cells = tuple[Int32[Array, "4 *batch"], Int32[Array, "4 *batch"]]
 Distances = Float[Array, "h w"]
 
 WORD = 32
@@ -56,50 +57,45 @@ def neighbors_of(words: Grids) -> Grids:
     return in_row | jnp.concatenate([words[1:], none]) | jnp.concatenate([none, words[:-1]])
 
 
-def free_cells(free: Mask, x: Points) -> tuple[Cells, Cells, Bool[Array, "*batch"]]:
-    """Return rows and columns of the first and last free cell that contain each point, and whether there is one.
+def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batch"]]:
+    """Return rows and columns ``(4, ...)`` of the closed cells that contain each point, and whether there are any.
 
-    Up to four closed cells contain a point. If only two are free, diagonally, these are returned.
+    Cells are repeated where fewer than four contain a point: inside a cell, and on a side.
     """
-    size = jnp.broadcast_to(jnp.array(free.shape[::-1], x.dtype), x.shape)
+    size = jnp.broadcast_to(jnp.array(shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
     upper = jnp.minimum(jnp.floor(clipped), size - 1).astype(jnp.int32)
     lower = jnp.maximum(jnp.ceil(clipped) - 1, 0).astype(jnp.int32)
-    lowest = highest = upper[..., 1], upper[..., 0]
-    is_free = jnp.zeros(x.shape[:-1], bool)
-    for cell in product((lower[..., 1], upper[..., 1]), (lower[..., 0], upper[..., 0])):
-        here = free[cell]
-        lowest = tuple(jnp.where(here & ~is_free, new, old) for new, old in zip(cell, lowest, strict=True))
-        highest = tuple(jnp.where(here, new, old) for new, old in zip(cell, highest, strict=True))
-        is_free |= here
-    return lowest, highest, is_free & jnp.all(clipped == x, axis=-1)
+    rows = jnp.stack([lower[..., 1], lower[..., 1], upper[..., 1], upper[..., 1]])
+    columns = jnp.stack([lower[..., 0], upper[..., 0], lower[..., 0], upper[..., 0]])
+    return (rows, columns), jnp.all(clipped == x, axis=-1)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Path lengths from all cells to the goal's; a point on a side between free cells gets the shorter length."""
+    """Path lengths from all cells to the goal's; a point on a border gets the shortest of its cells."""
 
     table: Float[Array, "*maps h w"]
 
     @classmethod
     def to_goal(cls, free: Mask, goal: Float[Array, "2"], moves: Literal[4, 8]) -> "Steps":
-        lowest, highest, is_free = free_cells(free, goal)
-        start = single_cell(free.shape, *lowest) | single_cell(free.shape, *highest)
-        return cls(distances(free, jnp.where(is_free, start, jnp.uint32(0)), moves))
+        cells, is_inside = containing_cells(free.shape, goal)
+        start = reduce(or_, (single_cell(free.shape, *cell) for cell in zip(*cells, strict=True)))
+        return cls(distances(free, jnp.where(is_inside, start, jnp.uint32(0)), moves))
 
     def cells(self) -> Distances:
         return self.table
 
     def distance(self, x: Float[Array, "n 2"]) -> Float[Array, "n"]:
-        *cells, is_reached = free_cells(jnp.isfinite(self.table), x)
-        return jnp.where(is_reached, jnp.minimum(*(self.table[cell] for cell in cells)), jnp.inf)
+        cells, is_inside = containing_cells(self.table.shape, x)
+        return jnp.where(is_inside, self.table[cells].min(axis=0), jnp.inf)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class StepPairs:
-    """Path lengths between any two cells, by steps between neighbors."""
+    """Path lengths between any two cells, by steps between neighbors; ``inf`` for blocked cells."""
 
     table: Float[Array, "*maps h w h w"]
 
@@ -111,10 +107,12 @@ class StepPairs:
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
         h, w = self.table.shape[:2]
-        free = jnp.diagonal(self.table.reshape(h * w, h * w)).reshape(h, w) == 0
-        (*x_cells, x_is_free), (*y_cells, y_is_free) = free_cells(free, x), free_cells(free, y)
-        steps = [self.table[x_cell + y_cell] for x_cell in x_cells for y_cell in y_cells]
-        return jnp.where(x_is_free & y_is_free, jnp.min(jnp.stack(steps), axis=0), jnp.inf)
+        ((rows, columns), is_x_inside), (others, is_y_inside) = (containing_cells((h, w), end) for end in (x, y))
+        places = (rows * w + columns)[:, None] * (h * w) + (others[0] * w + others[1])[None]
+        # A gather for each of the 16 pairs of cells takes an eighth of the time of one gather for all.
+        get = self.table.ravel().at
+        steps = reduce(jnp.minimum, (get[place].get(mode="promise_in_bounds") for place in places.reshape(16, -1)))
+        return jnp.where(is_x_inside & is_y_inside, steps, jnp.inf)
 
 
 def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:

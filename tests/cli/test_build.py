@@ -207,11 +207,17 @@ def test_a_terminal_shows_what_is_being_done_and_then_no_more(monkeypatch):
 
 def test_a_round_robot_has_a_radius(tmp_path):
     path = tmp_path / "maze.plr"
-    done("build", "maze", "--radius", 0.02, "--leaf", "plane", "--max-leaves", 30, "-o", path)
+    said = done("build", "maze", "--radius", 0.02, "--leaf", "plane", "--max-leaves", 30, "-o", path)
+    assert "the disc's own distances are not smaller" in said
     plr, workspace = plr_jax.load(path), scenes.maze().workspace.inflate(0.02)
     assert plr.label == "maze --goal=0.06,0.07 --radius=0.02" and plr.domain == workspace.bounds
     x = workspace.sample_free(1000, seed=0)
     exact = plr_jax.VisibilityGraph(workspace, (0.06, 0.07))(x)
     assert np.abs(plr(x) - exact).max() <= plr.max_error
+    # Obstacles that Shapely grows by polygons around the circles of the radius have longer ways.
+    grown = [obstacle.buffer(0.02 / np.cos(np.pi / 64), quad_segs=16) for obstacle in MAZE.obstacles]
+    outside = plr_jax.Workspace(workspace.bounds, grown)
+    x, exact = x[outside.is_free(x)], exact[outside.is_free(x)]
+    assert len(x) > 900 and (plr_jax.VisibilityGraph(outside, (0.06, 0.07))(x) >= exact - 1e-9).all()
     done("plot", path, "--kind", "error", "-o", tmp_path / "error.png")  # beside the same distance
     assert "leaves no free space" in mistake("build", "maze", "--radius", 1, "-o", path)

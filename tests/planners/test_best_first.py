@@ -268,6 +268,22 @@ def test_an_empty_frontier_means_that_all_reachable_states_are_nodes(problem, wi
     assert of_nodes % max(1, len(states) - 1) == 0 and of_nodes >= 100 * (len(states) - 1)
 
 
+def test_a_frontier_that_is_empty_after_cuts_proves_nothing(monkeypatch):
+    """With beams of one child, states that are reachable are missed, and so is the way of a team that has one."""
+    monkeypatch.setattr(best_first, "_WIDTH", 1)
+    monkeypatch.setattr(best_first, "_MAX_WIDTH", 1)
+    search = search_of(THREE, 1.0)
+    search.goal = np.full(3, -1)  # nowhere
+    assert run_on(search) is Status.MEMORY_LIMIT and not search.budget.spent()
+    states = set(map(tuple, search.node_states.tolist()))
+    assert states < reachable(search.joint)
+    alone, both = (BLOptions(searchers, step=1.0, time_limit=20) for searchers in (("bl",), ("bl", "lacam")))
+    cut = bl_plan(THREE, zero(), alone)
+    assert cut.status is Status.MEMORY_LIMIT and cut.path is None
+    found = bl_plan(THREE, zero(), both)
+    assert found.status is Status.SOLVED and validate(THREE, found.path).valid and found.stats.found_by != "bl"
+
+
 # Limits and pauses
 
 

@@ -66,7 +66,7 @@ def test_a_solution_computes_its_costs_from_the_path():
 def test_no_path_costs_infinitely_much():
     assert not NONE.solved and NONE.path is None and NONE.times is None
     assert NONE.cost == NONE.makespan == np.inf and NONE.lower_bound == 8.0
-    with pytest.raises(ValueError, match="no path to follow: the planner ended because the frontier is empty"):
+    with pytest.raises(ValueError, match="no path to follow: the planner ended because no search is left"):
         NONE.path_at([0.0])
 
 

@@ -111,6 +111,27 @@ def test_who_stands_is_gone_around_and_does_not_move():
     assert stuck.path is None and stuck.status is Status.EXHAUSTED
 
 
+def test_a_path_that_costs_more_than_the_options_accept_is_planned_again():
+    """A robot goes around the far end of a wall; a point's way around its near end is 10 long: a lower bound."""
+    room = Workspace(((0, 0), (10, 20)), [shapely.box(5, 0, 5.001, 1), shapely.box(5, 5, 5.001, 18)])
+    problem = Problem(room, [DiscRobot(0.1)] * 2, [(1, 8), (1, 1)], [(9, 8), (1, 1)])
+    path = np.stack([problem.starts, [(5, 19), (1, 1)], problem.goals])
+    under_way = replace_path(bl_plan(problem), path)
+    assert validate(problem, path).valid and 2 * np.hypot(4, 11) == pytest.approx(validate(problem, path).cost)
+    kept = replan(problem, under_way, 0.0, BLOptions(lower_bound=10.0))
+    assert kept.status is Status.SOLVED and kept.lower_bound == 10 and kept.cost > 23
+    strict = BLOptions(lower_bound=10.0, cost_factor=1.1)
+    beside = replan(problem, under_way, 0.0, strict, standing=[1])
+    assert beside.status is Status.EXHAUSTED and beside.cost == kept.cost
+    again = replan(problem, under_way, 0.0, strict)
+    assert_solves(problem, again)
+    assert again.status is Status.SOLVED and 10 <= again.cost <= 11 and again.lower_bound == 10
+    # If the planner reaches a limit without a path, the path that costs too much is returned.
+    limited = BLOptions(("lacam",), lower_bound=10.0, cost_factor=1.1, max_expansions=1)
+    late = replan(problem, under_way, 0.0, limited)
+    assert late.cost == kept.cost and late.status is Status.EXPANSION_LIMIT
+
+
 def replace_path(solution, path):
     """A solution with another path, that need not be valid."""
     times = np.append(0.0, np.cumsum(np.hypot(*np.moveaxis(np.diff(path, axis=0), 2, 0)).max(axis=1)))

@@ -72,6 +72,10 @@ def test_indices_broadcast_and_others_give_nan():
     shapes = [f(2, x).shape, f(np.arange(4)[:, None], x).shape, f(1, x[0]).shape]
     assert shapes == [(2,), (4, 2), ()] and len(f) == 4 and f.dim == 2
     assert np.isnan(np.asarray(f(np.array([-1, 4]), x))).all()
+    # Indices beyond 32 bits do not wrap, in NumPy (two points) or compiled (many).
+    for index in (2**32, 2**32 + 1, -(2**32), np.uint64(2**64 - 1)):
+        for num in (1, 40_000):
+            assert np.isnan(np.asarray(f(np.full(2 * num, index), np.tile(x, (num, 1))))).all()
     np.testing.assert_allclose(stack(plrs[:1])(0, x), plrs[0](x), rtol=4e-7)
 
 

@@ -117,6 +117,30 @@ def test_corners_that_the_file_rounds_are_no_walls():
     assert np.abs(traces.lengths / exact(starts) - 1)[traces.arrived].max() < 1e-3
 
 
+def test_a_bend_where_two_walls_touch_crosses_none_however_the_file_rounds_it():
+    """Two wedges touch at a point, above which free space is wider than a straight angle: paths bend there."""
+    bounds = np.array([(41.923294, 43.768486), (62.551895, 65.369339)])
+    for contact in np.random.default_rng(0).uniform((49, 55), (53, 57), (1, 2)):
+
+        def at(degrees, distance, contact=contact):
+            return contact + distance * np.stack([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], axis=-1)
+
+        wedges = [[contact, *at(np.array(sides), 5.0)] for sides in ((200, 220), (300, 340))]
+        room, goal = Workspace(bounds, wedges), at(345, 3.0)
+        plr = construct(VisibilityGraph(room, goal), room.bounds, leaf="cone", max_bytes=500)
+        starts = at(np.array([195, 260]), 3.0)  # above the left wedge; below the contact
+        along = trace(plr, starts[:1], room)
+        assert along.arrived.all() and along.lengths[0] == pytest.approx(6, abs=1e-6)
+        walls = shapely.union_all(list(map(shapely.Polygon, wedges))).buffer(-2e-6)
+        assert not walls.intersects(shapely.LineString(along.paths[0]))
+        # A wall of 2e-4 across the contact is crossed, and so is the contact on the straight way to it.
+        wall = np.array([(-1, -1e-4), (1, -1e-4), (1, 1e-4), (-1, 1e-4)])
+        shut = Workspace(bounds, [*wedges, contact + wall])
+        assert trace(plr, starts[:1], shut).status.tolist() == [CROSSES_WALL]
+    through = construct(VisibilityGraph(Workspace(bounds), at(80, 3.0)), bounds, leaf="cone", max_leaves=1)
+    assert trace(through, starts[1:], room).status.tolist() == [CROSSES_WALL]
+
+
 def test_a_way_may_end_at_a_root_that_is_not_the_goal_but_in_no_circle():
     plr = from_bytes(of_sources([[20, 20], [50, 50]], [0, 0], [3.0, 0.0], source=1))
     traces = trace(plr, [[0.9, 0.9], [0.2, 0.2]])

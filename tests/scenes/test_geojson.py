@@ -215,6 +215,11 @@ HALLWAY = "((10 3, 12 3, 12 4, 10 4, 10 3))"
         ("POLYGON ZM ((0 0 5 1, 3 0 5 2, 3 3 6 3, 0 0 5 1))", 4.5),
         ("MULTIPOLYGON Z (((0 0 5, 3 0 5, 3 3 6, 0 0 5)))", 4.5),
         ("POLYGON ((0 0, 3 0, 3 3, 0 0), EMPTY)", 4.5),
+        # Altitudes of some points only, and dimensions that are not those of the points.
+        ("POLYGON ((0 0 5, 3 0, 3 3 -1.5E+2, 0 0))", 4.5),
+        ("polygonz((0 0, 3 0 inf,3 3\t1 2 , 0 0 7))", 4.5),
+        ("MULTIPOLYGON (((0 0, 3 0, 3 3, 0 0)), ((6 6 1, 8 6 1, 8 8 1, 6 6 1)))", 6.5),
+        ("GEOMETRYCOLLECTION Z (POLYGON M EMPTY, POLYGON ((0 0, 3 0, 3 3, 0 0)), POINT Z EMPTY)", 4.5),
     ],
 )
 def test_polygons_in_well_known_text_are_free_space(text, area, tmp_path):
@@ -250,6 +255,8 @@ def test_a_walkable_area_of_a_building_is_read(data_dir):
         ("POLYGON EMPTY", "expected at least one polygon, got none"),
         ("POLYGON ((0 0, 1 0, 1 1))", "expected one geometry in WKT, .*closed"),
         ("POLYGON ((0 0, 1 0, 1 x, 0 0))", "expected one geometry in WKT"),
+        ("POLYGON ((0 0, 1 0, 1 1 x, 0 0))", "expected one geometry in WKT"),
+        ("POLYGON ((0 0, 1 0, 1 1 2 3 4, 0 0))", "expected one geometry in WKT"),
         (f"POLYGON {ROOM}\nPOLYGON {HALLWAY}", "Put several geometries into a GEOMETRYCOLLECTION"),
         ("SRID=4326;POLYGON ((0 0, 1 0, 1 1, 0 0))", "Unknown type: 'SRID=4326;POLYGON'"),
         ("CURVEPOLYGON ((0 0, 1 0, 1 1, 0 0))", "expected one geometry in WKT, .*Nonlinear"),

@@ -190,6 +190,7 @@ def test_what_all_spaces_have_in_common(space, domain, blocks):
 SHIP = Box((0, 0, -np.pi), (4, 3, np.pi), periodic=(False, False, True))
 
 
+@pytest.mark.filterwarnings("error")
 def test_motions_cost_the_weighted_lengths_of_their_blocks():
     cost = MotionCost((((0, 1), 2.0), ((2,), 0.5)))
     q0 = np.array([[0.0, 0, 0], [1, 1, 3], [1, 1, 3], [0, 0, 0]])
@@ -198,6 +199,14 @@ def test_motions_cost_the_weighted_lengths_of_their_blocks():
     np.testing.assert_allclose(cost.lengths(q0, q1, SHIP), expected, atol=1e-12)
     np.testing.assert_array_equal(cost.scale, [2, 2, 0.5])
     assert cost.dof == 3 and cost.lengths(q0[:0], q1[:0], SHIP).shape == (0,)
+    # Also if both ends are infinite, or along a periodic axis.
+    for axis, (one, other) in itertools.product(
+        range(3), itertools.product([0.0, np.inf, -np.inf, np.nan], repeat=2)
+    ):
+        ends = np.zeros((2, 1, 3))
+        ends[:, 0, axis] = one, other
+        expected = np.nan if np.isnan([one, other]).any() else np.inf if np.isinf([one, other]).any() else 0.0
+        np.testing.assert_array_equal(cost.lengths(*ends, SHIP), expected)
 
 
 def test_only_periodic_axes_are_gone_around():

@@ -54,6 +54,27 @@ def test_points_on_sides_are_in_the_cells_beside_them():
     np.testing.assert_array_equal(pairs([0.5, 0.5], x), expected)
 
 
+@pytest.mark.parametrize("moves", [4, 8])
+def test_corners_are_in_all_free_cells_around_them(moves):
+    """Goals and points at all corners, against Dijkstra's algorithm from each free cell at the goal's corner."""
+
+    def around(corner):
+        column, row = map(int, corner)
+        cells = ((i, j) for i in (row - 1, row) for j in (column - 1, column) if 0 <= i < h and 0 <= j < w)
+        return [cell for cell in cells if free[cell]]
+
+    for free in FREE[:2]:
+        h, w = free.shape
+        corners = np.indices((w + 1, h + 1)).reshape(2, -1).T.astype(float)
+        pairs = grid_distance(free, None, moves=moves)
+        for goal in corners[9 :: 2 * h]:
+            cells = np.min([np.full(free.shape, np.inf), *(dijkstra(free, c, moves) for c in around(goal))], axis=0)
+            expected = [min((cells[c] for c in around(x)), default=np.inf) for x in corners]
+            steps = grid_distance(free, goal, moves=moves)
+            for found in (steps(corners), pairs(corners, goal), pairs(goal, corners)):
+                np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
 def test_where_cells_touch_in_a_corner_a_goal_is_in_both():
     free = drawn(".#", "#.")
     np.testing.assert_array_equal(grid_distance(free, [1.0, 1.0], moves=8).cells, [[0, np.inf], [np.inf, 0]])
