@@ -41,8 +41,15 @@ def test_answers_are_those_of_the_words(plr):
         assert same_bits(f.waypoint(x), reader.waypoint(x))
 
 
-def test_single_points_are_answered_as_in_batches(plr):
+def test_single_and_few_points_are_answered_as_in_batches(plr):
+    """Arrays of at most eight points, too, and waypoints."""
     f, x = plr.numpy(), hard_points(plr, 40).astype(np.float64)
+    for answers in (f, f.waypoint) if plr.leaf.name == "cone" else (f,):
+        expected = answers(x)
+        for few in (1, 3, 8):
+            parts = np.array_split(np.arange(len(x)), len(x) // few)
+            assert same_bits(np.concatenate([answers(x[part]) for part in parts]), expected)
+        assert same_bits([answers(tuple(point)) for point in x.tolist()], expected)
     for given in (map(tuple, x.tolist()), x.tolist(), x):
         assert same_bits([f(point) for point in given], f(x))
     assert isinstance(f(tuple(x[0].tolist())), np.float32)
@@ -52,6 +59,7 @@ def test_single_points_are_answered_as_in_batches(plr):
     x[::3, -1] = plr.domain.hi[-1] + 2 * plr.domain.width[-1]
     for outside in ("inf", "clamp", "nan"):
         assert same_bits([f(tuple(p), outside=outside) for p in x.tolist()], f(x, outside=outside))
+        assert same_bits(f(x[:8], outside=outside), f(x, outside=outside)[:8])
 
 
 def test_answers_are_those_of_jax_bit_for_bit(plr):
