@@ -320,8 +320,8 @@ class PLR(FileBacked):
         Args:
             name: Prefix of all definitions; ``ValueError`` if it is no C identifier.
             compact: False for tables that are fast to read; True for the bytes of :meth:`c_bytes` and their decoder,
-                which take a half to a ninth of the memory. Queries take three to seven times as long; those of smooth
-                leaves, which compute derivatives from the leaves around, 85 times.
+                which take two to twelve times less memory. Queries take two to five times as long. Queries of smooth
+                leaves, which compute derivatives from the leaves around, take 40 times as long.
         """
         return self.numpy().c_header(name, compact)
 

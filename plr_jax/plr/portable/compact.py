@@ -297,15 +297,15 @@ class _Middles:
         self.fraction_bits = fraction_bits = int(np.argmin(np.count_nonzero(is_rounded, axis=(1, 2))))
         num_splits = np.count_nonzero(tree.child >= 0)
         bits, each = corner_bits(tree.cells.dim), np.arange(codes.shape[1])
-        # 1. The value wanted at each corner of a node is that of the leaf there; an unreachable leaf takes any, but
-        # smooth leaves around it must not take its value for theirs.
+        # 1. The wanted value at a corner of a node is the value of the leaf there. Unreachable leaves may have any
+        # value; near smooth leaves, it must differ from theirs, and one above the mean usually does.
         leaf_at = np.empty((len(tree.child), len(each)), np.int64)
         leaf_at[tree.node_of_leaf] = np.arange(len(codes))[:, None]
         for split in reversed(tree.splits):
             leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, each]
         is_free = partition.unreachable[leaf_at]
         wanted = np.rint(np.ldexp(codes, fraction_bits)).astype(np.int64)[leaf_at, each] * ~is_free
-        # 2. From the root down, halve the edges.
+        # 2. Halve the edges, from the root down.
         self.corners = np.empty_like(leaf_at)
         self.corners[0] = wanted[0]
         self.mark = np.zeros((num_splits, len(each) // 2), np.int64)

@@ -62,7 +62,7 @@ enum {
     PLR_JAX_W_MAGIC,
     PLR_JAX_W_SIZE,
     PLR_JAX_W_KIND,   /* a byte each: axes, leaf model, flags, levels of the tree */
-    PLR_JAX_W_WIDTHS, /* a byte each: bits of an axis, fraction bits of values, bits of a leaf number, bits of a position */
+    PLR_JAX_W_WIDTHS, /* a byte each: bits of an axis, of fractions of values, of a leaf number, of a position */
     PLR_JAX_W_TERMS,  /* parameters of a leaf */
     PLR_JAX_W_RECORD, /* bytes of a record of the tree */
     PLR_JAX_W_OFFSET,
@@ -80,7 +80,7 @@ enum {
     PLR_JAX_NUM_WORDS
 };
 enum { PLR_JAX_PLANE, PLR_JAX_CONTINUOUS, PLR_JAX_SMOOTH, PLR_JAX_CONE };
-/* Sets of features: 1 << model, PLR_JAX_WRAPS, PLR_JAX_FOLDS. Of a constant set, compilers leave out all other code. */
+/* Sets of features: 1 << model, PLR_JAX_WRAPS, PLR_JAX_FOLDS. Compilers leave out what a constant set does not have. */
 enum { PLR_JAX_WRAPS = 16, PLR_JAX_FOLDS = 32, PLR_JAX_ANY = 63 };
 enum { PLR_JAX_FAR = 1, PLR_JAX_FOLDED = 2, PLR_JAX_TURNED = 4, PLR_JAX_CODED = 8, PLR_JAX_VALUES = 16 };
 /* The floats of an axis, after the words. */
@@ -114,8 +114,8 @@ static inline uint64_t plr_jax_mask(uint32_t width)
     return ((uint64_t)1 << (width & 63u)) - 1u;
 }
 
-/* Reads up to 32 bits from a position, the lowest first. Returns 0 beyond the end. Padding and the checksum follow the last
-   part, so that a query may read eight bytes at once. */
+/* Reads up to 32 bits from a position, the lowest first. Returns 0 beyond the end. Padding and the checksum follow
+   the last part, so that a query may read eight bytes at once. */
 static inline uint32_t plr_jax_bits(const struct plr_jax *f, uint32_t at, uint32_t width)
 {
     if ((at >> 3) + 8u > f->size) {
@@ -232,9 +232,9 @@ static inline void plr_jax_fold(const struct plr_jax *f, float *x, uint32_t dim,
     }
 }
 
-/* Computes the corner values of one half of a cell, from those of the whole cell (ends). The split halves some edges. In
-   the middle of each, the value is the mean of the ends, or this plus a stored number, or the mean rounded to steps plus a
-   stored number of steps. */
+/* Computes the corner values of one half of a cell, from those of the whole cell (ends). The split halves some edges.
+   In the middle of each, the value is the mean of the ends, or this plus a stored number, or the mean rounded to
+   steps plus a stored number of steps. */
 static inline void plr_jax_halve(const struct plr_jax *f, const int32_t *ends, int32_t *corner, uint32_t size,
                                  uint32_t across, int is_upper, const unsigned char *marks, uint32_t next, uint32_t at,
                                  uint32_t width)
@@ -263,11 +263,12 @@ static inline void plr_jax_halve(const struct plr_jax *f, const int32_t *ends, i
     }
 }
 
-/* Goes from a split to that half of its cell which has the place, and returns the axis of the split. The number of the
-   split becomes that of the half: another split, or a leaf, with PLR_JAX_LEAF. A cell is, per axis, its first place and its
-   number of places, a power of two. The results may replace the arguments. */
+/* Goes from a split to that half of its cell which has the place, and returns the axis of the split. The number of
+   the split becomes that of the half: another split, or a leaf, with PLR_JAX_LEAF. A cell is, per axis, its first
+   place and its number of places, a power of two. The results may replace the arguments. */
 static inline uint32_t plr_jax_step(const struct plr_jax *f, const uint32_t *place, uint32_t *number,
-                                    const uint32_t (*from)[2], uint32_t (*cell)[2], const int32_t *ends, int32_t *corner)
+                                    const uint32_t (*from)[2], uint32_t (*cell)[2], const int32_t *ends,
+                                    int32_t *corner)
 {
     const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, size = 1u << (dim & 31u);
     const uint32_t widths = plr_jax_word(f, PLR_JAX_W_WIDTHS), axis_bits = widths & 255u;
@@ -322,8 +323,8 @@ static inline uint32_t plr_jax_root(const struct plr_jax *f, uint32_t (*cell)[2]
     return kind >> 24 > 1u ? 0u : PLR_JAX_LEAF;
 }
 
-/* A cell in the plane: its number, its place, the values at its corners, the index of the cell of which it is a half, the
-   axis of its split, and the indices of its halves, 0 until a query meets them. */
+/* A cell in the plane: its number, its place, the values at its corners, the index of the cell of which it is a half,
+   the axis of its split, and the indices of its halves, 0 until a query meets them. */
 struct plr_jax_node {
     uint32_t number, cell[2][2];
     int32_t corner[4];
@@ -379,16 +380,16 @@ static inline void plr_jax_cubic(double *p, uint32_t stride)
     p[3u * stride] = 2.0 * (v0 - v1) + d0 + d1;
 }
 
-/* How many cells of a size are in the domain along an axis. */
+/* Returns how many cells of a size the domain has along an axis. */
 static inline double plr_jax_count(uint32_t size)
 {
     return (double)PLR_JAX_WHOLE / (double)size;
 }
 
-/* Computes value and derivatives of smooth leaves at a corner: the value itself, the derivatives by the second and by the
-   first coordinate, and the mixed one, all by fractions of the domain. A derivative is a mean over the leaves around the
-   corner that have the same value there. If the corner is inside an edge of one of them, its cubic along this edge gives all
-   numbers; the cubic follows from the ends of the edge. */
+/* Computes value and derivatives of smooth leaves at a corner: the value itself, the derivatives by the second and by
+   the first coordinate, and the mixed one, all by fractions of the domain. A derivative is a mean over the leaves
+   around the corner that have the same value there. If the corner is inside an edge of one of them, its cubic along
+   this edge gives all numbers; the cubic follows from the ends of the edge. */
 static inline void plr_jax_smooth(const struct plr_jax *f, struct plr_jax_nodes *nodes, const uint32_t *point,
                                   int32_t value, uint32_t edges, double *out)
 {
@@ -402,8 +403,8 @@ static inline void plr_jax_smooth(const struct plr_jax *f, struct plr_jax_nodes 
         int is_inside = 1;
         for (axis = 0; axis < 2u; ++axis) {
             place[axis] = point[axis] - (quadrant >> axis & 1u);
-            is_inside = is_inside && (!(place[axis] >> 23)
-                                      || plr_jax_frame(f, axis, PLR_JAX_LAST) > plr_jax_frame(f, axis, PLR_JAX_FIRST));
+            is_inside &= !(place[axis] >> 23)
+                         || plr_jax_frame(f, axis, PLR_JAX_LAST) > plr_jax_frame(f, axis, PLR_JAX_FIRST);
             place[axis] &= 0x7fffffu;
         }
         if (!is_inside) {
@@ -461,7 +462,8 @@ static inline void plr_jax_smooth(const struct plr_jax *f, struct plr_jax_nodes 
 }
 
 /* Searches sorted records; returns the index of the first that begins with the number of the leaf or a larger one. */
-static inline uint32_t plr_jax_find(const struct plr_jax *f, uint32_t at, uint32_t count, uint32_t size, uint32_t leaf)
+static inline uint32_t plr_jax_find(const struct plr_jax *f, uint32_t at, uint32_t count, uint32_t size,
+                                    uint32_t leaf)
 {
     const uint32_t index_bits = plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u;
     uint32_t first = 0;
@@ -476,8 +478,8 @@ static inline uint32_t plr_jax_find(const struct plr_jax *f, uint32_t at, uint32
     return first;
 }
 
-/* The coefficients of the smooth leaf at a place, from the values at its corners. Not inline, as it takes more of the
-   stack than all others together. */
+/* Computes the coefficients of the smooth leaf at a place; returns its number. Not inline, as this function takes
+   more of the stack than all others together. */
 PLR_JAX_APART uint32_t plr_jax_smooth_leaf(const struct plr_jax *f, const uint32_t *place, uint32_t (*cell)[2],
                                            float *n)
 {
@@ -515,8 +517,8 @@ PLR_JAX_APART uint32_t plr_jax_smooth_leaf(const struct plr_jax *f, const uint32
     return leaf.number;
 }
 
-/* Finds the cell and the parameters of the leaf at a point. Turns the point, given relative to the lower corner of a far
-   domain, into offsets from the corner of the stored part. Returns 0 for points outside. */
+/* Finds the cell and the parameters of the leaf at a point. Turns the point, given relative to the lower corner of a
+   far domain, into offsets from the corner of the stored part. Returns 0 for points outside. */
 static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cell)[2], float *n, uint32_t models)
 {
     const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, model = kind >> 8 & 255u;
@@ -586,7 +588,8 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
         }
         n[0] = (float)(offset + (double)step * (double)corner[0]);
     } else if (models & 1u << PLR_JAX_PLANE && !is_smooth) {
-        /* 4. Or: value at the corner of the domain and slopes, from the value at the center and the rise along axes. */
+        /* 4. Or: value at the corner of the domain and slopes, from the value at the center and the rise along axes.
+           */
         double center, sum = 0.0;
         const uint32_t at_level = plr_jax_word(f, PLR_JAX_W_LEVELS) + level * (40u + 8u * dim);
         for (axis = 0, size = 0; axis <= dim; ++axis) {
@@ -681,7 +684,7 @@ static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint3
     return n[0];
 }
 
-/* Checks the bytes of a distance function and points to them; returns PLR_JAX_OK or what is wrong with them. */
+/* Checks the bytes of a distance function, and makes f refer to them. Returns PLR_JAX_OK, or what is wrong. */
 static inline int plr_jax_open(struct plr_jax *f, const unsigned char *bytes, uint32_t size)
 {
     uint32_t crc = 0xffffffffu, i, k, kind, dim, model, terms;
@@ -715,13 +718,13 @@ static inline int plr_jax_open(struct plr_jax *f, const unsigned char *bytes, ui
                : PLR_JAX_OK;
 }
 
-/* The number of coordinates of a point. */
+/* Returns the number of coordinates of a point. */
 static inline uint32_t plr_jax_dim(const struct plr_jax *f)
 {
     return plr_jax_word(f, PLR_JAX_W_KIND) & 255u;
 }
 
-/* Whether the domain is far from the origin, so that points are doubles. */
+/* Returns whether the domain is far from the origin, so that points are doubles. */
 static inline int plr_jax_is_far(const struct plr_jax *f)
 {
     return (int)(plr_jax_word(f, PLR_JAX_W_KIND) >> 16 & PLR_JAX_FAR);
@@ -773,7 +776,7 @@ static inline void plr_jax_waypoint(const struct plr_jax *f, const float *x, flo
     }
 }
 
-/* Moves a point around periodic axes in 64 bits, and takes it relative to the lower corner of the domain. */
+/* Moves a point around periodic axes in 64 bits, then subtracts the lower corner of the domain. */
 static inline void plr_jax_place_far(const struct plr_jax *f, const double *x, float *z, uint32_t dim)
 {
     uint32_t axis;

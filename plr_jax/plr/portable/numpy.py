@@ -1,4 +1,4 @@
-"""A reader of PLRs that needs only NumPy and answers by the arithmetic of the format (``FORMAT.md``)."""
+"""A reader of PLR files that needs only NumPy and follows the arithmetic of the format (``FORMAT.md``)."""
 
 import os
 from collections.abc import Callable
@@ -330,7 +330,7 @@ class NumpyPLR:
     def _evaluate(
         self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
     ) -> Any:
-        """Apply ``answer``, whose results have the given shape at each point, to points in chunks."""
+        """Apply ``answer``, whose result at a point has the given shape, to all points, a chunk after the other."""
         x, program = as_queries(x, self.dim), self._program
         flat = x.reshape(-1, self.dim)
         of_type = np.float64 if answer == self._waypoints and program.corner is not None else np.float32
@@ -365,7 +365,7 @@ class NumpyPLR:
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Return the values at the nearest points of the domain plus distances to these; ``inf`` if not finite."""
+        """Return the value at the nearest point of the domain plus the distance to it; ``inf`` if not finite."""
         is_finite = np.isfinite(relative).all(axis=0)
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
         ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)
