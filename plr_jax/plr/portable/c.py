@@ -206,7 +206,7 @@ def compact_header(program: Program, name: str) -> str:
         f"   of the domain {format_domain(program.domain)};",
         "   INFINITY outside the closed domain, NAN for NAN. It does not test for obstacles.",
         f"   Coordinates are {of_type}: {_WHY[of_type]}.",
-        f"   Compiled, its tables take {len(data):,} bytes, and the decoder at most 4,096. */",
+        f"   Compiled, its tables take {len(data):,} bytes, and the decoder at most 4,608. */",
         f"static inline float {name}_distance(const {of_type} x[{dim}])",
         "{",
         f"    return plr_jax_distance{far}_of(&{name}_plr, x, {' | '.join(needs)});",
