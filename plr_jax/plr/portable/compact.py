@@ -40,7 +40,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
 from plr_jax.plr._file import DecodedFile
 from plr_jax.plr.coding import BitWriter
@@ -269,7 +269,7 @@ def _float_bits(numbers: Float[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape
     return numbers.astype(np.float32).view(np.uint32).astype(np.int64)
 
 
-def _by_record(of_splits: Int[np.ndarray, "splits fields"]) -> Int[np.ndarray, "records fields_of_record"]:
+def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndarray, "records fields_of_record"]:
     """Concatenate the fields of all splits of a record; zeros pad the last record."""
     padded = np.pad(of_splits, ((0, -len(of_splits) % _RECORD), (0, 0)))
     return padded.reshape(-1, _RECORD * of_splits.shape[1])
