@@ -321,8 +321,8 @@ class PLR(FileBacked):
         Args:
             name: Prefix of all definitions; ``ValueError`` if it is no C identifier.
             compact: False for tables that are fast to read; True for the bytes of :meth:`c_bytes` and their decoder,
-                which take a half to a ninth of the memory. Compact queries take three to seven times as long; for
-                smooth leaves, whose derivatives are computed from adjacent leaves, 85 times.
+                which take a half to a twelfth of the memory. Compact queries take two to five times as long; for
+                smooth leaves, whose derivatives are computed from adjacent leaves, 40 times.
         """
         return self.numpy().c_header(name, compact)
 

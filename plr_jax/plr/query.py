@@ -101,7 +101,10 @@ def waypoints_in_tables(tables: Tables, x: AnyArray) -> Float[AnyArray, "*batch 
 
 
 def lookup(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray, "*batch"]:
-    """Return the leaf's number for each point, up to rounding across borders; arbitrary outside and for NaN."""
+    """Return the number of the leaf at each point; outside and for NaN, an arbitrary one.
+
+    Within rounding of a border, it may be the leaf on the other side.
+    """
     if tables.folding is not None:
         nowhere = x.__array_namespace__().zeros(x.shape[:-1], bool)
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, nowhere))
@@ -166,7 +169,7 @@ def _fold(
 def outside_domain(
     tables: Tables | FoldedDomain, x: Float[AnyArray, "*batch dim"]
 ) -> tuple[Bool[AnyArray, "*batch"], Float[AnyArray, "*batch"]]:
-    """Return whether wrapped points are outside the closed domain, and what they get: ``inf``, or NaN for NaN."""
+    """Return whether wrapped points are outside the closed domain, and the answer there: ``inf``, or NaN for NaN."""
     x, frame, xp = _constant(x), tables.frame.astype(x.dtype), x.__array_namespace__()
     outside, answer = xp.zeros(x.shape[:-1], bool), xp.full(x.shape[:-1], np.inf, x.dtype)
     for axis in range(tables.dim):
@@ -285,8 +288,8 @@ def _leaf_parameters(
 def _fraction_bits(tables: Tables, x: Float[AnyArray, "*batch dim"], axis: int) -> UInt32[AnyArray, "*batch"]:
     """Return an integer whose lowest 23 bits are a point's place along an axis, in ``2**-23`` of the domain's width.
 
-    These are the low bits of ``1 + place`` as a 32-bit float, with other bits above them. The upper edge gets the
-    largest value, as it belongs to the last cell.
+    The integer has the bits of ``1 + place / 2**23`` as a 32-bit float, so other bits are above the place. The upper
+    end of the domain gets the largest place, as it belongs to the last cell.
     """
     lo, start, scale, top = (
         tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)

@@ -1,4 +1,4 @@
-"""Answers to small batches by NumPy, to the same bits as compiled code, so that first answers need no compiling."""
+"""Evaluation of small batches in NumPy, bit for bit as in compiled code, so that first answers need no compiling."""
 
 from collections.abc import Hashable
 from typing import Any
@@ -21,10 +21,10 @@ _LEAST_POINT, _LEAST_IN_TABLES = 2.0**-39, 2.0**-63
 
 
 class SmallBatches:
-    """Answers of one object: small batches are computed by NumPy, until compiling pays off.
+    """A caller of the compiled functions of one object, such as a PLR; NumPy answers until compiling pays off.
 
-    ``work`` counts the coordinates that NumPy was asked for, and 4,096 more for each call; for each function and
-    shape of points.
+    Attributes:
+        work: For each function and shape of points, the coordinates that NumPy answered, plus 4,096 for each call.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,11 @@ class SmallBatches:
     def _by_numpy(
         self, key: Hashable, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any
     ) -> Any:
-        """Return the answer as JAX arrays, or None if only JAX should compute it, on its devices or with its bits."""
+        """Compute the answer in NumPy and return it as JAX arrays, or return None to leave it to compiled code.
+
+        Compiled code answers after enough calls, on other devices, for points committed to a device, and if numbers
+        are so small that XLA takes them for 0.
+        """
         before, arrays = self.work.get(key, 0), jax.tree.leaves(tables)
         self.work[key] = before + x.size + _WORK_OF_CALL
         if before == 0 and not (

@@ -15,7 +15,10 @@ from plr_jax.plr.tables import AnyArray, Tables
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A function that wraps 64-bit points around periodic axes, then subtracts a corner; None leaves a step out."""
+    """A function that wraps 64-bit points around the periodic axes of ``domain``, then subtracts ``corner``.
+
+    If ``domain`` or ``corner`` is None, the function leaves out that step.
+    """
 
     domain: Box | None
     corner: Float[np.ndarray, "dim"] | None

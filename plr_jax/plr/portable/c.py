@@ -184,6 +184,8 @@ def compact_header(program: Program, name: str) -> str:
         "}",
     ]
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
+    needs = [f"1u << PLR_JAX_{program.leaf.name.upper()}", *["PLR_JAX_WRAPS"] * program.domain.is_periodic]
+    needs += ["PLR_JAX_FOLDS"] * (program.folding_arrays is not None)
     lines = [
         f"#ifndef {guard}",
         f"#define {guard}",
@@ -204,10 +206,10 @@ def compact_header(program: Program, name: str) -> str:
         f"   of the domain {format_domain(program.domain)};",
         "   INFINITY outside the closed domain, NAN for NAN. It does not test for obstacles.",
         f"   Coordinates are {of_type}: {_WHY[of_type]}.",
-        f"   Compiled, its tables take {len(data):,} bytes, and the decoder at most 4,096. */",
+        f"   Compiled, its tables take {len(data):,} bytes, and the decoder at most 4,608. */",
         f"static inline float {name}_distance(const {of_type} x[{dim}])",
         "{",
-        f"    return plr_jax_distance{far}_of(&{name}_plr, x, 1u << PLR_JAX_{program.leaf.name.upper()});",
+        f"    return plr_jax_distance{far}_of(&{name}_plr, x, {' | '.join(needs)});",
         "}",
         *waypoint * isinstance(program.leaf, Cone),
         "#endif",

@@ -1,45 +1,49 @@
 """Compact bytes of a PLR, which the C decoder ``decoder.h`` queries without unpacking them.
 
-The bytes hold the numbers of the file in parts that can be read at any position. Fields of equal width replace
-entropy codes, and results replace combinations of many values. All parts are sequences of bits, lowest first:
+A query can start to read at any position: integers of fixed widths replace the entropy codes of the file. All parts
+are sequences of bits, lowest first:
 
-    words         18 integers of 32 bits: kind, sizes, and positions of parts in bits (``PLR_JAX_W_MAGIC`` and on)
-    frame         nine 32-bit floats for each axis: the domain and its constants (see ``FORMAT.md``)
-    exact         five 64-bit floats for each axis: only for planes, and in domains far from the origin
-    folding       center and its rounding error; axes if turned; mirrors; corners of the folded box
-    tree          a bit for each node, 1 if it is split; then the axis of each split
-    levels        for each level of the tree: position and widths of its fields
-    fields        integers of leaves or splits, below
-    exceptions    leaf and index of numbers that a query does not compute from the fields, sorted
-    planes        smooth leaves that continue a plane: leaf, value at the center and half of the rise along each axis
-    floats        rows of numbers of leaves, or the exceptions, as 32-bit floats
+    words         18 integers of 32 bits: leaf model, sizes, and positions of parts (``PLR_JAX_W_MAGIC`` and on)
+    frame         nine 32-bit floats for each axis: the domain and constants of a query (see ``FORMAT.md``)
+    exact         five 64-bit floats for each axis; only for planes, and in domains far from the origin
+    folding       mirror symmetries: center, its rounding error, axes if turned, mirrors, corners of the folded box
+    corners       only for values: the values at the corners of the domain
+    tree          a record for every 16 splits
+    levels        only for planes: for each level of the tree, the position and widths of the fields of its leaves
+    fields        integers of leaves or splits
+    planes        leaves whose plane is stored as floats, sorted: leaf number, value and slopes
+    exceptions    other parameters that do not follow from the fields, sorted: leaf number, index, float
+    rows          distinct rows of leaf parameters, as 32-bit floats
     CRC-32        of all bytes before it, little-endian
 
 Nodes, splits and leaves are numbered in level order. So the children of split ``s`` are the nodes ``2 s + 1`` and
-``2 s + 2``, and leaf numbers follow from counting splits. A *directory* stores the count before every 64 nodes.
+``2 s + 2``. The number of a split or leaf follows from the number of splits before it. A record of the tree holds a
+bit for each child of its 16 splits (1 if the child is split), the axis of each split, and the number of splits among
+the children of all earlier records. With values, the record begins with marks, and ends with the width and the
+position of its fields.
 
-- Cones and planes of floats have the index of a row. Other planes have the integers of the file.
-- Continuous leaves follow from the values at the corners of the domain. Each split halves edges and stores the values
-  in the *middle* of these edges, from which a query computes the corner values of one half. A middle has the mean of
-  the ends of its edge, or the rounded mean plus a stored difference. At walls, each half has a middle of its own.
+- Cones, and leaves of other models if that takes fewer bytes, store the index of a row.
+- Planes store the integers of the file.
+- Continuous leaves follow from the values at the corners of the domain. Each split halves edges of its cell, and
+  stores the values in the *middles* of these edges. A query computes the corner values of one half from them. A mark
+  of two bits says how a middle is stored (see :class:`_Middles`).
 - Smooth leaves have such values too. A query computes the derivatives at the corners of its leaf from the leaves
-  around them. It takes leaves as continuous if their values agree; wrong guesses are stored as exceptions.
+  around them. It takes leaves as continuous where their values agree; where that is wrong, there are exceptions.
 
-Exceptions make all answers equal to those of the file, bit for bit: this module computes numbers as a query does,
-and stores all that differ, if only by rounding.
+Planes and exceptions make all answers equal to those of the file, bit for bit. This module computes leaf parameters
+as a query does, and stores those that differ, if only by rounding. It leaves out those too small to change an answer.
 """
 
+import math
 import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
-from plr_jax._arrays import product_in_order
-from plr_jax.plr._file import DecodedFile, filled_coefficients
+from plr_jax.plr._file import DecodedFile
 from plr_jax.plr.coding import BitWriter
-from plr_jax.plr.finite_elements import monomials, plane_coefficients
 from plr_jax.plr.frame import FRACTION_BITS, Frame, table_corners
 from plr_jax.plr.leaves import code_of_leaf
 from plr_jax.plr.portable.arithmetic import Program, distinct_rows
@@ -50,16 +54,19 @@ DECODER = Path(__file__).with_name("decoder.h")
 
 _MAGIC = int.from_bytes(b"PLC1", "little")
 _NUM_WORDS = 18
-_RECORD = 64  # bits of digits in a record of a directory
+_RECORD = 16  # splits in a record of the tree
 _FAR, _FOLDED, _TURNED, _CODED, _VALUES = 1, 2, 4, 8, 16  # flags
-_UNITS = np.array([0, 1, 2, 4])  # width of a middle's field by its mark, in multiples of the width of its level
-_FLOAT_BITS = 32  # planes of so many bits are floats
+_UNITS = np.array([0, 1, 2, 4])  # width of a middle's fields by its mark, in multiples of the width of its record
+_FLOAT_BITS = 32  # files whose planes have so many bits store floats
+# Of a polynomial close to a plane, Horner's rule adds all other coefficients to a slope. If their sum is smaller than
+# this share of each slope, rounding removes them (a slope has 24 bits; two more cover rounding and ``t`` beyond 1).
+_NEGLIGIBLE = 2.0**-27
 _MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 28
 _ROUNDING = 1e-6  # largest distance from a multiple of a power of two that counts as rounding
 
 
 def compact_bytes(program: Program) -> bytes:
-    """Return the bytes that the C decoder reads: of several encodings, the smallest."""
+    """Return the bytes that the C decoder reads, in the smallest of the encodings that the leaf model has."""
     choices, contents = [_Image(program).with_rows()], program.contents
     if program.leaf.name == "plane" and contents.stored.bits < _FLOAT_BITS:
         choices.append(_Image(program).with_planes())
@@ -70,24 +77,21 @@ def compact_bytes(program: Program) -> bytes:
 
 
 class _Image:
-    """The parts of compact bytes; one of the methods ``with_...`` completes and returns them."""
+    """A writer of compact bytes; one of the methods ``with_...`` completes and returns them."""
 
     def __init__(self, program: Program) -> None:
         self.program, self.dim = program, program.dim
         self.tree: Tree = program.contents.tree
         is_split, level = self.tree.child >= 0, self.tree.cells.depth.sum(axis=1)
-        self.level_of_leaf, self.level_of_split = level[~is_split], level[is_split]
+        self.level_of_leaf = level[~is_split]
         self.num_levels = int(level.max()) + 1
         self.leaves = self.tree.leaf_of_node[~is_split]
         self.numbers = program.leaf_parameters[self.leaves]
-        self.at_values, self.fraction_bits, self.offset, self.step = 0, 0, 0.0, 0.0
-        self.planes, self.plane_numbers = np.zeros(0, np.int64), np.zeros((0, 3))
+        self.fraction_bits, self.offset, self.step = 0, 0.0, 0.0
+        self.position_bits = self.record_bytes = self.at_tree = self.at_levels = self.at_fields = 0
+        self.axis_bits, self.leaf_bits = (self.dim - 1).bit_length(), len(self.leaves).bit_length()
         self.body = BitWriter()
         self._write_domain()
-        self.at_tree = self._at
-        self._write_directory(is_split.astype(np.int64), 1, is_split.astype(np.int64))
-        self.at_axes, self.axis_bits = self._at, (self.dim - 1).bit_length()
-        self.body.write(self.tree.axis[is_split], self.axis_bits)
 
     @property
     def _at(self) -> int:
@@ -95,7 +99,7 @@ class _Image:
         return 32 * _NUM_WORDS + self.body.num_bits
 
     def _write_floats(self, numbers: Float[np.ndarray, "..."]) -> None:
-        self.body.write(np.ascontiguousarray(numbers, "<f4").view("<u4").ravel().astype(np.int64), 32)
+        self.body.write(_float_bits(numbers).ravel(), 32)
 
     def _write_domain(self) -> None:
         program, contents = self.program, self.program.contents
@@ -125,83 +129,77 @@ class _Image:
                 self.body.write(np.array([pivot]), 8)
                 self.body.write(np.isin(np.arange(self.dim), reversed_axes).astype(np.int64), 1)
             self._write_floats(folded_ends.T)
+        self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
-    def _write_directory(self, digits: Int[np.ndarray, "n"], width: int, weights: Int[np.ndarray, "n"]) -> None:
-        """Append digits in records of 64 bits, each after the sum of the weights of all digits before it."""
-        per_record = _RECORD // width
-        bits = (digits[:, None] >> np.arange(width)) & 1
-        bits = np.pad(bits.ravel(), (0, -bits.size % _RECORD)).reshape(-1, 2, 32)
-        before = (np.cumsum(weights) - weights)[::per_record]
-        self.body.write(np.column_stack([before, bits @ (1 << np.arange(32))]).ravel(), 32)
-
-    def _write_levels(self, count: Int[np.ndarray, "levels"], widths: Int[np.ndarray, "levels fields"]) -> None:
-        """Append the widths of the fields of each level, and where field 0 would be if all had the level's width.
-
-        ``count`` is the number of fields of each level, or of groups of fields if a level has several widths.
-        """
-        self.at_levels, size = self._at, widths.sum(axis=1)
-        start = self._at + self.num_levels * (40 + 8 * self.dim)
-        first, before = np.cumsum(count * size) - count * size, np.cumsum(count) - count
-        rows = np.zeros((self.num_levels, 2 + self.dim), np.int64)
-        rows[:, 0] = (start + first - before * size) % (1 << 32)
-        rows[:, 1 : 1 + widths.shape[1]] = widths
-        self.body.write(rows.ravel(), np.tile([32, *[8] * (1 + self.dim)], self.num_levels))
-
-    def _write_leaf_fields(
-        self, fields: Int[np.ndarray, "leaves fields"], widths: Int[np.ndarray, "levels fields"]
+    def _write_tree(
+        self, marks: list[tuple[Int[np.ndarray, "records fields"], int]], places: list[tuple[Any, int]]
     ) -> None:
-        self._write_levels(np.bincount(self.level_of_leaf, minlength=self.num_levels), widths)
-        of_leaf = widths[self.level_of_leaf]
-        self.body.write((fields & ((1 << of_leaf) - 1)).ravel(), of_leaf.ravel())
+        """Append a record for every 16 splits; with values, ``marks`` come first, and ``places`` of fields last."""
+        splits = np.flatnonzero(self.tree.child >= 0)
+        is_split = self.tree.child[self.tree.child[splits][:, None] + np.arange(2)] >= 0
+        children = _by_record(is_split.astype(np.int64))
+        before = np.cumsum(children.sum(axis=1)) - children.sum(axis=1)
+        axes = _by_record(self.tree.axis[splits][:, None])
+        parts = [*marks, (children, 1), (axes, self.axis_bits), (before[:, None], self.leaf_bits), *places]
+        widths = np.concatenate([np.full(part.shape[1], width) for part, width in parts])
+        parts.append((np.zeros((len(children), 1), np.int64), -int(widths.sum()) % 8))
+        widths = np.append(widths, parts[-1][1])
+        self.at_tree, self.record_bytes = self._at // 8, int(widths.sum()) // 8
+        records = np.concatenate([part for part, _ in parts], axis=1)
+        self.body.write(records.ravel(), np.tile(widths, len(records)))
 
     def _finish_codes(self, numbers: Float[np.ndarray, "leaves terms"], flags: int) -> bytes:
-        """Append the numbers that differ from those that a query computes (``numbers``), and return all bytes.
+        """Append the leaf parameters that differ from those that a query computes (``numbers``); return all bytes."""
+        power = self.dim - 1 - np.arange(self.dim)
+        order = {"plane": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
+        of_plane = np.concatenate([[0], 1 << order * power if order else 1 + np.arange(self.dim)])
+        rest = np.abs(np.delete(self.numbers, of_plane, axis=1).astype(np.float64)).sum(axis=1)
+        is_plane = rest <= _NEGLIGIBLE * np.abs(self.numbers[:, of_plane[1:]]).min(axis=1)
+        is_odd = self.numbers.view(np.uint32) != numbers.view(np.uint32)
+        bits_of_plane = self.leaf_bits + 32 * (1 + self.dim)
+        is_plane &= (self.numbers[:, 0] != 0) & (is_odd.sum(axis=1) * (self.leaf_bits + 40) > bits_of_plane)
+        planes = np.flatnonzero(is_plane)
+        of_planes, is_odd = self.numbers[planes][:, of_plane], is_odd & ~is_plane[:, None]
+        return self._finish(flags, planes, of_planes, is_odd, np.zeros(0))
 
-        If it takes less, all numbers of a leaf that are not 0 are stored, and a flag in the first of them.
-        """
-        bits, given = self.numbers.view(np.uint32), numbers.view(np.uint32)
-        is_cleared = np.count_nonzero(bits, axis=1) < np.count_nonzero(bits != given, axis=1)
-        leaf, term = np.nonzero(bits != np.where(is_cleared[:, None], 0, given))
-        is_first = np.diff(leaf, prepend=-1) > 0
-        return self._finish(
-            self.numbers[leaf, term], np.stack([leaf, term | (is_first & is_cleared[leaf]) << 8]), flags
-        )
-
-    def _finish(self, floats: Float[np.ndarray, "floats"], odd: Int[np.ndarray, "2 odd"], flags: int) -> bytes:
-        """Append floats and the leaf and term of each exception; return all bytes."""
+    def _finish(
+        self,
+        flags: int,
+        planes: Int[np.ndarray, "planes"],
+        of_planes: Float[np.ndarray, "planes numbers"],
+        is_odd: Bool[np.ndarray, "leaves terms"],
+        rows: Float[np.ndarray, "..."],
+    ) -> bytes:
+        """Append planes, exceptions and rows of floats; return all bytes."""
         program, folding = self.program, self.program.folding_arrays
-        at_odd, index_bits = self._at, len(self.leaves).bit_length()
-        self.body.write(odd.T.ravel(), np.tile([index_bits, 9], odd.shape[1]))
         at_planes = self._at
-        words = np.ascontiguousarray(self.plane_numbers, "<f8").view("<u4").astype(np.int64)
-        fields = np.column_stack([self.planes, words])
-        self.body.write(fields.ravel(), np.tile([index_bits, *[32] * 6], len(fields)))
+        fields = np.column_stack([planes, _float_bits(of_planes)])
+        self.body.write(fields.ravel(), np.tile([self.leaf_bits, *[32] * of_planes.shape[1]], len(fields)))
+        at_odd, (leaf, term) = self._at, np.nonzero(is_odd)
+        fields = np.column_stack([leaf, term, _float_bits(self.numbers[leaf, term])])
+        self.body.write(fields.ravel(), np.tile([self.leaf_bits, 8, 32], len(fields)))
         at_rows = self._at
-        self._write_floats(floats)
+        self._write_floats(rows)
+        self.body.write(np.zeros(3, np.int64), 8)  # a query reads 8 bytes at once
         flags |= _FAR * (program.corner is not None)
         if folding is not None:
             flags |= _FOLDED | _TURNED * (folding[2] is not None)
-        kind = self.dim | code_of_leaf(program.leaf) << 8 | flags << 16 | self.num_levels << 24
-        widths = self.axis_bits | self.fraction_bits << 8 | index_bits << 16
-        scale = np.array([self.offset, self.step], np.float32).view(np.uint32).tolist()
         data = self.body.to_bytes()
         words = [
             _MAGIC,
             4 * _NUM_WORDS + len(data) + 4,
-            kind,
-            widths,
+            self.dim | code_of_leaf(program.leaf) << 8 | flags << 16 | self.num_levels << 24,
+            self.axis_bits | self.fraction_bits << 8 | self.leaf_bits << 16 | self.position_bits << 24,
             self.numbers.shape[1],
-            odd.shape[1],
-            len(self.planes),
-            *scale,
-            at_odd,
-        ]
-        words += [
-            at_planes,
+            self.record_bytes,
+            *_float_bits(np.array([self.offset, self.step], np.float32)),
+            len(planes),
+            len(leaf),
             self.at_tree,
-            self.at_axes,
+            self.at_fields,
             self.at_levels,
-            self.at_values,
+            at_planes,
+            at_odd,
             at_rows,
             self.at_folding,
             self.at_exact,
@@ -211,67 +209,83 @@ class _Image:
 
     def with_rows(self) -> bytes:
         rows, row_of_leaf = distinct_rows(self.numbers)
-        self._write_leaf_fields(row_of_leaf[:, None], np.full((self.num_levels, 1), (len(rows) - 1).bit_length()))
-        return self._finish(rows.ravel(), np.zeros((2, 0), np.int64), 0)
+        self._write_tree([], [])
+        self.at_fields, self.at_levels = self._at, (len(rows) - 1).bit_length()  # not a position: the width of fields
+        self.body.write(row_of_leaf, self.at_levels)
+        none = np.zeros(0, np.int64)
+        return self._finish(0, none, np.zeros((0, 0)), np.zeros(self.numbers.shape, bool), rows)
 
     def with_planes(self) -> bytes:
         planes = self.program.contents.stored
         self.offset, self.step = planes.offset, planes.step
-        is_odd = planes.unreachable[self.leaves]  # such leaves continue another leaf's plane
-        codes = np.column_stack([planes.center, planes.half])[self.leaves] * ~is_odd[:, None]
-        is_signed = np.arange(1 + self.dim) > 0
+        is_own = ~planes.unreachable[self.leaves, None]  # other leaves continue another leaf's plane
+        codes = np.column_stack([planes.center, planes.half])[self.leaves] * is_own
         widths = np.zeros((self.num_levels, 1 + self.dim), np.int64)
+        is_signed = np.arange(1 + self.dim) > 0
         np.maximum.at(widths, self.level_of_leaf, np.frexp(np.abs(codes))[1] + (is_signed & (codes != 0)))
-        self._write_leaf_fields(codes, widths)
-        return self._finish_codes(np.where(is_odd[:, None], np.float32(0), self.numbers), _CODED)
+        self._write_tree([], [])
+        # For each level: where the fields of leaf 0 would be if all leaves had the widths of this level; the widths.
+        self.at_levels, size = self._at, widths.sum(axis=1)
+        self.at_fields = self._at + self.num_levels * (40 + 8 * self.dim)
+        count = np.bincount(self.level_of_leaf, minlength=self.num_levels)
+        start = self.at_fields + np.cumsum(count * size) - count * size - (np.cumsum(count) - count) * size
+        self.body.write(
+            np.column_stack([start % (1 << 32), widths]).ravel(),
+            np.tile([32, *[8] * (1 + self.dim)], self.num_levels),
+        )
+        of_leaf = widths[self.level_of_leaf]
+        self.body.write((codes & ((1 << of_leaf) - 1)).ravel(), of_leaf.ravel())
+        return self._finish_codes(np.where(is_own, self.numbers, np.float32(0)), _CODED)
 
     def with_values(self, middles: "_Middles") -> bytes:
         stored = self.program.contents.stored
         self.fraction_bits, self.offset = middles.fraction_bits, stored.offset
         self.step = float(np.ldexp(stored.step, -self.fraction_bits))
-        # 1. Compute each leaf's numbers as a query does.
-        corners = middles.corners[self.tree.child < 0]
+        # 1. Compute the leaf parameters as a query does.
         if self.program.leaf.name == "smooth":
-            coefficients = self.step * _smooth_numbers(
-                self.tree, middles.corners, self.program.contents.domain.periodic
-            )
-            coefficients[:, ::4] += self.offset
-            self.planes = np.flatnonzero(self.program.contents.stored.partition.unreachable[self.leaves])
-            filled = filled_coefficients(self.program.contents)[self.leaves[self.planes]]
-            self.planes, filled = self.planes[filled[:, 0] < np.inf], filled[filled[:, 0] < np.inf]
-            half = filled[:, [2, 1]] / 2
-            self.plane_numbers = np.column_stack([_plane_centers(filled[:, ::4], half), half])
-            if len(self.planes):
-                coefficients[self.planes] = plane_coefficients(1, self.plane_numbers[:, 0], half)
-            numbers = product_in_order(coefficients, monomials(1, 2)).astype(np.float32)
+            codes = _smooth_numbers(self.tree, middles.corners, self.program.contents.domain.periodic)
+            numbers = (self.step * codes + np.where(np.arange(16), 0.0, self.offset)).astype(np.float32)
         else:
-            codes = corners.reshape(-1, *[2] * self.dim)
+            codes = middles.corners[self.tree.child < 0].reshape(-1, *[2] * self.dim)
             for axis in range(1, 1 + self.dim):
                 codes = np.concatenate([codes.take([0], axis), np.diff(codes, axis=axis)], axis=axis)
             codes = codes.reshape(len(self.leaves), -1)
             numbers = np.float32(self.step) * codes.astype(np.float32)
             numbers[:, 0] = (self.offset + self.step * codes[:, 0]).astype(np.float32)
-        # 2. Append the values at the corners of the domain, marks, and values of middles.
+        # 2. Append the values at the corners of the domain, the tree with marks, and values of middles.
         self.body.write(middles.corners[0] & 0xFFFFFFFF, 32)
-        widths = middles.best_widths(self.level_of_split, self.num_levels)
-        self.at_values, units = self._at, _UNITS[middles.mark]
-        self._write_directory(middles.mark.ravel(), 2, units.ravel())
-        count = np.bincount(self.level_of_split, units.sum(axis=1), self.num_levels).astype(np.int64)
-        self._write_levels(count, widths[:, None])
-        self.body.write(*middles.fields(widths[self.level_of_split]))
+        unit = middles.best_widths()
+        fields, widths = middles.fields(np.repeat(unit, _RECORD)[: len(middles.mark)])
+        ends = np.cumsum(_by_record(widths.reshape(len(middles.mark), 2 * middles.mark.shape[1])).sum(axis=1))
+        self.position_bits = int(ends[-1] if len(ends) else 0).bit_length()
+        starts = np.concatenate([[0], ends])[:-1, None]
+        self._write_tree([(_by_record(middles.mark), 2)], [(unit[:, None], 5), (starts, self.position_bits)])
+        self.at_fields = self._at
+        self.body.write(fields, widths)
         return self._finish_codes(numbers, _CODED | _VALUES)
 
 
+def _float_bits(numbers: Float[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
+    return numbers.astype(np.float32).view(np.uint32).astype(np.int64)
+
+
+def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndarray, "records fields_of_record"]:
+    """Concatenate the fields of all splits of a record; zeros pad the last record."""
+    padded = np.pad(of_splits, ((0, -len(of_splits) % _RECORD), (0, 0)))
+    return padded.reshape(-1, _RECORD * of_splits.shape[1])
+
+
 class _Middles:
-    """Values in the middle of the edges that splits halve, and the corner values of all nodes that follow from them.
+    """Values in the middles of the edges that splits halve, and the corner values of all nodes.
 
     Attributes:
         corners: Values at the corners of each node, in units of ``2**-fraction_bits`` steps.
-        mark: For each split and middle, 0: both halves have the mean of the ends; 1: both have another value, stored
-            as ``narrow``; 2: both have another value, stored as ``wide``; 3: each half has its ``wide``.
+        mark: For each split and middle, how its value is stored. 0: both halves have the mean of the ends of the
+            edge. 1: both have the value of ``narrow``. 2: both have the value of ``wide``. 3: each half has its own
+            ``wide``, as at walls.
         narrow: The value minus the rounded mean, in steps.
-        wide: For each half: twice the value minus the rounded mean, in steps; or 1 + twice the value minus the mean,
-            in units of ``2**-fraction_bits`` steps.
+        wide: For each half, twice the value minus the rounded mean, in steps; or, as an odd number, 1 plus twice the
+            value minus the mean, in units of ``2**-fraction_bits`` steps.
     """
 
     def __init__(self, contents: DecodedFile, is_smooth: bool) -> None:
@@ -283,15 +297,15 @@ class _Middles:
         self.fraction_bits = fraction_bits = int(np.argmin(np.count_nonzero(is_rounded, axis=(1, 2))))
         num_splits = np.count_nonzero(tree.child >= 0)
         bits, each = corner_bits(tree.cells.dim), np.arange(codes.shape[1])
-        # 1. The value wanted at each corner of a node is that of the leaf there; an unreachable leaf takes any, but
-        # smooth leaves around it must not take its value for theirs.
+        # 1. The wanted value at a corner of a node is the value of the leaf there. Unreachable leaves may have any
+        # value; near smooth leaves, it must differ from theirs, and one above the mean usually does.
         leaf_at = np.empty((len(tree.child), len(each)), np.int64)
         leaf_at[tree.node_of_leaf] = np.arange(len(codes))[:, None]
         for split in reversed(tree.splits):
             leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, each]
         is_free = partition.unreachable[leaf_at]
         wanted = np.rint(np.ldexp(codes, fraction_bits)).astype(np.int64)[leaf_at, each] * ~is_free
-        # 2. From the root down, halve the edges.
+        # 2. Halve the edges, from the root down.
         self.corners = np.empty_like(leaf_at)
         self.corners[0] = wanted[0]
         self.mark = np.zeros((num_splits, len(each) // 2), np.int64)
@@ -305,7 +319,9 @@ class _Middles:
                 rounded = (mean + ((1 << fraction_bits) >> 1)) >> fraction_bits
                 want = np.stack([wanted[halves][:, is_high], wanted[halves + 1][:, ~is_high]], axis=2)
                 free = np.stack([is_free[halves][:, is_high], is_free[halves + 1][:, ~is_high]], axis=2)
-                any_value = np.where(free[:, :, ::-1], mean[:, :, None], want[:, :, ::-1] + is_smooth)
+                any_value = mean[:, :, None] + is_smooth
+                if not is_smooth:
+                    any_value = np.where(free[:, :, ::-1], any_value, want[:, :, ::-1])
                 want = np.where(free, any_value, want)
                 from_mean = want - mean[:, :, None]
                 is_whole = (want & ((1 << fraction_bits) - 1) == 0) & (from_mean != 0)
@@ -319,54 +335,48 @@ class _Middles:
                 lower[:, is_high], upper[:, ~is_high] = want[:, :, 0], want[:, :, 1]
                 self.corners[halves], self.corners[halves + 1] = lower, upper
 
-    def best_widths(self, level: Int[np.ndarray, "splits"], num_levels: int) -> Int[np.ndarray, "levels"]:
-        """Choose the unit of each level for which its middles take the fewest bits, and set marks 1 and 2."""
+    def best_widths(self) -> Int[np.ndarray, "records"]:
+        """Choose the width of each record for which its fields take the fewest bits, and set marks 1 and 2."""
         narrow = 1 + np.frexp(np.abs(self.narrow))[1]
         wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
-        widths = np.ones(num_levels, np.int64)
-        for each in range(num_levels):
-            here = level == each
-            sizes = {}
-            for width in range(1, 17):
-                mark = self.mark[here] + ((self.mark[here] == 1) & (narrow[here] > width))
-                if wide[here][mark > 1].max(initial=0) <= 2 * width:
-                    sizes[width] = width * _UNITS[mark].sum()
-            widths[each] = min(sizes, key=lambda width: sizes[width])
-        self.mark += (self.mark == 1) & (narrow > widths[level][:, None])
+        sizes = []
+        for width in range(1, 17):
+            mark = self.mark + ((self.mark == 1) & (narrow > width))
+            does_not_fit = _by_record((mark > 1) & (wide > 2 * width)).any(axis=1)
+            sizes.append(np.where(does_not_fit, np.inf, width * _by_record(_UNITS[mark]).sum(axis=1)))
+        widths = 1 + np.argmin(sizes, axis=0)
+        self.mark += (self.mark == 1) & (narrow > np.repeat(widths, _RECORD)[: len(narrow), None])
         return widths
 
     def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return the stored integers and their widths."""
+        """Return the stored integers and their widths, two for each middle; ``unit`` is the width of each split."""
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
 
 
-_MOST_EDGES = 8  # longest chain of hanging corners of smooth leaves
+_LONGEST_CHAIN = 8  # of hanging corners of smooth leaves, each inside an edge that ends at the next
+_EXACT = 2**53  # doubles hold all integers up to here
 
 
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return value and derivatives at the corners of smooth leaves, in level order, in units of a stored integer."""
+    """Return the coefficients of smooth leaves, in level order, in units of a stored integer; NaN if uncertain."""
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
-    coefficients = np.zeros((len(leaves), 4, 4))
+    numbers = np.zeros((len(leaves), 4, 4))
     for corner, ends in enumerate(corner_bits(2)):
         points = (position + ends) << (FRACTION_BITS - depth)
         of_points = zip(map(tuple, points.tolist()), corners[leaves, corner].tolist(), strict=True)
-        coefficients[:, corner] = [at_corner(point, value, _MOST_EDGES) for point, value in of_points]
-    return (coefficients / np.ldexp(1.0, depth @ corner_bits(2).T)[:, None]).reshape(len(leaves), -1)
-
-
-def _plane_centers(values: Float[np.ndarray, "n 4"], half: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
-    """Return the centers of planes with given corner values, if possible those that round to these values."""
-    center = middle = (values[:, 0] + values[:, 3]) / 2
-    for ulps in (1, -1, 2, -2):
-        is_same = (plane_coefficients(0, center, half) == values).all(axis=1)
-        center = np.where(is_same, center, middle + ulps * np.spacing(middle))
-    return center
+        numbers[:, corner] = [at_corner(point, value)[0] for point, value in of_points]
+    numbers /= np.ldexp(1.0, depth @ corner_bits(2).T)[:, None]
+    # From axes (corner along x, along y, derivative by x, by y) to (power of x, power of y).
+    numbers = numbers.reshape(-1, 2, 2, 2, 2).transpose(0, 1, 3, 2, 4).reshape(-1, 4, 4)
+    for axis in (2, 1):
+        numbers = np.stack(_cubic(*np.moveaxis(numbers, axis, 0)), axis=axis)
+    return numbers.reshape(len(leaves), -1)
 
 
 def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
@@ -375,25 +385,26 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """Value and derivatives of smooth leaves at corners, by the operations of ``plr_jax_smooth``."""
+    """Value and derivatives of smooth leaves at corners, by the operations of ``plr_jax_smooth``.
+
+    A query meets the leaves around a corner in any order, so the result is NaN where it depends on the order.
+    """
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
-        self.child, self.axis, self.corners, self.periodic = (
-            tree.child.tolist(),
-            tree.axis.tolist(),
-            corners,
-            periodic,
-        )
+        self.child, self.axis = tree.child.tolist(), tree.axis.tolist()
+        self.corners, self.periodic = corners, periodic
         self.depth, self.position = tree.cells.depth.tolist(), tree.cells.position.tolist()
-        self.known: dict[tuple[tuple[int, ...], int], list[float]] = {}
+        self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
-    def __call__(self, point: tuple[int, ...], value: int, edges: int) -> list[float]:
+    def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
+        """Return four numbers, and the length of the chain of hanging corners from which they follow."""
         if (point, value) not in self.known:
-            self.known[point, value] = self._numbers(point, value, edges)
+            numbers, chain = self._numbers(point, value)
+            self.known[point, value] = numbers if chain <= _LONGEST_CHAIN else [np.nan] * 4, chain
         return self.known[point, value]
 
-    def _numbers(self, point: tuple[int, ...], value: int, edges: int) -> list[float]:
-        out, weight = [float(value), 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+    def _numbers(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
+        widths, terms, hosts = [], [], {}
         for quadrant in ((0, 0), (1, 0), (0, 1), (1, 1)):
             place = [along - below for along, below in zip(point, quadrant, strict=True)]
             outside = (not 0 <= along < 1 << FRACTION_BITS for along in place)
@@ -406,30 +417,38 @@ class _SmoothCorners:
                 node = child + (place[axis] >> (FRACTION_BITS - 1 - self.depth[node][axis]) & 1)
             corner, depth = self.corners[node], self.depth[node]
             size = [1 << (FRACTION_BITS - k) for k in depth]
-            cell = [p * width for p, width in zip(self.position[node], size, strict=True)]
-            from_lower = [a - lo + below for a, lo, below in zip(place, cell, quadrant, strict=True)]
-            index = 2 * (from_lower[0] == size[0]) + (from_lower[1] == size[1])
-            edge = next((axis for axis in (0, 1) if 0 < from_lower[axis] < size[axis]), None)
+            start = [along & -width for along, width in zip(place, size, strict=True)]
+            from_start = [a - lo + below for a, lo, below in zip(place, start, quadrant, strict=True)]
+            index = 2 * (from_start[0] == size[0]) + (from_start[1] == size[1])
+            edge = next((axis for axis in (0, 1) if 0 < from_start[axis] < size[axis]), None)
             if edge is not None:
-                across, along, t = 2 >> edge, size[edge], from_lower[edge] / size[edge]
-                ends = corner[index], corner[index | across]
-                if ends[0] * (along - from_lower[edge]) + ends[1] * from_lower[edge] != value * along or not edges:
-                    continue
-                scale = float(1 << depth[edge])
-                first, second = (list(point) for _ in range(2))
-                first[edge], second[edge] = cell[edge], cell[edge] + along
-                p, q = self(tuple(first), ends[0], edges - 1), self(tuple(second), ends[1], edges - 1)
-                for i in (i for i in range(4) if not i & across):
-                    a, b, c, d = _cubic(p[i], p[i | across] / scale, q[i], q[i | across] / scale)
-                    out[i] = ((d * t + c) * t + b) * t + a
-                    out[i | across] = ((3 * d * t + 2 * c) * t + b) * scale
-                return out
-            if corner[index] == value:
-                values = list(map(float, corner))
-                differences = values[1 | index] - values[index & 2], values[2 | index] - values[index & 1]
-                both = (values[3] - values[2]) - (values[1] - values[0])
-                widths = float(1 << depth[1]), float(1 << depth[0]), float(1 << depth[0]) * float(1 << depth[1])
-                for kind, (w, difference) in enumerate(zip(widths, (*differences, both), strict=True), 1):
-                    weight[kind] += w
-                    out[kind] += w * w * difference
-        return [number / of_all if of_all else np.nan for number, of_all in zip(out, weight, strict=True)]
+                ends, along = (corner[index], corner[index | 2 >> edge]), from_start[edge]
+                if ends[0] * (size[edge] - along) + ends[1] * along == value * size[edge]:
+                    hosts[node] = edge, start[edge], size[edge], ends
+            elif corner[index] == value:
+                differences = corner[1 | index] - corner[index & 2], corner[2 | index] - corner[index & 1]
+                both = corner[3] - corner[2] - (corner[1] - corner[0])
+                widths.append([1 << depth[1], 1 << depth[0], 1 << depth[0] + depth[1]])
+                terms.append([w * w * each for w, each in zip(widths[-1], (*differences, both), strict=True)])
+        if hosts:
+            return self._on_edge(point, *hosts.popitem()[1]) if len(hosts) == 1 else ([np.nan] * 4, 0)
+        numbers = [float(value)]
+        for of_kind, all_widths in zip(zip(*terms, strict=True), map(sum, zip(*widths, strict=True)), strict=True):
+            # Sums of doubles are exact in any order if no bit is lost.
+            bits = sum(map(abs, of_kind)) // (math.gcd(*of_kind) & -math.gcd(*of_kind) or 1)
+            numbers.append(sum(of_kind) / all_widths if bits < _EXACT else np.nan)
+        return numbers, 0
+
+    def _on_edge(
+        self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
+    ) -> tuple[list[float], int]:
+        """Return the numbers of a corner inside the edge of a larger leaf, from its cubic along the edge."""
+        across, t, scale = 2 >> edge, (point[edge] - start) / size, float((1 << FRACTION_BITS) // size)
+        places = [tuple(at if axis == edge else x for axis, x in enumerate(point)) for at in (start, start + size)]
+        (p, first), (q, second) = map(self, places, ends)
+        numbers = [0.0] * 4
+        for i in (0, 3 - across):
+            a, b, c, d = _cubic(p[i], p[i | across] / scale, q[i], q[i | across] / scale)
+            numbers[i] = ((d * t + c) * t + b) * t + a
+            numbers[i | across] = ((3 * d * t + 2 * c) * t + b) * scale
+        return numbers, 1 + max(first, second)

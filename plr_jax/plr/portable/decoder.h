@@ -1,11 +1,11 @@
 /* A decoder of distance functions that plr_jax writes as compact bytes (plr_jax/plr/portable/compact.py).
 
-   plr_jax_open: checks bytes, such as those of a file that was received, before the first query.
-   plr_jax_distance, plr_jax_waypoint: answers at a point. For domains far from the origin, whose points are
-   doubles, they have the suffix _far.
+   plr_jax_open checks bytes, such as those of a received file, before the first query.
+   plr_jax_distance and plr_jax_waypoint answer at a point. Domains far from the origin need points in doubles: for
+   them, the functions are plr_jax_distance_far and plr_jax_waypoint_far.
 
-   The decoder allocates nothing, keeps no state, and calls only memcpy, memset and sqrtf. Bytes that plr_jax_open accepts are
-   never read beyond their end, whatever they hold. Points need at most PLR_JAX_MAX_DIM coordinates.
+   The decoder allocates nothing and keeps no state. It calls only memcpy, memset and sqrtf. A query never reads beyond
+   the end of bytes that plr_jax_open accepts, whatever they hold. Points have at most PLR_JAX_MAX_DIM coordinates.
 
    Answers equal those of plr.numpy() bit for bit if no operations are fused: compile with -ffp-contract=off. */
 #ifndef PLR_JAX_DECODER_H
@@ -29,16 +29,20 @@
 
 #if defined(__GNUC__)
 #define PLR_JAX_APART static __attribute__((noinline, unused))
+#define PLR_JAX_INLINE static inline __attribute__((always_inline))
 #else
 #define PLR_JAX_APART static inline
+#define PLR_JAX_INLINE static inline
 #endif
 #ifndef PLR_JAX_MAX_DIM
 #define PLR_JAX_MAX_DIM 6
 #endif
 #define PLR_JAX_MAX_TERMS (PLR_JAX_MAX_DIM < 64 ? 64 : PLR_JAX_MAX_DIM + 1)
-#define PLR_JAX_MAX_LEVELS 61
+#define PLR_JAX_WHOLE 0x800000u   /* number of places along an axis of the domain */
+#define PLR_JAX_LEAF 0x80000000u  /* marks the number of a leaf, unlike that of a split */
+#define PLR_JAX_NUM_NODES 60u     /* most cells that a query of smooth leaves keeps; it meets 40 on average */
 
-/* A distance function: its bytes, which stay with the caller, in flash or in memory. */
+/* A distance function. Its bytes belong to the caller, in flash or in memory. */
 struct plr_jax {
     const unsigned char *bytes;
     uint32_t size;
@@ -53,30 +57,31 @@ enum {
     PLR_JAX_TOO_LARGE = 4  /* more coordinates than PLR_JAX_MAX_DIM, or an inconsistent header */
 };
 
-/* The 32-bit words at the start; from PLR_JAX_W_ODD to PLR_JAX_W_EXACT they are positions of parts, in bits. */
+/* The 32-bit words at the start. From PLR_JAX_W_FIELDS on, they are positions of parts, in bits. */
 enum {
     PLR_JAX_W_MAGIC,
     PLR_JAX_W_SIZE,
     PLR_JAX_W_KIND,   /* a byte each: axes, leaf model, flags, levels of the tree */
-    PLR_JAX_W_WIDTHS, /* a byte each: bits of an axis, fraction bits of values, bits of a leaf's number */
-    PLR_JAX_W_TERMS,  /* numbers of a leaf */
-    PLR_JAX_W_NUM_ODD,
-    PLR_JAX_W_NUM_PLANES,
+    PLR_JAX_W_WIDTHS, /* a byte each: bits of an axis, of fractions of values, of a leaf number, of a position */
+    PLR_JAX_W_TERMS,  /* parameters of a leaf */
+    PLR_JAX_W_RECORD, /* bytes of a record of the tree */
     PLR_JAX_W_OFFSET,
     PLR_JAX_W_STEP,
-    PLR_JAX_W_ODD,
+    PLR_JAX_W_NUM_PLANES,
+    PLR_JAX_W_NUM_ODD,
+    PLR_JAX_W_TREE, /* position in bytes */
+    PLR_JAX_W_FIELDS,
+    PLR_JAX_W_LEVELS, /* without fields to compute from: the bits of the number of a row */
     PLR_JAX_W_PLANES,
-    PLR_JAX_W_TREE,
-    PLR_JAX_W_AXES,
-    PLR_JAX_W_LEVELS,
-    PLR_JAX_W_MARKS,
+    PLR_JAX_W_ODD,
     PLR_JAX_W_ROWS,
     PLR_JAX_W_FOLD,
     PLR_JAX_W_EXACT,
     PLR_JAX_NUM_WORDS
 };
 enum { PLR_JAX_PLANE, PLR_JAX_CONTINUOUS, PLR_JAX_SMOOTH, PLR_JAX_CONE };
-enum { PLR_JAX_ANY = 15 }; /* a set of leaf models: the sum of 1 << model */
+/* Sets of features: 1 << model, PLR_JAX_WRAPS, PLR_JAX_FOLDS. Compilers leave out what a constant set does not have. */
+enum { PLR_JAX_WRAPS = 16, PLR_JAX_FOLDS = 32, PLR_JAX_ANY = 63 };
 enum { PLR_JAX_FAR = 1, PLR_JAX_FOLDED = 2, PLR_JAX_TURNED = 4, PLR_JAX_CODED = 8, PLR_JAX_VALUES = 16 };
 /* The floats of an axis, after the words. */
 enum {
@@ -94,30 +99,41 @@ enum {
 /* The doubles of an axis, for planes and in domains far from the origin. */
 enum { PLR_JAX_LEAF_LO, PLR_JAX_LEAF_HI, PLR_JAX_CORNER, PLR_JAX_DOMAIN_LO, PLR_JAX_DOMAIN_HI, PLR_JAX_NUM_DOUBLES };
 
-/* Up to 32 bits from a position, the lowest first; 0 beyond the end. The checksum pads the last part. */
+PLR_JAX_INLINE uint32_t plr_jax_load(const unsigned char *b)
+{
+    return (uint32_t)b[0] | (uint32_t)b[1] << 8 | (uint32_t)b[2] << 16 | (uint32_t)b[3] << 24;
+}
+
+static inline uint64_t plr_jax_load_long(const unsigned char *b)
+{
+    return (uint64_t)plr_jax_load(b + 4) << 32 | plr_jax_load(b);
+}
+
+static inline uint64_t plr_jax_mask(uint32_t width)
+{
+    return ((uint64_t)1 << (width & 63u)) - 1u;
+}
+
+/* Reads up to 32 bits from a position, the lowest first. Returns 0 beyond the end. Padding and the checksum follow
+   the last part, so that a query may read eight bytes at once. */
 static inline uint32_t plr_jax_bits(const struct plr_jax *f, uint32_t at, uint32_t width)
 {
-    const uint32_t shift = at & 7u;
-    const unsigned char *b;
-    uint32_t value;
-    if ((at >> 3) + 5u > f->size) {
+    if ((at >> 3) + 8u > f->size) {
         return 0;
     }
-    b = f->bytes + (at >> 3);
-    value = ((uint32_t)b[0] | (uint32_t)b[1] << 8 | (uint32_t)b[2] << 16 | (uint32_t)b[3] << 24) >> shift;
-    value |= ((uint32_t)b[4] << 24) << (8u - shift);
-    return width < 32u ? value & ((1u << width) - 1u) : value;
+    return (uint32_t)(plr_jax_load_long(f->bytes + (at >> 3)) >> (at & 7u) & plr_jax_mask(width));
 }
 
 static inline int32_t plr_jax_signed(const struct plr_jax *f, uint32_t at, uint32_t width)
 {
     const uint32_t sign = 1u << ((width - 1u) & 31u);
-    return width ? (int32_t)((plr_jax_bits(f, at, width) ^ sign) - sign) : 0;
+    return (int32_t)((plr_jax_bits(f, at, width) ^ sign) - sign);
 }
 
-static inline uint32_t plr_jax_word(const struct plr_jax *f, uint32_t index)
+/* If the bytes are constants, this is one too, and compilers leave out code that the bytes do not need. */
+PLR_JAX_INLINE uint32_t plr_jax_word(const struct plr_jax *f, uint32_t index)
 {
-    return plr_jax_bits(f, 32u * index, 32);
+    return plr_jax_load(f->bytes + 4u * index);
 }
 
 static inline float plr_jax_float(const struct plr_jax *f, uint32_t at)
@@ -130,7 +146,10 @@ static inline float plr_jax_float(const struct plr_jax *f, uint32_t at)
 
 static inline float plr_jax_frame(const struct plr_jax *f, uint32_t axis, uint32_t index)
 {
-    return plr_jax_float(f, 32u * (PLR_JAX_NUM_WORDS + PLR_JAX_NUM_FLOATS * axis + index));
+    const uint32_t bits = plr_jax_word(f, PLR_JAX_NUM_WORDS + PLR_JAX_NUM_FLOATS * axis + index);
+    float value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
 }
 
 static inline double plr_jax_double(const struct plr_jax *f, uint32_t at)
@@ -154,21 +173,13 @@ static inline uint32_t plr_jax_ones(uint32_t v)
     return v * 0x01010101u >> 24;
 }
 
-/* Sums the weights of all digits before one. Bits have weights 0 and 1, pairs of bits 0, 1, 2 and 4. A record of 96
-   bits holds the sum before it and 64 bits of digits. */
-static inline uint32_t plr_jax_rank(const struct plr_jax *f, uint32_t at, uint32_t bit, uint32_t is_pair)
+/* Sums the lengths of the fields of 32 marks. Each mark has two bits: 0, 1, 2 and 3 stand for 0, 1, 2 and 4 units. */
+static inline uint32_t plr_jax_units(uint64_t v)
 {
-    uint32_t rest = bit & 63u, sum, word, high;
-    at += (bit >> 6) * 96u;
-    sum = plr_jax_bits(f, at, 32);
-    do {
-        at += 32u;
-        word = plr_jax_bits(f, at, rest < 32u ? rest : 32u);
-        high = is_pair ? word >> 1 & 0x55555555u : 0u;
-        sum += plr_jax_ones(word) + plr_jax_ones(high) + plr_jax_ones(word & high);
-        rest -= 32u;
-    } while (rest < 32u);
-    return sum;
+    const uint64_t threes = 0x3333333333333333u, both = v & v >> 1 & 0x5555555555555555u;
+    v = (v & threes) + (v >> 2 & threes) + (both & threes) + (both >> 2 & threes);
+    v = (v & 0x0f0f0f0f0f0f0f0fu) + (v >> 4 & 0x0f0f0f0f0f0f0f0fu);
+    return (uint32_t)(v * 0x0101010101010101u >> 56);
 }
 
 static inline float plr_jax_clamp(float x, float lo, float hi)
@@ -221,96 +232,144 @@ static inline void plr_jax_fold(const struct plr_jax *f, float *x, uint32_t dim,
     }
 }
 
-/* Replaces the corner values of a cell by those of one half. In the middle of an edge that the split halves, the value
-   is the mean of the ends, plus a stored number, or the mean rounded to steps plus a stored number of steps. */
-static inline void plr_jax_halve(const struct plr_jax *f, int32_t *corner, uint32_t dim, uint32_t axis, uint32_t upper,
-                                 uint32_t split, uint32_t at_level, uint32_t fraction)
+/* Computes the corner values of one half of a cell, from those of the whole cell (ends). The split halves some edges.
+   In the middle of each, the value is the mean of the ends, or this plus a stored number, or the mean rounded to
+   steps plus a stored number of steps. */
+static inline void plr_jax_halve(const struct plr_jax *f, const int32_t *ends, int32_t *corner, uint32_t size,
+                                 uint32_t across, int is_upper, const unsigned char *marks, uint32_t next, uint32_t at,
+                                 uint32_t width)
 {
-    const uint32_t size = 1u << dim, across = size >> (axis + 1u), marks = plr_jax_word(f, PLR_JAX_W_MARKS);
-    const uint32_t width = plr_jax_bits(f, at_level + 32u, 8), half = (1u << fraction) >> 1;
-    uint32_t digit = split << (dim - 1u), i;
-    uint32_t at = plr_jax_bits(f, at_level, 32) + width * plr_jax_rank(f, marks, 2u * digit, 1);
-    for (i = 0; i < size; ++i) {
-        const int32_t a = corner[i], b = corner[(i | across) & 63u];
-        int32_t middle = (a & b) + ((a ^ b) >> 1);
-        uint32_t mark, wide;
-        if (i & across) {
-            continue;
-        }
-        mark = plr_jax_bits(f, marks + 96u * (digit >> 5) + 32u + 2u * (digit & 31u), 2);
-        wide = mark > 1u ? 2u * width : width;
+    const uint32_t fraction = plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 8 & 31u;
+    uint32_t i;
+    for (i = 0; i < next; i += 64u) {
+        const uint64_t here = next - i < 64u ? plr_jax_mask(next - i) : ~(uint64_t)0;
+        at += width * plr_jax_units(plr_jax_load_long(marks + (i >> 3)) & here);
+    }
+    for (i = 0; i < size; i = ((i | across) + 1u) & ~across) {
+        const uint32_t mark = (uint32_t)marks[next >> 3] >> (next & 7u) & 3u;
+        const int32_t a = ends[i], b = ends[i | across];
+        int32_t middle = (a & b) + ((a ^ b) >> 1); /* rounded down */
+        next += 2u;
         if (mark) {
-            int32_t more = plr_jax_signed(f, at + (mark == 3u && upper ? wide : 0u), wide);
-            const uint32_t is_fine = mark > 1u && more & 1;
-            more = mark > 1u ? more >> 1 : more;
-            if (!is_fine) {
-                middle = (int32_t)((uint32_t)middle + half) >> fraction;
-            }
-            middle = (int32_t)(((uint32_t)middle + (uint32_t)more) << (is_fine ? 0u : fraction));
-            at += mark == 3u ? 2u * wide : wide;
+            const uint32_t is_wide = mark >> 1, is_double = is_wide & mark, size_of = width << is_wide;
+            const int32_t more = plr_jax_signed(f, at + (is_upper ? size_of * is_double : 0u), size_of);
+            const uint32_t shift = is_wide & (uint32_t)more ? 0u : fraction;
+            middle = (int32_t)((uint32_t)middle + ((1u << shift) >> 1)) >> shift;
+            middle = (int32_t)(((uint32_t)middle + (uint32_t)(more >> is_wide)) << shift);
+            at += size_of << is_double;
         }
-        corner[upper ? i : i | across] = middle;
-        ++digit;
+        corner[i] = is_upper ? middle : a;
+        corner[i | across] = is_upper ? b : middle;
     }
 }
 
-/* The nodes from the root to a leaf in the plane, with the values at their corners. */
-struct plr_jax_path {
-    uint32_t last; /* index of the leaf; 0 if there is none yet */
-    struct {
-        uint32_t node, cell[2][2];
-        int32_t corner[4];
-    } at[PLR_JAX_MAX_LEVELS];
-};
+/* Goes from a split to that half of its cell which has the place, and returns the axis of the split. The number of
+   the split becomes that of the half: another split, or a leaf, with PLR_JAX_LEAF. A cell is, per axis, its first
+   place and its number of places, a power of two. The results may replace the arguments. */
+static inline uint32_t plr_jax_step(const struct plr_jax *f, const uint32_t *place, uint32_t *number,
+                                    const uint32_t (*from)[2], uint32_t (*cell)[2], const int32_t *ends,
+                                    int32_t *corner)
+{
+    const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, size = 1u << (dim & 31u);
+    const uint32_t widths = plr_jax_word(f, PLR_JAX_W_WIDTHS), axis_bits = widths & 255u;
+    const uint32_t leaf_bits = widths >> 16 & 255u, slot = *number & 15u;
+    const uint32_t has_values = kind >> 16 & PLR_JAX_VALUES, marks = has_values ? 2u * size : 0u;
+    const uint32_t at = plr_jax_word(f, PLR_JAX_W_TREE) + plr_jax_word(f, PLR_JAX_W_RECORD) * (*number >> 4);
+    const unsigned char *const b = f->bytes + at;
+    uint64_t head;
+    uint32_t axis, child, before, are_split, i;
+    for (i = 0; i < dim; ++i) {
+        cell[i][0] = from[i][0];
+        cell[i][1] = from[i][1];
+    }
+    if (at > f->size || marks + 12u + 2u * axis_bits > f->size - at) {
+        *number = PLR_JAX_LEAF;
+        return 0;
+    }
+    axis = plr_jax_bits(f, 8u * (at + marks + 4u) + axis_bits * slot, axis_bits);
+    if (axis >= dim || cell[axis][1] == 1u) {
+        *number = PLR_JAX_LEAF;
+        return 0;
+    }
+    cell[axis][1] >>= 1;
+    child = 2u * slot + !!(place[axis] & cell[axis][1]);
+    cell[axis][0] |= place[axis] & cell[axis][1];
+    are_split = plr_jax_load(b + marks);
+    head = plr_jax_load_long(b + marks + 4u + 2u * axis_bits);
+    before = (uint32_t)(head & plr_jax_mask(leaf_bits));
+    head >>= leaf_bits & 63u;
+    if (has_values) {
+        plr_jax_halve(f, ends, corner, size, size >> (axis + 1u), child & 1u, b, slot << dim,
+                      plr_jax_word(f, PLR_JAX_W_FIELDS) + (uint32_t)(head >> 5 & plr_jax_mask(widths >> 24)),
+                      (uint32_t)head & 31u);
+    }
+    before += plr_jax_ones(are_split & ((1u << child) - 1u));
+    *number = are_split >> child & 1u ? before + 1u : (2u * (*number & ~15u) + child - before) | PLR_JAX_LEAF;
+    return axis;
+}
 
-/* Finds the leaf at a place: its number, where the fields of its level are, per axis the number of halvings and the
-   position of its cell, and the values at its corners if there are some. A path, if one is given, is followed as far as
-   it leads to the place, and then leads to this leaf. */
-static inline uint32_t plr_jax_descend(const struct plr_jax *f, const uint32_t *place, uint32_t (*cell)[2],
-                                       int32_t *corner, uint32_t *at_level, struct plr_jax_path *path)
+/* Returns the number of the root, and its cell and corner values. */
+static inline uint32_t plr_jax_root(const struct plr_jax *f, uint32_t (*cell)[2], int32_t *corner)
 {
     const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u;
-    const uint32_t widths = plr_jax_word(f, PLR_JAX_W_WIDTHS), tree = plr_jax_word(f, PLR_JAX_W_TREE);
-    const uint32_t has_values = kind >> 16 & PLR_JAX_VALUES;
-    uint32_t level = 0, node = 0, i;
-    memset(cell, 0, dim * sizeof *cell);
-    for (i = 0; has_values && i < 1u << dim; ++i) {
-        corner[i] = plr_jax_signed(f, plr_jax_word(f, PLR_JAX_W_MARKS) - (32u << dim) + 32u * i, 32);
+    uint32_t i;
+    for (i = 0; i < dim; ++i) {
+        cell[i][0] = 0;
+        cell[i][1] = PLR_JAX_WHOLE;
     }
-    if (path) {
-        for (level = path->last; level; --level) {
-            const uint32_t(*const held)[2] = (const uint32_t(*)[2])path->at[level].cell;
-            if (place[0] >> (23u - held[0][0]) == held[0][1] && place[1] >> (23u - held[1][0]) == held[1][1]) {
-                node = path->at[level].node;
-                memcpy(cell, held, sizeof path->at[level].cell);
-                memcpy(corner, path->at[level].corner, sizeof path->at[level].corner);
-                break;
+    for (i = 0; kind >> 16 & PLR_JAX_VALUES && i < 1u << dim; ++i) {
+        corner[i] = plr_jax_signed(f, 8u * plr_jax_word(f, PLR_JAX_W_TREE) - (32u << dim) + 32u * i, 32);
+    }
+    return kind >> 24 > 1u ? 0u : PLR_JAX_LEAF;
+}
+
+/* A cell in the plane: its number, its place, the values at its corners, the index of the cell of which it is a half,
+   the axis of its split, and the indices of its halves, 0 until a query meets them. */
+struct plr_jax_node {
+    uint32_t number, cell[2][2];
+    int32_t corner[4];
+    unsigned char whole, axis, half[2];
+};
+
+/* The cells that a query has met, the root first. If there is room for no more, each new cell replaces the last. */
+struct plr_jax_nodes {
+    uint32_t count, last;
+    struct plr_jax_node at[PLR_JAX_NUM_NODES];
+};
+
+/* Finds the leaf at a place: up from the last leaf to a cell with the place, then down. */
+static inline const struct plr_jax_node *plr_jax_go(const struct plr_jax *f, struct plr_jax_nodes *nodes,
+                                                    const uint32_t *place)
+{
+    uint32_t here = nodes->last;
+    struct plr_jax_node *node = nodes->at + here;
+    while (place[0] - node->cell[0][0] >= node->cell[0][1]
+           || place[1] - node->cell[1][0] >= node->cell[1][1]) {
+        here = node->whole;
+        node = nodes->at + here;
+    }
+    while (!(node->number & PLR_JAX_LEAF)) {
+        uint32_t next = node->half[place[node->axis] & node->cell[node->axis][1] >> 1 ? 1 : 0];
+        if (!next) {
+            struct plr_jax_node *const half = nodes->at + nodes->count;
+            uint32_t axis;
+            next = nodes->count;
+            half->number = node->number;
+            axis = plr_jax_step(f, place, &half->number, (const uint32_t(*)[2])node->cell, half->cell, node->corner,
+                                half->corner);
+            if (next < PLR_JAX_NUM_NODES - 1u) {
+                node->axis = (unsigned char)axis;
+                node->half[half->cell[axis][0] & half->cell[axis][1] ? 1 : 0] = (unsigned char)next;
+                ++nodes->count;
             }
+            half->whole = (unsigned char)(here == next ? half->whole : here);
+            half->axis = half->half[0] = half->half[1] = 0;
         }
+        here = next;
+        node = nodes->at + here;
     }
-    for (;; ++level) {
-        const uint32_t split = plr_jax_rank(f, tree, node, 0), axis_bits = widths & 255u;
-        const uint32_t axis = plr_jax_bits(f, plr_jax_word(f, PLR_JAX_W_AXES) + axis_bits * split, axis_bits);
-        uint32_t upper;
-        if (path) {
-            path->last = level;
-            path->at[level].node = node;
-            memcpy(path->at[level].cell, cell, sizeof path->at[level].cell);
-            memcpy(path->at[level].corner, corner, sizeof path->at[level].corner);
-        }
-        *at_level = plr_jax_word(f, PLR_JAX_W_LEVELS) + level * (40u + 8u * dim);
-        if (!plr_jax_bits(f, tree + (node >> 6) * 96u + 32u + (node & 63u), 1) || level + 1u >= kind >> 24
-            || axis >= dim || cell[axis][0] == 23u) {
-            return node - split;
-        }
-        upper = place[axis] >> (22u - cell[axis][0]) & 1u;
-        ++cell[axis][0];
-        cell[axis][1] = 2u * cell[axis][1] + upper;
-        if (has_values) {
-            plr_jax_halve(f, corner, dim, axis, upper, split, *at_level, widths >> 8 & 31u);
-        }
-        node = 2u * split + 1u + upper;
-    }
+    nodes->last = here;
+    return node;
 }
 
 /* Turns values and derivatives at both ends of [0, 1] into the coefficients of a cubic. */
@@ -321,52 +380,58 @@ static inline void plr_jax_cubic(double *p, uint32_t stride)
     p[3u * stride] = 2.0 * (v0 - v1) + d0 + d1;
 }
 
-/* The numbers of smooth leaves at a corner of some leaf where they have a value: this, the derivatives by the second
-   and the first coordinate, and by both; by fractions of the domain. Derivatives are means over the leaves around the
-   corner whose functions agree there. If one of these is larger and has the corner on an edge, the numbers are those
-   of its cubic, which follows from the ends of the edge. */
-static inline void plr_jax_smooth(const struct plr_jax *f, struct plr_jax_path *path, const uint32_t *point,
-                                  int32_t value, uint32_t depth, double *out)
+/* Returns how many cells of a size the domain has along an axis. */
+static inline double plr_jax_count(uint32_t size)
+{
+    return (double)PLR_JAX_WHOLE / (double)size;
+}
+
+/* Computes value and derivatives of smooth leaves at a corner: the value itself, the derivatives by the second and by
+   the first coordinate, and the mixed one, all by fractions of the domain. A derivative is a mean over the leaves
+   around the corner that have the same value there. If the corner is inside an edge of one of them, its cubic along
+   this edge gives all numbers; the cubic follows from the ends of the edge. */
+static inline void plr_jax_smooth(const struct plr_jax *f, struct plr_jax_nodes *nodes, const uint32_t *point,
+                                  int32_t value, uint32_t edges, double *out)
 {
     double weight[4] = {1.0, 0.0, 0.0, 0.0};
-    uint32_t quadrant, axis, i, kind;
+    uint32_t quadrant, axis, i;
     out[0] = (double)value;
     out[1] = out[2] = out[3] = 0.0;
     for (quadrant = 0; quadrant < 4u; ++quadrant) {
-        uint32_t place[2], cell[2][2], from[2], size[2], at_level, index = 0, edge = 2;
-        int32_t corner[4] = {0, 0, 0, 0};
+        const struct plr_jax_node *node;
+        uint32_t place[2], from[2], index = 0, edge = 2;
         int is_inside = 1;
         for (axis = 0; axis < 2u; ++axis) {
             place[axis] = point[axis] - (quadrant >> axis & 1u);
-            is_inside = is_inside && (!(place[axis] >> 23)
-                                      || plr_jax_frame(f, axis, PLR_JAX_LAST) > plr_jax_frame(f, axis, PLR_JAX_FIRST));
+            is_inside &= !(place[axis] >> 23)
+                         || plr_jax_frame(f, axis, PLR_JAX_LAST) > plr_jax_frame(f, axis, PLR_JAX_FIRST);
             place[axis] &= 0x7fffffu;
         }
         if (!is_inside) {
             continue;
         }
-        plr_jax_descend(f, place, cell, corner, &at_level, path);
+        node = plr_jax_go(f, nodes, place);
         for (axis = 0; axis < 2u; ++axis) {
-            size[axis] = 1u << (23u - cell[axis][0]);
-            from[axis] = place[axis] - cell[axis][1] * size[axis] + (quadrant >> axis & 1u);
-            index |= from[axis] == size[axis] ? 2u >> axis : 0u;
-            edge = from[axis] && from[axis] < size[axis] ? axis : edge;
+            const uint32_t size = node->cell[axis][1];
+            from[axis] = place[axis] - node->cell[axis][0] + (quadrant >> axis & 1u);
+            index |= from[axis] == size ? 2u >> axis : 0u;
+            edge = from[axis] && from[axis] < size ? axis : edge;
         }
         if (edge < 2u) {
-            const uint32_t across = 2u >> edge, along = size[edge];
-            const double scale = (double)(1u << cell[edge][0]), t = (double)from[edge] / (double)along;
+            const uint32_t across = 2u >> edge, along = node->cell[edge][1];
+            const int32_t ends[2] = {node->corner[index], node->corner[index | across]};
+            const double scale = plr_jax_count(along), t = (double)from[edge] / (double)along;
             uint32_t end[2];
             double p[2][4], q[4];
-            if ((int64_t)corner[index] * (along - from[edge]) + (int64_t)corner[index | across] * from[edge]
-                    != (int64_t)value * along
-                || !depth) {
+            if ((int64_t)ends[0] * (along - from[edge]) + (int64_t)ends[1] * from[edge] != (int64_t)value * along
+                || !edges) {
                 continue;
             }
-            end[edge] = cell[edge][1] * along;
+            end[edge] = node->cell[edge][0];
             end[1u - edge] = point[1u - edge];
-            plr_jax_smooth(f, path, end, corner[index], depth - 1u, p[0]);
-            end[edge] += along;
-            plr_jax_smooth(f, path, end, corner[index | across], depth - 1u, p[1]);
+            for (i = 0; i < 2u; ++i, end[edge] += along) {
+                plr_jax_smooth(f, nodes, end, ends[i], edges - 1u, p[i]);
+            }
             for (i = 0; i < 4u; ++i) {
                 if (!(i & across)) {
                     q[0] = p[0][i];
@@ -380,25 +445,25 @@ static inline void plr_jax_smooth(const struct plr_jax *f, struct plr_jax_path *
             }
             return;
         }
-        if (corner[index] == value) {
-            const double dx = (double)corner[2u | index] - (double)corner[index & 1u];
-            const double dy = (double)corner[1u | index] - (double)corner[index & 2u];
-            const double both = ((double)corner[3] - (double)corner[2]) - ((double)corner[1] - (double)corner[0]);
-            for (kind = 1; kind < 4u; ++kind) {
-                const double w = (kind & 2u ? (double)(1u << cell[0][0]) : 1.0)
-                                 * (kind & 1u ? (double)(1u << cell[1][0]) : 1.0);
-                weight[kind] += w;
-                out[kind] += w * w * (kind == 1u ? dy : kind == 2u ? dx : both);
-            }
+        if (node->corner[index] == value) {
+            const int32_t *const c = node->corner;
+            const double u = plr_jax_count(node->cell[0][1]), v = plr_jax_count(node->cell[1][1]);
+            weight[1] += v;
+            weight[2] += u;
+            weight[3] += u * v;
+            out[1] += v * v * ((double)c[1u | index] - (double)c[index & 2u]);
+            out[2] += u * u * ((double)c[2u | index] - (double)c[index & 1u]);
+            out[3] += u * v * (u * v) * (((double)c[3] - (double)c[2]) - ((double)c[1] - (double)c[0]));
         }
     }
-    for (kind = 1; kind < 4u; ++kind) {
-        out[kind] = out[kind] / weight[kind];
+    for (i = 1; i < 4u; ++i) {
+        out[i] = out[i] / weight[i];
     }
 }
 
-/* The first of some sorted records that begins with a leaf's number or a larger one. */
-static inline uint32_t plr_jax_find(const struct plr_jax *f, uint32_t at, uint32_t count, uint32_t size, uint32_t leaf)
+/* Searches sorted records; returns the index of the first that begins with the number of the leaf or a larger one. */
+static inline uint32_t plr_jax_find(const struct plr_jax *f, uint32_t at, uint32_t count, uint32_t size,
+                                    uint32_t leaf)
 {
     const uint32_t index_bits = plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u;
     uint32_t first = 0;
@@ -413,71 +478,55 @@ static inline uint32_t plr_jax_find(const struct plr_jax *f, uint32_t at, uint32
     return first;
 }
 
-/* The coefficients of a smooth leaf, from the values at its corners, or from a plane if the goal cannot be reached
-   from the leaf. Not inline, as it takes more of the stack than all others together. */
+/* Computes the coefficients of the smooth leaf at a place; returns its number. Not inline, as this function takes
+   more of the stack than all others together. */
 PLR_JAX_APART uint32_t plr_jax_smooth_leaf(const struct plr_jax *f, const uint32_t *place, uint32_t (*cell)[2],
                                            float *n)
 {
-    static const signed char basis[4][4] = {{1, 0, -3, 2}, {0, 1, -2, 1}, {0, 0, 3, -2}, {0, 0, -1, 1}};
-    const uint32_t size = (plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u) + 192u;
-    const uint32_t num_planes = plr_jax_word(f, PLR_JAX_W_NUM_PLANES), planes = plr_jax_word(f, PLR_JAX_W_PLANES);
-    const double offset = (double)plr_jax_float(f, 32u * PLR_JAX_W_OFFSET);
     const double step = (double)plr_jax_float(f, 32u * PLR_JAX_W_STEP);
-    uint32_t i, kind, axis, point[2], at, leaf, row;
-    int32_t corner[4];
-    int is_plane;
-    double p[16], plane[3], sum;
-    struct plr_jax_path path;
-    path.last = 0;
-    leaf = plr_jax_descend(f, place, cell, corner, &at, &path);
-    row = plr_jax_find(f, planes, num_planes, size, leaf);
-    at = planes + size * row;
-    is_plane = row < num_planes && plr_jax_bits(f, at, size - 192u) == leaf;
-    for (i = 0; i < 3u; ++i) {
-        plane[i] = plr_jax_double(f, at + size - 192u + 64u * i);
+    uint32_t i, axis, point[2];
+    double p[16], q[4], *to;
+    struct plr_jax_nodes nodes;
+    struct plr_jax_node leaf;
+    nodes.count = 1;
+    nodes.last = 0;
+    memset(nodes.at, 0, sizeof *nodes.at);
+    nodes.at[0].number = plr_jax_root(f, nodes.at[0].cell, nodes.at[0].corner);
+    leaf = *plr_jax_go(f, &nodes, place);
+    memcpy(cell, leaf.cell, sizeof leaf.cell);
+    for (i = 0; i < 4u; ++i) {
+        for (axis = 0; axis < 2u; ++axis) {
+            point[axis] = cell[axis][0] + (i >> (1u - axis) & 1u) * cell[axis][1];
+        }
+        plr_jax_smooth(f, &nodes, point, leaf.corner[i], 8, q);
+        to = p + 4u * (i & 2u) + (2u * i & 2u);
+        to[0] = q[0];
+        to[1] = q[1] / plr_jax_count(cell[1][1]);
+        to[4] = q[2] / plr_jax_count(cell[0][1]);
+        to[5] = q[3] / (plr_jax_count(cell[0][1]) * plr_jax_count(cell[1][1]));
     }
     for (i = 0; i < 4u; ++i) {
-        double *const q = p + 4u * i;
-        if (is_plane) {
-            q[0] = plane[0] + ((i & 2u ? plane[1] : -plane[1]) + (i & 1u ? plane[2] : -plane[2]));
-            q[1] = 2.0 * plane[2];
-            q[2] = 2.0 * plane[1];
-            q[3] = 0.0;
-            continue;
-        }
-        for (axis = 0; axis < 2u; ++axis) {
-            point[axis] = (cell[axis][1] + (i >> (1u - axis) & 1u)) << (23u - cell[axis][0]);
-        }
-        plr_jax_smooth(f, &path, point, corner[i], 8, q);
-        for (kind = 0; kind < 4u; ++kind) {
-            const double width = (kind & 2u ? (double)(1u << cell[0][0]) : 1.0)
-                                 * (kind & 1u ? (double)(1u << cell[1][0]) : 1.0);
-            q[kind] = (kind ? 0.0 : offset) + step * q[kind] / width;
-        }
+        plr_jax_cubic(p + 4u * i, 1);
+    }
+    for (i = 0; i < 4u; ++i) {
+        plr_jax_cubic(p + i, 4);
     }
     for (i = 0; i < 16u; ++i) {
-        sum = 0.0;
-        for (kind = 0; kind < 16u; ++kind) { /* corner by corner, at each of them value and derivatives */
-            const uint32_t first = (kind >> 2 & 2u) | (kind >> 1 & 1u), second = (kind >> 1 & 2u) | (kind & 1u);
-            sum = sum + p[kind] * (double)(basis[first][i >> 2] * basis[second][i & 3u]);
-        }
-        n[i] = (float)sum;
+        n[i] = (float)((i ? 0.0 : (double)plr_jax_float(f, 32u * PLR_JAX_W_OFFSET)) + step * p[i]);
     }
-    return leaf;
+    return leaf.number;
 }
 
-/* Turns a point, relative to the lower corner of a far domain, into offsets from the corner of the stored part, and
-   finds its leaf: per axis the number of halvings and the position of its cell, and its numbers. Returns 0 for
-   points outside. With a constant set of models, compilers leave out the code of others. */
+/* Finds the cell and the parameters of the leaf at a point. Turns the point, given relative to the lower corner of a
+   far domain, into offsets from the corner of the stored part. Returns 0 for points outside. */
 static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cell)[2], float *n, uint32_t models)
 {
-    const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, flags = kind >> 16 & 255u;
-    const uint32_t terms = plr_jax_word(f, PLR_JAX_W_TERMS), rows = plr_jax_word(f, PLR_JAX_W_ROWS);
-    const uint32_t odd = plr_jax_word(f, PLR_JAX_W_ODD), num_odd = plr_jax_word(f, PLR_JAX_W_NUM_ODD);
-    const uint32_t index_bits = plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u;
+    const uint32_t kind = plr_jax_word(f, PLR_JAX_W_KIND), dim = kind & 255u, model = kind >> 8 & 255u;
+    const uint32_t flags = kind >> 16 & 255u, terms = plr_jax_word(f, PLR_JAX_W_TERMS);
+    const uint32_t leaf_bits = plr_jax_word(f, PLR_JAX_W_WIDTHS) >> 16 & 255u;
     const float step = plr_jax_float(f, 32u * PLR_JAX_W_STEP);
     const double offset = (double)plr_jax_float(f, 32u * PLR_JAX_W_OFFSET);
-    uint32_t place[PLR_JAX_MAX_DIM], axis, i, leaf, first, at_level = 0, at, width;
+    uint32_t place[PLR_JAX_MAX_DIM], axis, i, leaf, level = 0, size, count, row, at, width;
     int32_t corner[64];
     int is_smooth;
 
@@ -487,14 +536,14 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
             return 0;
         }
     }
-    if (flags & PLR_JAX_FOLDED) {
+    if (models & PLR_JAX_FOLDS && flags & PLR_JAX_FOLDED) {
         plr_jax_fold(f, x, dim, flags);
     }
     for (axis = 0; axis < dim; ++axis) {
         const float lo = plr_jax_frame(f, axis, PLR_JAX_FIRST), hi = plr_jax_frame(f, axis, PLR_JAX_LAST);
         const float scale = plr_jax_frame(f, axis, PLR_JAX_SCALE), top = plr_jax_frame(f, axis, PLR_JAX_TOP);
         float share;
-        if (hi > lo) {
+        if (models & PLR_JAX_WRAPS && hi > lo) {
             x[axis] = plr_jax_wrap(x[axis], lo, hi, scale, plr_jax_frame(f, axis, PLR_JAX_TOLERANCE));
         }
         x[axis] = x[axis] - plr_jax_frame(f, axis, PLR_JAX_LO);
@@ -505,14 +554,20 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
         place[axis] &= 0x7fffffu; /* the mantissa is the position along the axis */
     }
     is_smooth = models & 1u << PLR_JAX_SMOOTH && flags & PLR_JAX_VALUES && terms == 16u && dim == 2u;
-    leaf = is_smooth ? plr_jax_smooth_leaf(f, place, cell, n)
-                     : plr_jax_descend(f, place, cell, corner, &at_level, NULL);
-    at = is_smooth ? 0 : plr_jax_bits(f, at_level, 32);
-    width = is_smooth ? 0 : plr_jax_bits(f, at_level + 32u, 8);
+    if (is_smooth) {
+        leaf = plr_jax_smooth_leaf(f, place, cell, n);
+    } else {
+        for (leaf = plr_jax_root(f, cell, corner); !(leaf & PLR_JAX_LEAF); ++level) {
+            plr_jax_step(f, place, &leaf, (const uint32_t(*)[2])cell, cell, corner, corner);
+        }
+    }
+    leaf &= ~PLR_JAX_LEAF;
 
     /* 2. Numbers that are stored as floats. */
     if (!(flags & PLR_JAX_CODED)) {
-        at = rows + 32u * terms * plr_jax_bits(f, at + width * leaf, width);
+        width = plr_jax_word(f, PLR_JAX_W_LEVELS);
+        row = plr_jax_bits(f, plr_jax_word(f, PLR_JAX_W_FIELDS) + width * leaf, width);
+        at = plr_jax_word(f, PLR_JAX_W_ROWS) + 32u * terms * row;
         for (i = 0; i < terms; ++i) {
             n[i] = plr_jax_float(f, at + 32u * i);
         }
@@ -533,17 +588,20 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
         }
         n[0] = (float)(offset + (double)step * (double)corner[0]);
     } else if (models & 1u << PLR_JAX_PLANE && !is_smooth) {
-        /* 4. Or value at the corner of the domain and slopes, from the value at the center and the rise along axes. */
+        /* 4. Or: value at the corner of the domain and slopes, from the value at the center and the rise along axes.
+           */
         double center, sum = 0.0;
-        for (axis = 0, i = 0; axis <= dim; ++axis) {
-            i += plr_jax_bits(f, at_level + 32u + 8u * axis, 8);
+        const uint32_t at_level = plr_jax_word(f, PLR_JAX_W_LEVELS) + level * (40u + 8u * dim);
+        for (axis = 0, size = 0; axis <= dim; ++axis) {
+            size += plr_jax_bits(f, at_level + 32u + 8u * axis, 8);
         }
-        at += i * leaf;
+        at = plr_jax_bits(f, at_level, 32) + size * leaf;
+        width = plr_jax_bits(f, at_level + 32u, 8);
         center = offset + (double)step * (double)plr_jax_bits(f, at, width);
         for (axis = 0; axis < dim; ++axis) {
             const double lo = plr_jax_exact(f, axis, PLR_JAX_LEAF_LO), hi = plr_jax_exact(f, axis, PLR_JAX_LEAF_HI);
-            const double size = 1.0 / (double)(1u << cell[axis][0]), to = (double)(cell[axis][1] + 1u) * size;
-            const double l = lo + (hi - lo) * ((double)cell[axis][1] * size);
+            const double part = 1.0 / (double)PLR_JAX_WHOLE, to = (double)(cell[axis][0] + cell[axis][1]) * part;
+            const double l = lo + (hi - lo) * ((double)cell[axis][0] * part);
             const double h = to < 1.0 ? lo + (hi - lo) * to : hi;
             double slope;
             at += width;
@@ -556,25 +614,36 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
         n[0] = (float)(center - sum);
     }
 
-    /* 5. Numbers that differ from these, sorted by leaf; the first of a leaf may say that all others are 0. */
-    first = plr_jax_find(f, odd, num_odd, index_bits + 9u, leaf);
-    for (; first < num_odd; ++first) {
-        at = odd + (index_bits + 9u) * first;
-        if (plr_jax_bits(f, at, index_bits) != leaf) {
-            break;
+    /* 5. Leaves whose plane is stored as floats. */
+    at = plr_jax_word(f, PLR_JAX_W_PLANES);
+    count = plr_jax_word(f, PLR_JAX_W_NUM_PLANES);
+    size = leaf_bits + 32u * (1u + dim);
+    row = plr_jax_find(f, at, count, size, leaf);
+    at += size * row;
+    if (row < count && plr_jax_bits(f, at, leaf_bits) == leaf) {
+        memset(n, 0, terms * sizeof *n);
+        n[0] = plr_jax_float(f, at + leaf_bits);
+        for (axis = 0; axis < dim; ++axis) {
+            i = model % 3u ? 1u << model * (dim - 1u - axis) : 1u + axis;
+            n[i] = plr_jax_float(f, at + leaf_bits + 32u * (1u + axis));
         }
-        i = plr_jax_bits(f, at + index_bits, 8);
-        if (plr_jax_bits(f, at + index_bits + 8u, 1)) {
-            memset(n, 0, terms * sizeof *n);
-        }
+    }
+
+    /* 6. Other parameters that steps 3 and 4 do not give, as floats. */
+    at = plr_jax_word(f, PLR_JAX_W_ODD);
+    count = plr_jax_word(f, PLR_JAX_W_NUM_ODD);
+    size = leaf_bits + 40u;
+    row = plr_jax_find(f, at, count, size, leaf);
+    for (at += size * row; row < count && plr_jax_bits(f, at, leaf_bits) == leaf; ++row, at += size) {
+        i = plr_jax_bits(f, at + leaf_bits, 8);
         if (i < terms) {
-            n[i] = plr_jax_float(f, rows + 32u * first);
+            n[i] = plr_jax_float(f, at + leaf_bits + 8u);
         }
     }
     return 1;
 }
 
-/* The value at a point that was not found to be outside, from the results of plr_jax_leaf. */
+/* Evaluates a leaf, from the results of plr_jax_leaf. */
 static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint32_t (*cell)[2], float *n,
                                   uint32_t models)
 {
@@ -602,7 +671,7 @@ static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint3
         const float start = plr_jax_frame(f, axis, PLR_JAX_START);
         float t = x[axis] * plr_jax_frame(f, axis, PLR_JAX_SCALE);
         t = start < 1.0f ? t + (start - 1.0f) : t;
-        t = t * (float)(1u << cell[axis][0]) - (float)cell[axis][1];
+        t = t * (float)(PLR_JAX_WHOLE / cell[axis][1]) - (float)(cell[axis][0] / cell[axis][1]);
         count /= powers;
         for (i = 0; i < count; ++i) {
             sum = n[powers * i + powers - 1u];
@@ -615,16 +684,16 @@ static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint3
     return n[0];
 }
 
-/* Checks the bytes of a distance function and points to them; returns PLR_JAX_OK or what is wrong with them. */
+/* Checks the bytes of a distance function, and makes f refer to them. Returns PLR_JAX_OK, or what is wrong. */
 static inline int plr_jax_open(struct plr_jax *f, const unsigned char *bytes, uint32_t size)
 {
     uint32_t crc = 0xffffffffu, i, k, kind, dim, model, terms;
     f->bytes = bytes;
     f->size = size;
-    if (plr_jax_word(f, PLR_JAX_W_MAGIC) != 0x31434c50u) {
+    if (size < 4u || plr_jax_word(f, PLR_JAX_W_MAGIC) != 0x31434c50u) {
         return PLR_JAX_NO_PLR;
     }
-    if (plr_jax_word(f, PLR_JAX_W_SIZE) != size || size < 4u * PLR_JAX_NUM_WORDS + 5u || size >> 29) {
+    if (size < 4u * PLR_JAX_NUM_WORDS + 5u || plr_jax_word(f, PLR_JAX_W_SIZE) != size || size >> 29) {
         return PLR_JAX_BAD_SIZE;
     }
     for (i = 0; i < size - 4u; ++i) {
@@ -644,24 +713,24 @@ static inline int plr_jax_open(struct plr_jax *f, const unsigned char *bytes, ui
     terms = plr_jax_word(f, PLR_JAX_W_TERMS);
     i = model == PLR_JAX_PLANE || model == PLR_JAX_CONE ? 1u + dim : 1u << (model * dim & 31u);
     return !dim || dim > PLR_JAX_MAX_DIM || model > PLR_JAX_CONE || terms != i || terms > PLR_JAX_MAX_TERMS
-                   || kind >> 24 > PLR_JAX_MAX_LEVELS || (model % 3u && dim > 6u) || (!(model % 3u) && kind >> 16 & PLR_JAX_VALUES)
+                   || (model % 3u && dim > 6u) || (!(model % 3u) && kind >> 16 & PLR_JAX_VALUES)
                ? PLR_JAX_TOO_LARGE
                : PLR_JAX_OK;
 }
 
-/* The number of coordinates of a point. */
+/* Returns the number of coordinates of a point. */
 static inline uint32_t plr_jax_dim(const struct plr_jax *f)
 {
     return plr_jax_word(f, PLR_JAX_W_KIND) & 255u;
 }
 
-/* Whether the domain is far from the origin, so that points are doubles. */
+/* Returns whether the domain is far from the origin, so that points are doubles. */
 static inline int plr_jax_is_far(const struct plr_jax *f)
 {
     return (int)(plr_jax_word(f, PLR_JAX_W_KIND) >> 16 & PLR_JAX_FAR);
 }
 
-/* The distance at a point and at z, the same point relative to a far domain. */
+/* Returns the distance at a point z, given relative to the lower corner of a far domain. */
 static inline float plr_jax_answer(const struct plr_jax *f, float *z, uint32_t models)
 {
     const uint32_t dim = plr_jax_dim(f);
@@ -678,7 +747,7 @@ static inline float plr_jax_answer(const struct plr_jax *f, float *z, uint32_t m
     return INFINITY;
 }
 
-/* The distance to the goal, of a set of leaf models. */
+/* As plr_jax_distance, for a set of features. */
 static inline float plr_jax_distance_of(const struct plr_jax *f, const float *x, uint32_t models)
 {
     const uint32_t dim = plr_jax_dim(f);
@@ -707,7 +776,7 @@ static inline void plr_jax_waypoint(const struct plr_jax *f, const float *x, flo
     }
 }
 
-/* Moves a point around periodic axes in 64 bits, and takes it relative to the lower corner of the domain. */
+/* Moves a point around periodic axes in 64 bits, then subtracts the lower corner of the domain. */
 static inline void plr_jax_place_far(const struct plr_jax *f, const double *x, float *z, uint32_t dim)
 {
     uint32_t axis;

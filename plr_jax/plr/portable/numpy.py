@@ -1,4 +1,4 @@
-"""A reader of PLRs that needs only NumPy and answers by the arithmetic of the format (``FORMAT.md``)."""
+"""A reader of PLR files that needs only NumPy and follows the arithmetic of the format (``FORMAT.md``)."""
 
 import os
 from collections.abc import Callable
@@ -110,12 +110,13 @@ class _Rows(dict):
 
 
 def point_query(
-    program: Program, table: LeafTable, numbers: Float[np.ndarray, "leaves count"]
-) -> Callable[..., np.float32 | None]:
+    program: Program, table: LeafTable, numbers: Float[np.ndarray, "leaves count"], *, of_leaf: bool = False
+) -> Callable[..., Any]:
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
-    A call takes a few microseconds. It returns the distance; ``inf`` outside the domain, NaN for NaN; or None for
-    points so close to the boundary that rounding decides.
+    The function returns the distance: ``inf`` outside the domain, NaN for NaN. If ``of_leaf``, it returns the row of
+    the point's leaf instead, and -1 outside and for NaN. For a point so close to the boundary that rounding decides
+    whether it is inside, the function returns None. A call takes a few microseconds.
     """
     do, domain, tree = PythonEmitter(), program.domain, table.tree
     children, depth = table.children.data, tree.depth.data  # memoryviews, which return Python integers
@@ -161,15 +162,17 @@ def point_query(
         else f"descend(codes[{index}], ({', '.join(fractions)},))"
     )
     # 3. Value of the leaf.
-    names = [f"n{i}" for i in range(numbers.shape[1])]
-    do.statements += [f"leaf = {row}", f"{', '.join(names)}, = rows[leaf]"]
-    value = program.value(do, offsets, [do.atom(name) for name in names])
+    elsewhere = "-1" if of_leaf else f"nan if {is_nan} else inf"
+    if not of_leaf:
+        names = [f"n{i}" for i in range(numbers.shape[1])]
+        do.statements += [f"leaf = {row}", f"{', '.join(names)}, = rows[leaf]"]
+        row = program.value(do, offsets, [do.atom(name) for name in names])
     lines = [
         f"if not ({' and '.join(inside)}):",
-        f"    if {' | '.join(outside)}: return nan if {is_nan} else inf",  # `|` compares all coordinates, also NaN
+        f"    if {' | '.join(outside)}: return {elsewhere}",  # `|` compares all coordinates, also NaN
         "    return None",
         *do.statements,
-        f"return {value}",
+        f"return {row}",
     ]
     source = "\n    ".join([f"def query({', '.join(given)}):", *lines])
     names_in_source: dict[str, Any] = {
@@ -189,6 +192,7 @@ def point_query(
 
 
 _CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
+_FEW = 8  # most points of a batch that are answered one by one, where a batch takes as long as 16
 _PLAIN = (float, int, np.float64, np.float32)
 
 
@@ -199,9 +203,9 @@ class NumpyPLR:
     (:meth:`PLR.c_header`) bit for bit, and those of ``plr(x)`` on a CPU except for numbers below 1e-38. Points are
     rounded to 32 bits; before that, 64-bit points are wrapped and, in a domain far from the origin, shifted.
 
-    A single point, as a tuple, list or array, takes a few microseconds; a batch takes some nanoseconds per point.
-    Waypoints, bounds, single points around periodic axes, and single points outside with ``outside`` other than
-    ``"inf"`` take 50 to 250 microseconds per call.
+    The distance or waypoint of a single point, as a tuple, list or array, takes a few microseconds, as does each
+    point of an array of at most eight. Larger batches take some nanoseconds per point. Bounds, points around periodic
+    axes, and points outside with ``outside`` other than ``"inf"`` take 50 to 250 microseconds per call.
 
     Attributes:
         dim: Number of axes.
@@ -268,10 +272,10 @@ class NumpyPLR:
         """
         if outside != "inf":
             outside = as_outside(outside)
-        answer = self._at_point(x)
-        if answer is None or (outside != "inf" and np.isinf(answer)):
+        answer = self._at_few_points(x, self._distance_query)
+        if answer is None or (outside != "inf" and np.isinf(answer).any()):
             return self._evaluate(x, self._values, (), outside)
-        return answer
+        return np.array(answer) if type(answer) is list else answer
 
     def waypoint(self, x: ArrayLike) -> Any:
         """Return the next waypoint from each point ``(..., dim)``, for PLRs of cones; see :meth:`PLR.waypoint`.
@@ -279,7 +283,8 @@ class NumpyPLR:
         Results are float32, or float64 in a domain far from the origin.
         """
         as_sourced(self._program.leaf)
-        return self._evaluate(x, self._waypoints, (self.dim,))
+        leaf = self._at_few_points(x, self._leaf_query)
+        return self._evaluate(x, self._waypoints, (self.dim,)) if leaf is None else self._waypoint_rows.take(leaf, 0)
 
     def bounds(self, x: ArrayLike) -> tuple[Any, Any]:
         """Return proven lower and upper bounds of the distance at points ``(..., dim)``; see :meth:`PLR.bounds`.
@@ -292,12 +297,24 @@ class NumpyPLR:
         return answers[..., 0], answers[..., 1]
 
     @cached_property
-    def _point_query(self) -> Callable[..., np.float32 | None]:
+    def _distance_query(self) -> Callable[..., np.float32 | None]:
         return point_query(self._program, self._table, self._columns.T)
 
-    def _at_point(self, x: ArrayLike) -> np.float32 | None:
-        """Return the value at a single point; None if ``x`` is something else, or rounding at a boundary decides."""
+    @cached_property
+    def _leaf_query(self) -> Callable[..., int | None]:
+        return point_query(self._program, self._table, self._columns.T, of_leaf=True)
+
+    @cached_property
+    def _waypoint_rows(self) -> Float[np.ndarray, "leaves_and_outside dim"]:
+        waypoints = np.stack(self._program.waypoint(list(self._columns)), axis=1)
+        return np.pad(waypoints, ((0, 1), (0, 0)), constant_values=np.nan)
+
+    def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
+        """Return a query's answer at a point, or a list of answers for an array of few; None if any is undecided."""
         if type(x) is np.ndarray:
+            if x.ndim == 2 and 0 < len(x) <= _FEW:
+                answers = [self._at_few_points(point, query) for point in x.tolist()]
+                return None if any(answer is None for answer in answers) else answers
             if x.ndim != 1:
                 return None
             x = x.tolist()
@@ -306,14 +323,14 @@ class NumpyPLR:
         if len(x) != self.dim or type(x[0]) not in _PLAIN:
             return None
         try:
-            return self._point_query(*x)
+            return query(*x)
         except (TypeError, ValueError):  # coordinates that are no numbers
             return None
 
     def _evaluate(
         self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
     ) -> Any:
-        """Apply ``answer``, whose results have the given shape at each point, to points in chunks."""
+        """Apply ``answer``, whose result at a point has the given shape, to all points, a chunk after the other."""
         x, program = as_queries(x, self.dim), self._program
         flat = x.reshape(-1, self.dim)
         of_type = np.float64 if answer == self._waypoints and program.corner is not None else np.float32
@@ -348,7 +365,7 @@ class NumpyPLR:
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Return the values at the nearest points of the domain plus distances to these; ``inf`` if not finite."""
+        """Return the value at the nearest point of the domain plus the distance to it; ``inf`` if not finite."""
         is_finite = np.isfinite(relative).all(axis=0)
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
         ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)
@@ -363,7 +380,7 @@ class NumpyPLR:
         return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
 
     def _waypoints(self, _: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        return np.stack(self._program.waypoint([column[leaf] for column in self._columns]), axis=1)
+        return self._waypoint_rows.take(leaf, 0)
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         assert self._band is not None, "bounds are called only with a proof"
