@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise, product
-from math import gcd
+from math import floor, gcd
 from typing import Any
 
 import numpy as np
@@ -26,27 +26,29 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import as_bool, as_numbers, as_points, shortened, with_inf_for_masked
 from plr_jax._types import ArrayLike
-from plr_jax.eikonal.solve import solve_eikonal
+from plr_jax.eikonal.program import rescaling_of
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
 from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
-from plr_jax.spaces import RasterCost
 
-_FINE_NODES, _MOST_NODES = 1_500_000, 1 << 24  # least number of nodes; most nodes if cells are divided
 _NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray
 _ATTRIBUTES_OF_COSTS = {*_NO_DATA, "units", "long_name", "standard_name"}  # do not hold for distances
 _X_NAMES, _Y_NAMES = {"x", "lon", "longitude", "easting"}, {"y", "lat", "latitude", "northing"}
 _DEGREES = {"lon", "longitude", "lat", "latitude"}
-_MOST_STARTS = 4_000_000  # most nodes around all sources
-_LARGEST_RATIO = 1e5  # of two costs; at 1e6, scikit-fmm returns NaN
+# Paths are searched over up to so many cells, into which smaller rasters are divided, each of which takes about 2 kB;
+# so many if bounds or heights ask for it; beyond, a front marches over the cells.
+_FINE_CELLS, _MOST_SEARCHED, _MOST_DIRECTED = 60_000, 1 << 21, 1 << 22
+_HALVES, _REACH = 8, 6  # most half cells along each axis of an edge, and most cells of an edge with heights
+_LARGEST_RATIO = 1e5  # of two costs in a march; at 1e6, scikit-fmm returns NaN
 _TINY = 1e-9  # distance, in steps, from a source to the front if the front is too near to lie between nodes
-_BOUND_LEAVES = 20_000  # cells of the convex program that proves lower bounds
 _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
-_REACH = 6  # most cells along each axis of an edge of a directed search
-_MOST_DIRECTED = 1 << 22  # cells of a directed search, which take about 2 kB each
+# Lower bounds start this share below the distances, and are projected so often, by so much of the way that a
+# projection asks for. Where costs jump, 400 projections halve the gap that 100 leave.
+_SLACK, _PROJECTIONS, _RELAXATION = 0.02, 400, 1.5
 
 Raster = Float[np.ndarray, "rows columns"]
+AtCorners = Float[np.ndarray, "rows+1 columns+1"]
 Nearest = Int[np.ndarray, "rows columns"]
 Sides = Float[np.ndarray, "2"]
 Points = Float[np.ndarray, "k 2"]
@@ -128,20 +130,20 @@ def cost_distance(
         rise = rise[order]
         cost = np.where(np.isfinite(rise), cost, np.inf)
     _require_aligned("A mask of sources", sources, costs)
-    points, cells = _as_sources(sources, cost, box, order)
-    # 2. Distances and nearest sources; bounds by a relaxed problem, and by the costs of paths between cells.
+    points = _as_sources(sources, cost, box, order)
+    # 2. Distances, nearest sources and bounds.
     lower = upper = plr = None
-    if rise is None:
+    if rise is None and cost.size > _MOST_SEARCHED and not bounds:
         distance, nearest = _marched(cost, side, points)
+    elif rise is None:
+        distance, nearest, *proven = _searched_finely(cost, side, points, bounds)
+        lower, upper = proven or (None, None)
     else:
         slope_fn = tobler if isinstance(slope_cost, str) and slope_cost == "tobler" else slope_cost
         if not callable(slope_fn) or bounds:
             got = "bounds=True" if bounds else f"slope_cost={shortened(slope_cost)}"
             raise ValueError(f'With heights, slope_cost must be "tobler" or a function, without bounds, got {got}.')
-        distance, nearest = _over_edges(cost, side, cells, rise, slope_fn, as_bool("from_sources", from_sources))
-    if as_bool("bounds", bounds):
-        lower, upper = _bounds(cost, box, points, cells, np.isfinite(distance))
-        distance = np.clip(distance, lower, upper)
+        distance, _, nearest = _searched(cost, side, points, rise, slope_fn, as_bool("from_sources", from_sources))
     if max_bytes is not None:
         plr = construct(GridField(distance, box), box, leaf="continuous", max_bytes=max_bytes)
 
@@ -155,23 +157,6 @@ def cost_distance(
 
     named = {"distance": distance, "nearest": nearest, "lower": lower, "upper": upper}
     return CostDistance(**{name: like_costs(name, values) for name, values in named.items()}, plr=plr)
-
-
-def _bounds(
-    cost: Raster, box: Box, points: Points, cells: Int[np.ndarray, "k 2"], reached: Bool[np.ndarray, "rows columns"]
-) -> tuple[Raster, Raster]:
-    """Return proven bounds at the centers of cells: by a convex program, and by the costs of actual paths."""
-    side, cost_map = box.width / cost.shape[::-1], RasterCost(cost, box, "nearest")
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".* outside of its bounds")  # of an estimate that is not used here
-        plr = solve_eikonal(cost_map.space(), points + box.lo, cost_map=cost_map, max_leaves=_BOUND_LEAVES)
-    centers = box.at((np.stack(np.meshgrid(*map(np.arange, cost.shape[::-1])), axis=-1) + 0.5) / cost.shape[::-1])
-    lower, upper = (np.asarray(each, float) for each in plr.bounds(centers))
-    # A path over edges begins at the center of a cell, to which its source has a straight way.
-    paths, _ = _over_edges(cost, side, cells)
-    to_center = cost[tuple(cells.T)] * np.linalg.norm(points - (cells[:, ::-1] + 0.5) * side, axis=1)
-    upper = np.minimum(upper, (paths + to_center.max()) * (1 + _ROUNDING))
-    return np.where(reached, lower, np.inf), np.where(reached, upper, np.inf)
 
 
 def _is_data_array(costs: Any) -> bool:
@@ -244,10 +229,8 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     return cost, Box(lo, lo + side * cost.shape[::-1]), order
 
 
-def _as_sources(
-    sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, slice]
-) -> tuple[Float[np.ndarray, "k 2"], Int[np.ndarray, "k 2"]]:
-    """Return sources relative to the lower corner of the raster, and the row and column of each one's cell."""
+def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, slice]) -> Points:
+    """Return sources relative to the lower corner of the raster."""
     shape, side = np.array(cost.shape), box.width / cost.shape[::-1]
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         if np.shape(sources) != cost.shape:
@@ -280,43 +263,107 @@ def _as_sources(
             f"sources must not lie in barriers, got {first(is_barred)}: move it. For a mask of sources, use mask & "
             "np.isfinite(costs)."
         )
-    return points, cells
+    return points
+
+
+def _searched_finely(cost: Raster, side: Sides, points: Points, bounds: bool) -> list[np.ndarray]:
+    """Return distances and nearest sources by shortest paths over parts of cells; with ``bounds`` also two bounds."""
+    # 1. Divide long cells, and all cells of small rasters, into an odd number of parts along each axis.
+    scale = max(np.sqrt(_FINE_CELLS / cost.size * side.min() / side.max()), 1.0)
+    wanted = side[::-1] / side.min() * ((scale - 1) // 2 * 2 + 1)
+    parts = (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
+    fine, of_part = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1), side / parts[::-1]
+    # 2. Paths that are found are upper bounds.
+    distance, at_corners, nearest = _searched(fine, of_part, points)
+    results = [distance, nearest]
+    if bounds:
+        results += [_below(fine, of_part, points, distance, at_corners), distance * (1 + _ROUNDING)]
+    return [each[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for each in results]
+
+
+def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
+    """Return proven lower bounds at the centers of cells, given distances at the centers and corners.
+
+    The center divides a cell into four triangles. A function that is linear in each triangle, nowhere steeper than
+    the cost of the cell and at most 0 at the sources, is a lower bound. Projections onto the gradients that are
+    allowed in one triangle, averaged over triangles, make the given distances nearly such a function.
+    :func:`rescaling_of` does the rest.
+    """
+    # 1. The triangles: corners, costs and the unit of length along and across each side of the cell.
+    ends = np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1]
+    is_known = np.isfinite(at_corners)  # paths do not pass where two barriers touch: nothing binds such a corner
+    sides, axes = list(zip(ends, (*ends[1:], ends[0]), strict=True)), (0, 1, 0, 1)
+    most = [np.where(is_known[p] & is_known[q], cost, np.inf) for p, q in sides]
+    middle, corner = (np.where(np.isfinite(u), (1 - _SLACK) * u, 0.0) for u in (at_centers, at_corners))
+
+    def steepness(number: int) -> Raster:
+        (p, q), axis = sides[number], axes[number]
+        along, across = (corner[q] - corner[p]) / side[axis], (corner[p] + corner[q] - 2 * middle) / side[1 - axis]
+        return np.sqrt(along * along + across * across) / most[number]
+
+    # 2. Project.
+    for _ in range(_PROJECTIONS):
+        change, counts = (
+            [np.zeros_like(middle), np.zeros_like(corner)],
+            [np.zeros_like(middle), np.zeros_like(corner)],
+        )
+        for number, (p, q) in enumerate(sides):
+            share = steepness(number)
+            is_steep = share > 1
+            share = np.where(is_steep, 1 / np.maximum(share, 1) - 1, 0.0)
+            mean = (corner[p] + corner[q] + middle) / 3
+            for values, each, count, place in (
+                (middle, change[0], counts[0], ...),
+                (corner, change[1], counts[1], p),
+                (corner, change[1], counts[1], q),
+            ):
+                each[place] += share * (values[place] - mean)
+                count[place] += is_steep
+        middle += _RELAXATION * change[0] / np.maximum(counts[0], 1)
+        corner += _RELAXATION * change[1] / np.maximum(counts[1], 1)
+    # 3. Rescale, then subtract the largest value that a source may have.
+    factor = (1 + _ROUNDING) * np.max([steepness(number) for number in range(4)], axis=0)
+    around = np.stack([middle, *(corner[p] for p in ends)])
+    lower = np.interp(middle, *rescaling_of(*(each.ravel() for each in (around.min(0), around.max(0), factor))))
+    home = _homes(cost, side, points)
+    to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
+    home = tuple(home.T)
+    lower = np.maximum((1 - _ROUNDING) * (lower - np.max(lower[home] + cost[home] * to_center)), 0.0)
+    return np.where(np.isfinite(at_centers), lower, np.inf)
+
+
+def _homes(cost: Raster, side: Sides, points: Points) -> Int[np.ndarray, "k 2"]:
+    return np.minimum((points / side).astype(np.int64)[:, ::-1], np.array(cost.shape) - 1)
 
 
 def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
-    """Return distances by fast marching over nodes, an odd number of them along each side of a cell."""
-    # 1. Nodes, about as far apart along both axes. Costs are divided by the least one, as scikit-fmm ignores some.
+    """Return distances by fast marching over the centers of cells, which takes little memory."""
+    # 1. Costs are divided by the least one, as scikit-fmm ignores some.
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
         raise ValueError(
-            f"costs must differ by a factor of at most {_LARGEST_RATIO:g}, got costs from {least:g} to {most:g}. "
-            "Reduce the largest, or make their cells barriers."
+            f"costs of more than {_MOST_SEARCHED:,} cells must differ by a factor of at most {_LARGEST_RATIO:g}, got "
+            f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
         )
     cost = cost / least
-    num_nodes = min(max(9 * cost.size, _FINE_NODES), _MOST_NODES)
-    wanted = side * np.sqrt(num_nodes / cost.size / side.prod()) + _TINY
-    wanted = np.maximum(np.minimum(wanted, np.sqrt(_MOST_STARTS / len(points))), 1)
-    parts = (wanted - 1).astype(int)[::-1] // 2 * 2 + 1
-    cost = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1) if (parts > 1).any() else cost
-    step, shape, is_open = side / parts[::-1], np.array(cost.shape), np.isfinite(cost)
-    # 2. Straight motions between sources and nodes around them, in a source's cell or beside it. A cell beyond a
-    #    corner counts if no barrier meets that corner.
-    home = np.minimum((points / step).astype(np.int64)[:, ::-1], shape - 1)
-    reach = (np.arange(-(count // 2) - 1, count // 2 + 2) for count in parts)
-    place = home[:, None] + np.stack(np.meshgrid(*reach, indexing="ij"), axis=-1).reshape(-1, 2)
+    shape, is_open = np.array(cost.shape), np.isfinite(cost)
+    # 2. Straight motions between sources and centers in a source's cell or beside it. A cell beyond a corner counts
+    #    if no barrier meets that corner.
+    home = _homes(cost, side, points)
+    place = home[:, None] + np.array(list(product((-1, 0, 1), repeat=2)))
     source, which = np.nonzero(((place >= 0) & (place < shape)).all(axis=2))
     place = place[source, which]
     (i, j), (home_i, home_j) = place.T, home[source].T
     is_kept = is_open[i, j] & is_open[i, home_j] & is_open[home_i, j]
     source, place = source[is_kept], place[is_kept]
-    length = np.linalg.norm((place[:, ::-1] + 0.5) * step - points[source], axis=1)
+    length = np.linalg.norm((place[:, ::-1] + 0.5) * side - points[source], axis=1)
     at_source = cost[tuple(home.T)]
     straight = length * np.maximum(cost[tuple(place.T)], at_source[source])
     # 3. The front begins where straight motions cost `begin`, so that it leaves all sources at once.
     begin = at_source.min() * float(side.min()) / 2
     phi = (straight - begin) / cost[tuple(place.T)]
     is_home = (place == home[source]).all(axis=1)
-    phi[is_home] = np.minimum(phi[is_home], -_TINY * step.min())
+    phi[is_home] = np.minimum(phi[is_home], -_TINY * side.min())
     last = np.lexsort((-source, -straight))  # among several sources, the nearest is written last
     node = tuple(place[last].T)
     front, distance, label = (
@@ -329,14 +376,11 @@ def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest
     distance[~is_inside], label[~is_inside] = np.inf, -1
     # 4. March.
     if (is_open & ~is_inside).any():
-        time = skfmm.travel_time(np.ma.MaskedArray(front, ~is_open), 1 / cost, dx=step[::-1].tolist(), order=2)
+        time = skfmm.travel_time(np.ma.MaskedArray(front, ~is_open), 1 / cost, dx=side[::-1].tolist(), order=2)
         reached = ~np.ma.getmaskarray(time) & ~is_inside
         distance[reached] = np.asarray(time)[reached] + begin
-    if len(points) > 1:
-        label = _labels(distance, cost, step, label)
-    centers = tuple(np.s_[count // 2 :: count] for count in parts)
-    distance = least * distance[centers]
-    return distance, label[centers] if len(points) > 1 else np.where(np.isfinite(distance), 0, -1)
+    label = _labels(distance, cost, side, label) if len(points) > 1 else np.where(np.isfinite(distance), 0, -1)
+    return least * distance, label
 
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
@@ -354,7 +398,7 @@ def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Near
         def part(values: np.ndarray, cell: tuple[int, int], first=first, last=last) -> np.ndarray:
             return values[first[0] + cell[0] : last[0] + cell[0], first[1] + cell[1] : last[1] + cell[1]]
 
-        way = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(i, j, partial(part, cost))
+        way = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(2 * i, 2 * j, 1, partial(part, cost))
         for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
             through = part(distance, b) + way
             is_better = (through < part(least, a)) & (part(distance, b) < part(distance, a))
@@ -368,67 +412,150 @@ def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Near
     return label.ravel()[toward].reshape(label.shape)
 
 
-def _over_edges(
+def _searched(
     cost: Raster,
     side: Sides,
-    cells: Int[np.ndarray, "k 2"],
+    points: Points,
     height: Raster | None = None,
     slope_fn: Slope = tobler,
     from_sources: bool = False,
-) -> tuple[Raster, Nearest]:
-    """Return costs of shortest paths over straight edges between centers of cells, and the nearest sources."""
+) -> tuple[Raster, AtCorners, Nearest]:
+    """Return costs of shortest paths over straight edges to centers and corners of cells, and nearest sources.
+
+    With heights, edges join centers alone, and paths begin at the center of a source's cell.
+    """
     # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
+    points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
+    home, (rows, columns) = _homes(cost, side, points), cost.shape
     if height is not None:
         nearest_open: Any = ndimage.distance_transform_edt(
             np.isinf(cost), sampling=side[::-1], return_distances=False, return_indices=True
         )
         height = np.pad(height[tuple(nearest_open)], _REACH, mode="edge")
-    cost, (rows, columns) = np.pad(cost, _REACH, constant_values=np.inf), cost.shape
+    cost = np.pad(cost, _REACH, constant_values=np.inf)
+    # 2. Nodes are corners of cells, then centers. Steps of edges are in half cells, and pass no other node.
+    number, corners = np.arange((rows + 1) * (columns + 1) + rows * columns), (rows + 1) * (columns + 1)
+    nodes = number[:corners].reshape(rows + 1, columns + 1), number[corners:].reshape(rows, columns)
+    steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
+    if height is None:
+        half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
+        steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
+    # 3. The cost of each edge: its length, times the mean cost along it, times the mean factor of its parts' slopes.
+    size, last = len(number) * len(steps), 25 * len(points)
+    ends, costs = np.zeros(size + last, np.int32), np.full(size + last, np.inf)
+    end, weight = ends[:size].reshape(len(number), -1), costs[:size].reshape(len(number), -1)
+    for half in (0, 1) if height is None else (1,):
+        here = nodes[half]
+        rows_here = slice(here[0, 0], here[-1, -1] + 1)
 
-    def beside(values: np.ndarray, offset: tuple[int, int]) -> np.ndarray:
-        i, j = _REACH + offset[0], _REACH + offset[1]
-        return values[i : i + rows, j : j + columns]
+        def beside(values: np.ndarray, offset: tuple[int, int], shape=here.shape) -> np.ndarray:
+            i, j = _REACH + offset[0], _REACH + offset[1]
+            return values[i : i + shape[0], j : j + shape[1]]
 
-    # 2. The cost of each edge: its length, times the mean cost along it, times the mean factor of its parts' slopes.
-    edges = [(i, j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
-    end, weight = np.empty((rows, columns, len(edges)), np.int32), np.empty((rows, columns, len(edges)))
-    for number, (i, j) in enumerate(edges):
-        length, count = float(np.hypot(*(side[::-1] * (i, j)))), max(abs(i), abs(j))
-        weight[..., number] = length * _mean_along(i, j, partial(beside, cost))
-        if height is not None:
-            heights = []
-            for part in range(count + 1):
-                (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
-                # One of the two coordinates is whole: between two cells, heights are interpolated.
-                beyond, rest = (i0 + (to_i > 0), j0 + (to_j > 0)), max(to_i, to_j) / count
-                heights.append((1 - rest) * beside(height, (i0, j0)) + rest * beside(height, beyond))
-            slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
-            factor = np.broadcast_to(as_numbers("slope_cost", slope_fn(slopes), "numbers"), slopes.shape)
-            if not (factor > 0).all():
-                raise ValueError("slope_cost must return positive numbers, got some that are not.")
-            weight[..., number] *= np.mean(factor, axis=0)
-        ends = (np.clip(np.arange(size) + by, 0, size - 1) for size, by in ((rows, i), (columns, j)))
-        end[..., number] = np.ravel_multi_index(np.ix_(*ends), (rows, columns))
-    # 3. Shortest paths from all sources at once; an infinite weight is no edge.
-    begins = np.arange(0, weight.size + 1, len(edges))
-    graph = csr_array((weight.ravel(), end.ravel(), begins), shape=(rows * columns, rows * columns))
-    node = np.ravel_multi_index(tuple(cells.T), (rows, columns))
-    distance, _, source = dijkstra(graph, indices=node, min_only=True, return_predecessors=True)
-    known, first = np.unique(node, return_index=True)
-    is_reached = np.isfinite(distance)
-    nearest = np.full(rows * columns, -1)
-    nearest[is_reached] = first[np.searchsorted(known, source[is_reached])]
-    return distance.reshape(rows, columns), nearest.reshape(rows, columns)
+        for edge, (i, j) in enumerate(steps):
+            length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
+            of_edges = length * _mean_along(i, j, half, partial(beside, cost))
+            if height is not None:
+                of_edges *= _mean_factor(i // 2, j // 2, length, partial(beside, height), slope_fn, from_sources)
+            weight[rows_here, edge] = of_edges.ravel()
+            there = nodes[(half + i) % 2]
+            row, column = (
+                np.clip(np.arange(n, dtype=np.int32) + (half + by) // 2, 0, most - 1)
+                for n, most, by in zip(here.shape, there.shape, (i, j), strict=True)
+            )
+            end[rows_here, edge] = ((there[0, 0] + row * there.shape[1])[:, None] + column).ravel()
+        if half == 0:  # no path passes where two barriers touch in a corner
+            a, b, c, d = (np.isinf(beside(cost, offset)) for offset in product((-1, 0), repeat=2))
+            weight[here[(a == d) & (b == c) & (a != b)]] = np.inf
+    # 4. Straight motions from sources to nodes in and beside their cells, or only to the center.
+    near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
+    straight = np.where(near.any(axis=1), np.inf, 0.0) + np.zeros((len(points), 1))
+    if height is None:
+        straight = _straight_costs(cost, side, points, home, near)
+    in_cell = np.empty(straight.shape, np.int32)
+    for edge, step in enumerate(near):
+        there = nodes[(1 + step[0]) % 2]
+        in_cell[:, edge] = there[tuple(np.clip(home + (1 + step) // 2, 0, np.array(there.shape) - 1).T)]
+    costs[size:], ends[size:] = straight.ravel(), in_cell.ravel()
+    # 5. Shortest paths from all sources at once; an infinite weight is no edge.
+    begins = np.append(np.arange(0, size + 1, len(steps)), size + 25 * np.arange(1, len(points) + 1))
+    graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
+    sources = len(number) + np.arange(len(points))
+    distance, _, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
+    at_corners, at_centers = (distance[each] for each in nodes)
+    nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - len(number), -1)]
+    return at_centers, at_corners, nearest
 
 
-def _mean_along(i: int, j: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
-    """Return the mean cost along a straight motion to the cell ``(i, j)`` further; ``inf`` if barriers stop it.
+def _straight_costs(
+    cost: Float[np.ndarray, "padded_rows padded_columns"],
+    side: Sides,
+    points: Points,
+    home: Int[np.ndarray, "k 2"],
+    near: Int[np.ndarray, "nodes 2"],
+) -> Float[np.ndarray, "k nodes"]:
+    """Return costs of straight motions from points to nodes, ``near`` half cells from the centers of their cells.
 
-    ``cost_at`` gives the costs of the cells that are so many rows and columns away from where motions begin.
+    ``cost`` has a rim. A motion leaves the row and the column of the first cell at most once each.
     """
-    ends = sorted({0.0, 1.0} | {(k + 0.5) / abs(each) for each in (i, j) for k in range(abs(each))})
-    cells = [(round(i * (a + b) / 2), round(j * (a + b) / 2)) for a, b in pairwise(ends)]
-    mean: Any = sum((b - a) * cost_at(cell) for (a, b), cell in zip(pairwise(ends), cells, strict=True))
+    begin = points[:, None, ::-1] / side[::-1]
+    change = home[:, None] + 0.5 + near / 2 - begin
+    with np.errstate(divide="ignore", invalid="ignore"):
+        leaves = np.where(np.abs(near) > 1, (home[:, None] + (near > 0) - begin) / change, 1.0)
+        first, last = leaves.min(axis=2), leaves.max(axis=2)
+        beyond = np.sign(near) * (leaves < 1)
+        cells = home[:, None], home[:, None] + beyond * (leaves == first[..., None]), home[:, None] + beyond
+        here, between, there = (cost[tuple(np.moveaxis(cell + _REACH, 2, 0))] for cell in cells)
+        mean = first * here + (last - first) * between + (1 - last) * there  # NaN where a barrier is touched
+    return np.where(np.isnan(mean), np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
+
+
+def _mean_factor(
+    i: int,
+    j: int,
+    length: float,
+    height_at: Callable[[tuple[int, int]], np.ndarray],
+    slope_fn: Slope,
+    from_sources: bool,
+) -> np.ndarray:
+    """Return the mean factor of slopes along a straight motion to the cell ``(i, j)`` further."""
+    heights, count = [], max(abs(i), abs(j))
+    for part in range(count + 1):
+        (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
+        # One of the two coordinates is whole: between two cells, heights are interpolated.
+        beyond, rest = (i0 + (to_i > 0), j0 + (to_j > 0)), max(to_i, to_j) / count
+        heights.append((1 - rest) * height_at((i0, j0)) + rest * height_at(beyond))
+    slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
+    factor = np.broadcast_to(as_numbers("slope_cost", slope_fn(slopes), "numbers"), slopes.shape)
+    if not (factor > 0).all():
+        raise ValueError("slope_cost must return positive numbers, got some that are not.")
+    return np.mean(factor, axis=0)
+
+
+def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
+    """Return the mean cost along a straight motion by ``(i, j)`` half cells; ``inf`` if barriers stop it.
+
+    It begins in the center of a cell (``half`` 1) or in its lower corner (0). ``cost_at`` gives the costs of cells by
+    the rows and columns to them.
+    """
+    # 1. Cut the motion where it enters another cell.
+    ends = {0.0, 1.0}
+    for by in (i, j):
+        ends |= {
+            abs(at - half) / abs(by)
+            for at in range(min(half, half + by), max(half, half + by) + 1)
+            if by and at % 2 == 0
+        }
+    cuts = sorted(ends)
+    middles = [((half + i * (a + b) / 2) / 2, (half + j * (a + b) / 2) / 2) for a, b in pairwise(cuts)]
+    cells = [(floor(row), floor(column)) for row, column in middles]
+    # 2. Along the border of two cells the cheaper one counts.
+    mean: Any = 0.0
+    for (a, b), (row, column) in zip(pairwise(cuts), cells, strict=True):
+        cost = cost_at((row, column))
+        if half == 0 and 0 in (i, j):
+            cost = np.minimum(cost, cost_at((row - (i == 0), column - (j == 0))))
+        mean = mean + (b - a) * cost
     for a, b in pairwise(cells):
         if a[0] != b[0] and a[1] != b[1]:  # a corner: one of the other two cells there must be no barrier
             mean = np.where(np.isinf(np.minimum(cost_at((a[0], b[1])), cost_at((b[0], a[1])))), np.inf, mean)
