@@ -11,7 +11,6 @@ References:
     Tobler, "Three presentations on geographical analysis and modeling", 1993.
 """
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -26,18 +25,16 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import as_bool, as_numbers, as_points, shortened, with_inf_for_masked
+from plr_jax._arrays import as_bool, as_numbers, as_points, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.eikonal.program import rescaling_of
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
 from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
+from plr_jax.spaces import NO_DATA, data_array_box, is_data_array, raster_values
 
-_NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray
-_ATTRIBUTES_OF_COSTS = {*_NO_DATA, "units", "long_name", "standard_name"}  # do not hold for distances
-_X_NAMES, _Y_NAMES = {"x", "lon", "longitude", "easting"}, {"y", "lat", "latitude", "northing"}
-_DEGREES = {"lon", "longitude", "lat", "latitude"}
+_ATTRIBUTES_OF_COSTS = {*NO_DATA, "units", "long_name", "standard_name"}  # do not hold for distances
 # Most cells of a search for paths, which takes about 2 kB a cell: into which smaller rasters are divided; by default;
 # and if bounds or heights need the search.
 _FINE_CELLS, _MOST_CELLS, _MOST_ON_REQUEST = 60_000, 1 << 21, 1 << 22
@@ -96,8 +93,8 @@ def cost_distance(
 
     ``result = plr_jax.cost_distance(costs, sources)`` has ``result.distance`` and ``result.nearest``, arrays of the
     raster's shape. Distances are costs of paths, on average about 0.1 % above the least. The search for paths takes
-    about 2 kB of memory a cell. Over more than 2 million cells a front marches instead, in 100 bytes a cell: errors are
-    then a few percent where costs jump from cell to cell.
+    about 2 kB of memory a cell. Over more than 2 million cells a front marches instead, in 100 bytes a cell; there,
+    errors are a few percent where costs jump from cell to cell.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
@@ -127,7 +124,7 @@ def cost_distance(
     cost, box, order = _raster(costs, cell_size)
     side, rise = box.width / cost.shape[::-1], None
     if heights is not None:
-        rise = _values("heights", heights)
+        rise = raster_values("heights", heights)
         if rise.shape != cost.shape or cost.size > _MOST_ON_REQUEST:
             most = f"shape {cost.shape}, of at most {_MOST_ON_REQUEST:,} cells"
             raise ValueError(f"heights must have {most}, got {rise.shape}.")
@@ -161,7 +158,7 @@ def cost_distance(
 
     # 3. Results in the order and with the coordinates of the given raster.
     def like_costs(name: str, values: np.ndarray | None) -> Any:
-        if values is None or not _is_data_array(costs):
+        if values is None or not is_data_array(costs):
             return values if values is None else values[order]
         result = costs.copy(data=values[order]).rename(name)
         result.attrs = {key: each for key, each in costs.attrs.items() if key not in _ATTRIBUTES_OF_COSTS}
@@ -171,23 +168,9 @@ def cost_distance(
     return CostDistance(**{name: like_costs(name, values) for name, values in named.items()}, plr=plr)
 
 
-def _is_data_array(costs: Any) -> bool:
-    return all(hasattr(costs, name) for name in ("dims", "coords", "attrs"))
-
-
-def _values(name: str, raster: Any) -> Raster:
-    """Return a raster as 64-bit floats, ``inf`` where it is masked, NaN or no data."""
-    values = np.array(as_numbers(name, with_inf_for_masked(raster), "a raster of numbers"))
-    if _is_data_array(raster):
-        for key in _NO_DATA:
-            values[values == raster.attrs.get(key)] = np.inf
-    values[np.isnan(values)] = np.inf
-    return values
-
-
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:
     """Require that a raster with coordinates has those of the costs; ``ValueError`` if not."""
-    if not (_is_data_array(raster) and _is_data_array(costs)):
+    if not (is_data_array(raster) and is_data_array(costs)):
         return
     pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
     if raster.dims != costs.dims or not all(a.shape == b.shape and np.allclose(a, b) for a, b in pairs):
@@ -199,7 +182,7 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
     """Return costs by ascending coordinates, ``inf`` in barriers; their box; slices that restore the order."""
-    cost = _values("costs", costs)
+    cost = raster_values("costs", costs)
     if cost.ndim != 2 or cost.size == 0:
         raise ValueError(
             f"costs must have shape (rows, columns), got {cost.shape}. For one band of several, use "
@@ -208,37 +191,19 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     size = as_numbers("cell_size", cell_size, "one or two positive numbers")
     if size.shape not in ((), (2,)) or not (np.isfinite(size) & (size > 0)).all():
         raise ValueError(f"cell_size must be one or two positive numbers, got {shortened(cell_size)}.")
-    side = np.array(np.broadcast_to(size, 2))
-    lo, order = np.zeros(2), (slice(None), slice(None))
-    if _is_data_array(costs):
+    side, order = np.broadcast_to(size, 2), (slice(None), slice(None))
+    box = Box(np.zeros(2), side * cost.shape[::-1])
+    if is_data_array(costs):
         if (size != 1).any():
             raise ValueError(f"cell_size is for arrays, and this DataArray has coordinates, got {cell_size}.")
-        if str(costs.dims[0]).lower() in _X_NAMES or str(costs.dims[1]).lower() in _Y_NAMES:
-            raise ValueError(f"costs must have the dimensions y and x in this order, got {costs.dims}: transpose it.")
-        for axis, name in enumerate(costs.dims[::-1]):
-            if str(name).lower() in _DEGREES or str(costs[name].attrs.get("units", "")).startswith("degree"):
-                message = (
-                    f"Coordinates {name!r} seem to be degrees, so that lengths are in degrees: project the raster."
-                )
-                warnings.warn(message, UserWarning, stacklevel=3)
-            along = as_numbers(f"coordinates {name!r}", costs[name].values, "numbers")
-            steps = np.diff(along)
-            if len(steps):
-                side[axis] = abs(along[-1] - along[0]) / len(steps)
-                if not (np.abs(np.abs(steps) - side[axis]) <= 1e-3 * side[axis]).all() or side[axis] == 0:
-                    spaced = f"got steps from {steps.min():g} to {steps.max():g}"
-                    raise ValueError(f"coordinates {name!r} must be evenly spaced, {spaced}.")
-                if along[0] > along[-1]:
-                    backward = slice(None, None, -1)
-                    order = (order[0], backward) if axis == 0 else (backward, order[1])
-            lo[axis] = along.min() - side[axis] / 2
+        box, order = data_array_box("costs", costs)
     cost = cost[order]
     if (wrong := np.argwhere(cost <= 0)).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
         raise ValueError(
             f"costs must be positive, got {got}. For free passage use a small cost, for barriers NaN or a mask."
         )
-    return cost, Box(lo, lo + side * cost.shape[::-1]), order
+    return cost, box, order
 
 
 def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, slice]) -> Points:
