@@ -40,7 +40,7 @@ _ATTRIBUTES_OF_COSTS = {*NO_DATA, "units", "long_name", "standard_name"}  # do n
 _FINE_CELLS, _MOST_CELLS, _MOST_ON_REQUEST = 60_000, 1 << 21, 1 << 22
 _HALVES, _REACH = 8, 6  # most half cells along each axis of an edge, and most cells of an edge with heights
 _LARGEST_RATIO = 1e5  # of two costs in a march; at 1e6, scikit-fmm returns NaN
-_TINY = 1e-9  # distance, in steps, from a source to the front if the front is too near to lie between nodes
+_TINY = 1e-9  # distance in cells from a source to the front of a march
 _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
 # Lower bounds start this share below the distances, and are projected so often, by so much of the way that a
 # projection asks for. Where costs jump, 400 projections halve the gap that 100 leave.
@@ -230,7 +230,7 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, 
         number = int(np.argmax(wrong))
         return f"source {number} at {(points[number] + box.lo).tolist()}, one of {wrong.sum()}"
 
-    is_outside = ~((cells >= 0) & (cells < shape)).all(axis=1)
+    is_outside: Any = ~((cells >= 0) & (cells < shape)).all(axis=1)
     if is_outside.any():
         raise ValueError(f"sources must lie in the raster {box}, rows (x, y), got {first(is_outside)}.")
     cells = cells.astype(np.int64)
@@ -313,48 +313,21 @@ def _homes(cost: Raster, side: Sides, points: Points) -> Int[np.ndarray, "k 2"]:
 
 
 def _marched(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
-    """Return distances by fast marching over the centers of cells, which takes little memory."""
-    # 1. Costs are divided by the least one, as scikit-fmm ignores some.
+    """Return distances by fast marching over the centers of cells, from those of the sources' cells, and labels."""
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
         raise ValueError(
             f"costs of more than {_MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
             f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
         )
-    cost = cost / least
-    shape, is_open = np.array(cost.shape), np.isfinite(cost)
-    # 2. Straight motions between sources and centers in a source's cell or beside it. A cell beyond a corner counts
-    #    if no barrier meets that corner.
-    home = _homes(cost, side, points)
-    place = home[:, None] + np.array(list(product((-1, 0, 1), repeat=2)))
-    source, which = np.nonzero(((place >= 0) & (place < shape)).all(axis=2))
-    place = place[source, which]
-    (i, j), (home_i, home_j) = place.T, home[source].T
-    is_kept = is_open[i, j] & is_open[i, home_j] & is_open[home_i, j]
-    source, place = source[is_kept], place[is_kept]
-    length = np.linalg.norm((place[:, ::-1] + 0.5) * side - points[source], axis=1)
-    at_source = cost[tuple(home.T)]
-    straight = length * np.maximum(cost[tuple(place.T)], at_source[source])
-    # 3. The front begins where straight motions cost `begin`, so that it leaves all sources at once.
-    begin = at_source.min() * float(side.min()) / 2
-    phi = (straight - begin) / cost[tuple(place.T)]
-    is_home = (place == home[source]).all(axis=1)
-    phi[is_home] = np.minimum(phi[is_home], -_TINY * side.min())
-    last = np.lexsort((-source, -straight))  # among several sources, the nearest is written last
-    node = tuple(place[last].T)
-    front, distance, label = (
-        np.full(cost.shape, side.max()),
-        np.full(cost.shape, np.inf),
-        np.full(cost.shape, -1, np.int32),
-    )
-    front[node], distance[node], label[node] = phi[last], straight[last], source[last]
-    is_inside = (front < 0) & is_open
-    distance[~is_inside], label[~is_inside] = np.inf, -1
-    # 4. March.
-    if (is_open & ~is_inside).any():
-        time = skfmm.travel_time(np.ma.MaskedArray(front, ~is_open), 1 / cost, dx=side[::-1].tolist(), order=2)
-        reached = ~np.ma.getmaskarray(time) & ~is_inside
-        distance[reached] = np.asarray(time)[reached] + begin
+    cost, home = cost / least, tuple(_homes(cost, side, points)[::-1].T)  # scikit-fmm ignores some small costs
+    front, label = np.full(cost.shape, side.min()), np.full(cost.shape, -1, np.int32)
+    front[home], label[home] = -_TINY * side.min(), np.arange(len(points))[::-1]  # the first of several sources
+    distance = np.where(label >= 0, 0.0, np.inf)
+    if (np.isfinite(cost) & (label < 0)).any():
+        front = np.ma.MaskedArray(front, np.isinf(cost))
+        time = skfmm.travel_time(front, 1 / cost, dx=side[::-1].tolist(), order=2)
+        distance = np.where(label >= 0, 0.0, np.ma.filled(time, np.inf))
     label = _labels(distance, cost, side, label) if len(points) > 1 else np.where(np.isfinite(distance), 0, -1)
     return least * distance, label
 

@@ -260,9 +260,9 @@ def read_cost_map(
     :meth:`RasterCost.from_occupancy_grid`, and not for a TIFF.
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
-    factors themselves: costs per unit of length. A cell is blocked where the factor is ``inf``, NaN, or the no-data
-    value of GDAL. A GeoTIFF (OGC standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs a pixel
-    is a square of side 1, and the outer corner of the lower left pixel is at ``(0, 0)``.
+    factors themselves: costs per unit of length. A cell is blocked where the factor is ``inf``, NaN or the no-data
+    value of GDAL. A GeoTIFF (OGC standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs, a
+    pixel is a square of side 1, and the outer corner of the lower left pixel is at ``(0, 0)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
