@@ -152,7 +152,7 @@ def bounds(seed: int, smoke: bool) -> dict[str, Any]:
                 off = np.abs(marched(costs, sources, 2 if smoke else FINER // 2) - truth)
                 broken = result.lower > truth + 2 * off
             reached = np.isfinite(truth)
-            gap, mean = (result.upper - result.lower)[reached], truth[reached].mean()
+            gap, mean = result.upper[reached] - result.lower[reached], truth[reached].mean()
             row = {"raster": name, "sources": count, "cpu_seconds": seconds, "broken": int(broken[reached].sum())}
             rows.append({**row, "finite": float(np.isfinite(gap).mean()), "gap": float(gap.mean() / mean)})
         if smoke:
