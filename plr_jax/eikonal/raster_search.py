@@ -62,6 +62,7 @@ def search_finely(
     distance, at_corners, nearest = search(fine, of_part, points)
     results = [distance, nearest]
     if bounds:
+        assert at_corners is not None
         results += [_below(fine, of_part, points, distance, at_corners), distance * (1 + _ROUNDING)]
     return [each[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for each in results]
 
@@ -170,9 +171,9 @@ def search(
     side: Sides,
     points: Points,
     height: Raster | None = None,
-    slope_fn: Slope | None = None,
+    slope_fn: Slope = np.ones_like,
     from_sources: bool = False,
-) -> tuple[Raster, AtCorners, Nearest]:
+) -> tuple[Raster, AtCorners | None, Nearest]:
     """Return costs of shortest paths over straight edges to centers and corners of cells, and nearest sources.
 
     With heights, edges join centers alone, and paths begin at the center of a source's cell.
@@ -187,17 +188,25 @@ def search(
         height = np.pad(height[tuple(nearest_open)], _REACH, mode="edge")
     cost = np.pad(cost, _REACH, constant_values=np.inf)
     # 2. Nodes are corners of cells, then centers. Steps of edges are in half cells, and pass no other node.
-    number, corners = np.arange((rows + 1) * (columns + 1) + rows * columns), (rows + 1) * (columns + 1)
-    nodes = number[:corners].reshape(rows + 1, columns + 1), number[corners:].reshape(rows, columns)
+    halves, corner_shape = (1,), (0, 0)
     steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
     if height is None:
+        halves, corner_shape = (0, 1), (rows + 1, columns + 1)
         half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
         steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
-    # 3. The cost of each edge: its length, times the mean cost along it, times the mean factor of its parts' slopes.
-    size, last = len(number) * len(steps), 25 * len(points)
-    ends, costs = np.zeros(size + last, np.int32), np.full(size + last, np.inf)
+    corners = corner_shape[0] * corner_shape[1]
+    number = np.arange(corners + rows * columns)
+    nodes = number[:corners].reshape(corner_shape), number[corners:].reshape(rows, columns)
+    # 3. Straight motions from sources to nodes in and beside their cells. With heights, sources are moved to centers.
+    near, straight = np.zeros((1, 2), int), np.zeros((len(points), 1))
+    if height is None:
+        near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
+        straight = _straight_costs(cost, side, points, home, near)
+    # 4. The cost of each edge: its length, times the mean cost along it, times the mean factor of its parts' slopes.
+    size = len(number) * len(steps)
+    ends, costs = np.zeros(size + straight.size, np.int32), np.append(np.empty(size), straight)
     end, weight = ends[:size].reshape(len(number), -1), costs[:size].reshape(len(number), -1)
-    for half in (0, 1) if height is None else (1,):
+    for half in halves:
         here = nodes[half]
         rows_here = slice(here[0, 0], here[-1, -1] + 1)
 
@@ -217,31 +226,25 @@ def search(
                 for n, most, by in zip(here.shape, there.shape, (i, j), strict=True)
             )
             end[rows_here, edge] = ((there[0, 0] + row * there.shape[1])[:, None] + column).ravel()
-    # No path passes where two barriers touch in a corner.
-    a, b, c, d = (
-        cost[i : i + rows + 1, j : j + columns + 1] == np.inf for i, j in product((_REACH - 1, _REACH), repeat=2)
-    )
-    is_contact = (a == d) & (b == c) & (a != b)
-    weight[nodes[0][is_contact]] = np.inf
-    # 4. Straight motions from sources to nodes in and beside their cells, or only to the center.
-    near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
-    straight = np.where(near.any(axis=1), np.inf, 0.0) + np.zeros((len(points), 1))
-    if height is None:
-        straight = _straight_costs(cost, side, points, home, near)
-    in_cell = np.empty(straight.shape, np.int32)
+    to_near = ends[size:].reshape(straight.shape)
     for edge, step in enumerate(near):
         there = nodes[(1 + step[0]) % 2]
-        in_cell[:, edge] = there[tuple(np.clip(home + (1 + step) // 2, 0, np.array(there.shape) - 1).T)]
-    costs[size:], ends[size:] = straight.ravel(), in_cell.ravel()
+        to_near[:, edge] = there[tuple(np.clip(home + (1 + step) // 2, 0, np.array(there.shape) - 1).T)]
+    if height is None:  # no path passes where two barriers touch in a corner
+        is_barrier = np.isinf(cost[_REACH - 1 : 1 - _REACH, _REACH - 1 : 1 - _REACH])
+        a, b, c, d = (is_barrier[i : i + rows + 1, j : j + columns + 1] for i, j in product((0, 1), repeat=2))
+        contacts = nodes[0][(a == d) & (b == c) & (a != b)]
+        weight[contacts] = np.inf
     # 5. Shortest paths from all sources at once; an infinite weight is no edge.
-    begins = np.append(np.arange(0, size + 1, len(steps)), size + 25 * np.arange(1, len(points) + 1))
+    begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
     graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
     sources = len(number) + np.arange(len(points))
     distance, _, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
-    at_corners, at_centers = (distance[each] for each in nodes)
-    at_corners[is_contact] = np.inf
     nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - len(number), -1)]
-    return at_centers, at_corners, nearest
+    if height is not None:
+        return distance[nodes[1]], None, nearest
+    distance[contacts] = np.inf
+    return distance[nodes[1]], distance[nodes[0]], nearest
 
 
 def _straight_costs(
