@@ -269,7 +269,9 @@ def _grid(
     elif isinstance(cost_map, RasterCost) and cost_map.dim == domain.dim:
         sides = cost_map.domain.width / cost_map.values.shape[::-1]
         num_nodes = max(num_nodes, int(min(np.prod(domain.width / sides), _MOST_NODES)))
-        cells = np.array(cost_map.values.shape[::-1]) if cost_map.domain == domain else None
+        # Walls in the plane often lie on nodes of round steps, which interpolated costs allow.
+        is_smooth = isinstance(space, PlaneSpace) and cost_map.interpolation == "bilinear"
+        cells = np.array(cost_map.values.shape[::-1]) if cost_map.domain == domain and not is_smooth else None
     usual = _STENCIL_NODES if not is_isotropic else _NODES if cells is None else _CELL_NODES
     num_nodes = max(num_nodes, usual[domain.dim])
     if cells is not None and cells.prod() <= _MOST_NODES:

@@ -29,6 +29,8 @@ YAML_ENDINGS = (".yaml", ".yml")
 _FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # Pillow decodes these without external programs
 _MOST_PIXELS, _MOST_DECODED, _MOST_BYTES = 2**24, 3 * 2**24, 2**26
 _SMALL, _PIXELS_PER_BYTE = 2**22, 2**12  # a file may have this many pixels, or this many per byte
+_NUMBERS = "one channel of 32-bit floats, or of integers of 16 or 32 bits"
+_NUMBER_MODES = "F", "I", "I;16", "I;16B"
 _BYTES = {"1": 1, "L": 1, "P": 1}  # bytes of a decoded pixel by mode; all other modes take 4
 _BAND = 2**18  # pixels that are converted at a time, which bounds the memory
 OPAQUE = 255
@@ -90,8 +92,8 @@ def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "r
 
 
 @contextmanager
-def open_picture(path: Path, *, floats: bool = False) -> Iterator["Image"]:
-    """Yield a picture, upright; ``floats`` allows pixels of 32-bit floats. ``ValueError`` if invalid or too large."""
+def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
+    """Yield a picture, upright; ``numbers`` allows a TIFF of `_NUMBERS`. ``ValueError`` if invalid or too large."""
     from PIL import Image, ImageOps
 
     with path.open("rb") as file, warnings.catch_warnings():
@@ -102,11 +104,11 @@ def open_picture(path: Path, *, floats: bool = False) -> Iterator["Image"]:
         try:
             picture = Image.open(file, formats=_FORMATS)
         except Exception as error:  # Pillow's decoders raise any kind of error
-            expected = "a TIFF of 32-bit floats" if floats else f"a picture ({', '.join(_FORMATS)})"
+            expected = f"a TIFF of {_NUMBERS}" if numbers else f"a picture ({', '.join(_FORMATS)})"
             raise ValueError(f"expected {expected}, got something else ({error}).") from None
         with picture:
             _require_limits(picture, num_bytes)
-            if not (floats and picture.mode == "F"):
+            if not (numbers and picture.mode in _NUMBER_MODES):
                 _require_plain(picture)
             try:
                 ImageOps.exif_transpose(picture, in_place=True)
@@ -257,10 +259,10 @@ def read_cost_map(
     a robot's usual cost map. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
     :meth:`RasterCost.from_occupancy_grid`, and not for a TIFF.
 
-    Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats are the factors themselves: costs per
-    unit of length. A cell is blocked where the factor is ``inf``, NaN, or GDAL's no-data value. A GeoTIFF (OGC
-    standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs a pixel is a square of side 1, and
-    the outer corner of the lower left pixel is at ``(0, 0)``.
+    Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
+    factors themselves: costs per unit of length. A cell is blocked where the factor is ``inf``, NaN or the no-data
+    value of GDAL. A GeoTIFF (OGC standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs, a
+    pixel is a square of side 1, and the outer corner of the lower left pixel is at ``(0, 0)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
@@ -296,17 +298,18 @@ def read_cost_map(
 
 
 def _read_factors(path: Path, interpolation: str) -> "RasterCost":
-    with open_picture(path, floats=True) as picture:
-        if picture.mode != "F":
+    with open_picture(path, numbers=True) as picture:
+        if picture.mode not in _NUMBER_MODES:
             raise ValueError(
-                f"expected a TIFF of 32-bit floats, got a picture of mode {picture.mode}. For a map of map_server "
-                "give its .yaml file."
+                f"expected a TIFF of {_NUMBERS}, got a picture of mode {picture.mode}. For a map of map_server give "
+                "its .yaml file."
             )
         tags: Any = picture.tag_v2  # type: ignore[reportAttributeAccessIssue]
-        factors = np.array(picture, np.float32)[::-1]
-    # 1. Block cells without data.
+        factors, is_float = np.array(picture, np.float64)[::-1], picture.mode == "F"
+    # 1. Block cells without data. Floats were rounded to 32 bits when they were written.
+    missing = float(str(tags.get(_GDAL_NODATA, "nan")).strip(" \0"))
     with np.errstate(over="ignore"):
-        factors[factors == np.float32(str(tags.get(_GDAL_NODATA, "nan")).strip(" \0"))] = np.inf
+        factors[factors == (float(np.float32(missing)) if is_float else missing)] = np.inf
     # 2. Locate the raster: the tie point is one point in raster and in map coordinates.
     if _TRANSFORMATION in tags:
         raise ValueError(
@@ -327,7 +330,7 @@ def _read_factors(path: Path, interpolation: str) -> "RasterCost":
     hi = lo[0] + columns * along_x, lo[1] + rows * along_y
     from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
 
-    return RasterCost(factors.astype(np.float64), (lo, hi), interpolation)
+    return RasterCost(factors, (lo, hi), interpolation)
 
 
 def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any, ...]:

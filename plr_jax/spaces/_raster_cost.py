@@ -26,6 +26,7 @@ from plr_jax._arrays import (
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.spaces._costs import Rates, Vectors
+from plr_jax.spaces._data_arrays import data_array_box, is_data_array, raster_values
 from plr_jax.spaces._space import as_boxes
 from plr_jax.spaces._voxels import VoxelSpace
 
@@ -69,8 +70,10 @@ class RasterCost:
 
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where the cell is
-            blocked.
-        bounds: The box that the cells fill, or its corners ``(lo, hi)``: outer cell borders, not cell centers.
+            blocked. An xarray ``DataArray`` of the dimensions y and x may run from north to south, and its no-data
+            cells are blocked.
+        bounds: The box that the cells fill, or its corners ``(lo, hi)``: outer cell borders, not cell centers. Leave
+            it out for a ``DataArray``, whose coordinates count.
         interpolation: ``"bilinear"`` interpolates multilinearly between cell centers and is constant in the outer
             half of border cells. ``"nearest"`` is constant in each cell; on a border the upper cell counts. Its
             bounds are wider, because a box that touches a border counts the cells on both sides.
@@ -85,7 +88,14 @@ class RasterCost:
     interpolation: str
     _lethal: Bool[np.ndarray, "..."]  # the cells that ``inflated`` inflates
 
-    def __init__(self, values: ArrayLike, bounds: Box | ArrayLike, interpolation: str = "bilinear"):
+    def __init__(self, values: ArrayLike, bounds: Box | ArrayLike | None = None, interpolation: str = "bilinear"):
+        if is_data_array(values):
+            if bounds is not None:
+                raise ValueError("bounds are for arrays, and this DataArray has coordinates: leave the bounds out.")
+            bounds, order = data_array_box("values", values)
+            values = raster_values("values", values)[order]
+        elif bounds is None:
+            raise ValueError("bounds must be the box that the cells fill, got None.")
         domain = Box.of(bounds, "The bounds")
         if interpolation not in _INTERPOLATIONS:
             raise ValueError(f"interpolation must be 'bilinear' or 'nearest', got {shortened(interpolation)}.")

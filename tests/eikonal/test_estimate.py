@@ -217,3 +217,11 @@ def test_which_goal_is_nearest_behind_walls_where_costs_depend_on_the_direction(
     level, goals = BoxSpace(Box((0, 0), (1, 2))), np.array([(0.5, 1.6), (0.5, 0.2)])
     assert grid_estimate(level, None, goals).which(np.array([(0.5, 1.0)])).tolist() == [0]
     assert grid_estimate(level, climbing, goals).which(np.array([(0.5, 1.0)])).tolist() == [1]
+
+
+def test_walls_at_round_coordinates_lie_on_nodes_whatever_cells_an_interpolated_raster_has():
+    workspace = Workspace(((0, 0), (2, 1)), [[(0.9, 0), (1, 0), (1, 0.6), (0.9, 0.6)]])
+    cost = RasterCost(np.ones((100, 200)), workspace.bounds)
+    found = grid_estimate(PlaneSpace(workspace), cost, (0.2, 0.2))
+    x = workspace.sample_free(500, 0)
+    assert mean_error(found(x), VisibilityGraph(workspace, (0.2, 0.2))(x)) < 5e-4

@@ -5,6 +5,7 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from plr_jax import VisibilityGraph, Workspace, cost_distance
+from plr_jax.eikonal import rasters
 
 
 def centers(shape, cell_size=(1, 1)):
@@ -142,18 +143,59 @@ def test_a_slope_function_of_ones_gives_euclidean_distances():
 
 
 @pytest.mark.full
-def test_bounds_hold_and_every_cell_that_is_reached_has_some():
+def test_bounds_hold_where_costs_jump_and_every_cell_that_is_reached_has_some():
     costs = np.ones((60, 60))
     costs[:, 30:] = 4
     costs[10:, 40] = np.nan
     result = cost_distance(costs, [(10.3, 20.6), (50.5, 50.5)], bounds=True)
     reached = np.isfinite(costs)
-    assert np.isfinite(result.upper[reached]).all()
+    assert np.isfinite(result.upper[reached]).all() and np.isinf(result.lower[~reached]).all()
     left = centers((60, 60))[:, :30]
     truth = np.linalg.norm(left - (10.3, 20.6), axis=2)
     assert (result.lower[:, :30] <= truth).all()
     assert (result.upper[:, :30] >= truth).all()
-    assert (result.upper - result.lower)[reached].mean() < 0.1 * result.distance[reached].mean()
+    assert ((result.lower <= result.distance) & (result.distance <= result.upper)).all()
+    assert (result.upper[reached] - result.lower[reached]).mean() < 0.04 * result.distance[reached].mean()
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("source", [(4.5, 33.5), (4.2, 33.9)])
+def test_bounds_do_not_pass_a_diagonal_wall_of_cells_that_touch_in_corners(source):
+    costs = np.ones((40, 40))
+    costs[np.arange(36), np.arange(36)] = np.nan
+    result = cost_distance(costs, [source], bounds=True)
+    workspace = Workspace.from_mask(np.isfinite(costs), tolerance=0)
+    truth = VisibilityGraph(workspace, source)(centers(costs.shape).reshape(-1, 2)).reshape(costs.shape)
+    reached = np.isfinite(costs)
+    assert (result.lower <= truth + 1e-9)[reached].all()
+    assert (result.upper >= truth - 1e-9)[reached].all()
+    assert (result.upper[reached] - result.lower[reached]).mean() < 0.05 * truth[reached].mean()
+
+
+def test_paths_bend_at_the_corners_of_a_ford_one_cell_wide():
+    costs = np.ones((40, 40))
+    costs[:, 20] = 1e6
+    costs[5, 20] = 1
+    result = cost_distance(costs, [(10.5, 20.5)])
+    # Down to the upper left corner of the ford, through it, and up from its upper right corner.
+    x, y = np.moveaxis(centers(costs.shape)[6:, 21:], 2, 0)
+    truth = np.hypot(20 - 10.5, 6 - 20.5) + 1 + np.hypot(x - 21, y - 6)
+    np.testing.assert_allclose(result.distance[6:, 21:], truth, rtol=0.002)
+
+
+def test_a_front_marches_over_rasters_too_large_for_a_search(monkeypatch):
+    monkeypatch.setattr(rasters, "MOST_CELLS", 0)
+    costs, sources = np.full((60, 80), 3.0), np.array([(10.2, 15.9), (70.7, 40.1), (69.0, 41.0)])
+    costs[:, 0] = np.nan
+    result = cost_distance(costs, sources)
+    to_each = np.linalg.norm(centers(costs.shape)[:, 1:, None] - sources, axis=3)
+    np.testing.assert_allclose(result.distance[:, 1:], 3 * to_each.min(axis=2), atol=1.5 * 3)  # cells
+    two = np.sort(to_each, axis=2)
+    is_clear = two[..., 1] - two[..., 0] > 1.5
+    assert (result.nearest[:, 1:] == to_each.argmin(axis=2))[is_clear].all()
+    assert (result.nearest[:, 0] == -1).all()
+    with pytest.raises(ValueError, match="differ by a factor of at most 100,000, got costs from 1 to 1e"):
+        cost_distance([[1, 1e6]], [(0.5, 0.5)])
 
 
 def test_a_plr_of_stated_bytes():
@@ -171,7 +213,6 @@ def test_a_plr_of_stated_bytes():
         ([[1, np.nan]], [(0.5, 0.5), (1.5, 0.5)], {}, r"in barriers, got source 1 at \[1.5, 0.5\]"),
         ([[1, 1.0]], [(2.5, 0.5)], {}, r"in the raster .*, got source 0 at \[2.5, 0.5\]"),
         ([[1, 1.0, 1]], np.ones((1, 3)), {}, "must be boolean"),
-        ([[1, 1e6]], [(0.5, 0.5)], {}, "differ by a factor of at most 100000, got costs from 1 to 1e"),
         ([[1, 1.0]], np.ma.masked_array([[True, False]], [[True, False]]), {}, "at least one source"),
         ([[1, 1.0]], np.zeros((1, 2), bool), {}, "at least one source, got none"),
         ([[1, 1.0]], np.ones((2, 2), bool), {}, r"must have the raster's shape \(1, 2\), got \(2, 2\)"),

@@ -154,21 +154,30 @@ def test_what_a_tiff_says_is_missing_is_blocked(missing, tmp_path):
     np.testing.assert_array_equal(cost.inflated(1.0, inflation_radius=1).free, [[0, 0, 0], [1, 0, 1]])
 
 
+@pytest.mark.parametrize("kind", [np.int16, np.uint16, np.int32])
+def test_a_tiff_of_integers_has_factors(kind, tmp_path):
+    missing = 0 if kind == np.uint16 else -9999
+    cost = scenes.read_cost_map(tiff(tmp_path, np.array([[1, 300], [missing, 7]], kind), nodata=str(missing)))
+    np.testing.assert_array_equal(cost.values, [[np.inf, 7], [1, 300]])
+
+
 def test_floats_of_64_bits_are_refused(tmp_path):
     data = FACTORS.astype("<f8").tobytes()
     entries = {256: 3, 257: 2, 258: 64, 259: 1, 262: 1, 273: 8, 277: 1, 278: 2, 279: len(data), 339: 3}
     tags = b"".join(struct.pack("<HHIHH", tag, 3, 1, value, 0) for tag, value in entries.items())
     header = struct.pack("<2sHI", b"II", 42, 8 + len(data))
     (tmp_path / "a.tif").write_bytes(header + data + struct.pack("<H", len(entries)) + tags + bytes(4))
-    with pytest.raises(ValueError, match=r"a\.tif: expected a TIFF of 32-bit floats, got something else"):
+    with pytest.raises(
+        ValueError,
+        match=r"a\.tif: expected a TIFF of one channel of 32-bit floats, or of integers .*, got something else",
+    ):
         scenes.read_cost_map(tmp_path / "a.tif")
 
 
 @pytest.mark.parametrize(
     ("factors", "tags", "message"),
     [
-        (GRAY, {}, "expected a TIFF of 32-bit floats, got a picture of mode L"),
-        (np.ones((2, 2), np.int32), {}, "expected black, gray or color in 8 or 16 bits"),
+        (GRAY, {}, "expected a TIFF of one channel of 32-bit floats, or of integers .*, got a picture of mode L"),
         (np.zeros((2, 3), np.float32), {}, r"values must be from 1e-30 to 1e\+30"),
         (-FACTORS, {}, "got -"),
         (FACTORS, {"transformation": tuple(range(16))}, "with a transformation: rotate the picture"),
@@ -179,7 +188,7 @@ def test_floats_of_64_bits_are_refused(tmp_path):
         (np.full((2, 2), 7, np.float32), {"nodata": "7"}, "leave a cell that is not blocked"),
         (FACTORS, {"nodata": "none"}, "could not convert string to float: 'none'"),
     ],
-    ids=range(11),
+    ids=range(10),
 )
 def test_what_is_no_tiff_of_factors_is_refused_by_name(factors, tags, message, tmp_path):
     with pytest.raises(ValueError, match=rf"(?s)^\S*a\.tif: .*{message}"):

@@ -371,3 +371,23 @@ def test_pixels_need_not_be_square():
 def test_what_is_no_cost_map_is_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_a_data_array_lies_where_its_coordinates_say():
+    xarray = pytest.importorskip("xarray")
+    values = np.array([[1.0, 2, 3], [4, -9999, 6]])  # the first row is the north
+    raster = xarray.DataArray(values, {"y": [25.0, 15.0], "x": [2.0, 3, 4]}, ("y", "x"), attrs={"_FillValue": -9999})
+    cost = RasterCost(raster, interpolation="nearest")
+    np.testing.assert_array_equal(cost.domain.lo, [1.5, 10])
+    np.testing.assert_array_equal(cost.domain.hi, [4.5, 30])
+    np.testing.assert_array_equal(cost([[2.1, 24], [4.2, 11], [2, 16]]), [1, 6, 4])
+    assert not cost.space().is_free([[3.0, 15.0]])[0]
+    with pytest.raises(ValueError, match="leave the bounds out"):
+        RasterCost(raster, ((0, 0), (3, 2)))
+    with pytest.raises(ValueError, match=r"must have the dimensions y and x, got \('band', 'y', 'x'\)"):
+        RasterCost(raster.expand_dims("band"))
+
+
+def test_an_array_needs_bounds():
+    with pytest.raises(ValueError, match="bounds must be the box that the cells fill, got None"):
+        RasterCost(np.ones((2, 2)))

@@ -1,0 +1,322 @@
+"""Cost distance over a grid of costs: a search for shortest paths, proven lower bounds, and a march over large grids.
+
+- Dijkstra's algorithm finds shortest paths over straight edges between the centers and corners of cells. Edges are up
+  to four cells long. Their costs are exact for costs that are constant in each cell. So directions hardly matter, as
+  they do for shortest paths over 8 or 16 neighbors.
+- If heights give directed costs, edges join centers alone and are up to six cells long.
+- Lower bounds are functions that are nowhere steeper than the costs allow, projected from the distances.
+- Over grids too large for a search, scikit-fmm marches.
+
+References:
+    Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
+    Mitchell and Papadimitriou, "The weighted region problem", 1991: shortest paths among regions of constant costs.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise, product
+from math import floor, gcd
+from typing import Any
+
+import numpy as np
+import skfmm
+from jaxtyping import Float, Int
+from scipy import ndimage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from plr_jax._arrays import as_numbers
+from plr_jax.eikonal.program import rescaling_of
+
+# Most cells of a search for paths, which takes about 2 kB a cell: into which smaller rasters are divided; by default;
+# and if bounds or heights need the search.
+_FINE_CELLS, MOST_CELLS, MOST_ON_REQUEST = 60_000, 1 << 21, 1 << 22
+_HALVES, _REACH = 8, 6  # most half cells along each axis of an edge, and most cells of an edge with heights
+_LARGEST_RATIO = 1e5  # of two costs in a march; at 1e6, scikit-fmm returns NaN
+_TINY = 1e-9  # distance in cells from a source to the front of a march
+_ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums round
+# Lower bounds start this share below the distances, and are projected so often, by so much of the way that a
+# projection asks for. Where costs jump, 400 projections halve the gap that 100 leave.
+_SLACK, _PROJECTIONS, _RELAXATION = 0.02, 400, 1.5
+
+Raster = Float[np.ndarray, "rows columns"]
+AtCorners = Float[np.ndarray, "rows+1 columns+1"]
+Nearest = Int[np.ndarray, "rows columns"]
+Sides = Float[np.ndarray, "2"]
+Points = Float[np.ndarray, "k 2"]
+Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
+
+
+def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
+    """Return odd numbers of parts of each cell along rows and columns, if cells are long or the raster is small."""
+    scale = max(np.sqrt(_FINE_CELLS / cost.size * side.min() / side.max()), 1.0)
+    wanted = side[::-1] / side.min() * ((scale - 1) // 2 * 2 + 1)
+    return (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
+
+
+def search_finely(
+    cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
+) -> list[np.ndarray]:
+    """Return distances and nearest sources by paths over parts of cells; if asked for, lower and upper bounds too."""
+    fine, of_part = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1), side / parts[::-1]
+    distance, at_corners, nearest = search(fine, of_part, points)
+    results = [distance, nearest]
+    if bounds:
+        assert at_corners is not None
+        results += [_below(fine, of_part, points, distance, at_corners), distance * (1 + _ROUNDING)]
+    return [each[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for each in results]
+
+
+def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
+    """Return proven lower bounds at the centers of cells, given distances at the centers and corners.
+
+    The center divides a cell into four triangles. A function that is linear in each triangle, nowhere steeper than
+    the cost of the cell and at most 0 at the sources, is a lower bound. Projections onto the gradients that are
+    allowed in one triangle, averaged over triangles, make the given distances nearly such a function.
+    :func:`rescaling_of` does the rest.
+    """
+    # 1. The triangles, one at each side of a cell: the ends of the side, its axis, and the most cost there.
+    least = cost.min()  # costs are divided by the least, so that squares neither overflow nor vanish
+    cost, at_centers, at_corners = cost / least, at_centers / least, at_corners / least
+    ends = np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, 1:], np.s_[1:, :-1]
+    is_known = np.isfinite(at_corners)  # paths do not pass where two barriers touch: nothing binds such a corner
+    sides, axes = list(zip(ends, (*ends[1:], ends[0]), strict=True)), (0, 1, 0, 1)
+    most = [np.where(is_known[p] & is_known[q], cost, np.inf) for p, q in sides]
+    middle, corner = (np.where(np.isfinite(u), (1 - _SLACK) * u, 0.0) for u in (at_centers, at_corners))
+
+    def steepness(number: int) -> Raster:
+        (p, q), axis = sides[number], axes[number]
+        along, across = (corner[q] - corner[p]) / side[axis], (corner[p] + corner[q] - 2 * middle) / side[1 - axis]
+        return np.sqrt(along * along + across * across) / most[number]
+
+    # 2. Project.
+    for _ in range(_PROJECTIONS):
+        change, count = ([np.zeros_like(values) for values in (middle, corner)] for _ in range(2))
+        for number, (p, q) in enumerate(sides):
+            excess, mean = np.maximum(steepness(number), 1.0), (corner[p] + corner[q] + middle) / 3
+            share, is_steep = 1 / excess - 1, excess > 1
+            for kind, values, place in ((0, middle, ...), (1, corner, p), (1, corner, q)):
+                change[kind][place] += share * (values[place] - mean)
+                count[kind][place] += is_steep
+        middle += _RELAXATION * change[0] / np.maximum(count[0], 1)
+        corner += _RELAXATION * change[1] / np.maximum(count[1], 1)
+    # 3. Rescale. A corner that nothing binds counts as the reflection of the opposite corner in the center.
+    factor = (1 + _ROUNDING) * np.max([steepness(number) for number in range(4)], axis=0)
+    around = np.stack([each for p in ends for each in (corner[p], 2 * middle - corner[p])])
+    lower = np.interp(middle, *rescaling_of(*(each.ravel() for each in (around.min(0), around.max(0), factor))))
+    # 4. Subtract the largest value that a source may have.
+    home = _homes(cost, side, points)
+    to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
+    home = tuple(home.T)
+    most_at_sources = np.max(lower[home] + cost[home] * to_center)
+    lower = np.maximum(lower - most_at_sources - _ROUNDING * np.abs(lower).max(), 0.0)
+    return np.where(np.isfinite(at_centers), least * lower, np.inf)
+
+
+def _homes(cost: Raster, side: Sides, points: Points) -> Int[np.ndarray, "k 2"]:
+    return np.minimum((points / side).astype(np.int64)[:, ::-1], np.array(cost.shape) - 1)
+
+
+def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
+    """Return distances by fast marching over the centers of cells, from those of the sources' cells, and labels."""
+    least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
+    if most > _LARGEST_RATIO * least:
+        raise ValueError(
+            f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
+            f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
+        )
+    cost, home = cost / least, tuple(_homes(cost, side, points)[::-1].T)  # scikit-fmm ignores some small costs
+    front, label = np.full(cost.shape, side.min()), np.full(cost.shape, -1, np.int32)
+    front[home], label[home] = -_TINY * side.min(), np.arange(len(points))[::-1]  # the first of several sources
+    distance = np.where(label >= 0, 0.0, np.inf)
+    if (np.isfinite(cost) & (label < 0)).any():
+        front = np.ma.MaskedArray(front, np.isinf(cost))
+        time = skfmm.travel_time(front, 1 / cost, dx=side[::-1].tolist(), order=2)
+        distance = np.where(label >= 0, 0.0, np.ma.filled(time, np.inf))
+    label = _labels(distance, cost, side, label) if len(points) > 1 else np.where(np.isfinite(distance), 0, -1)
+    return least * distance, label
+
+
+def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
+    """Give each node the label of the source that steepest descent reaches.
+
+    ``carried_goals`` is more exact, but takes 13 numbers and more a node: too many for rasters of 10^8 cells.
+    """
+    # 1. The next node: of sixteen around it, the one through which the distance is least.
+    toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
+    number, least = toward.copy(), np.full(distance.shape, np.inf)
+    for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
+        first = np.maximum([0, 0], [-i, -j])
+        last = np.array(distance.shape) - np.maximum([0, 0], [i, j])
+
+        def part(values: np.ndarray, cell: tuple[int, int], first=first, last=last) -> np.ndarray:
+            return values[first[0] + cell[0] : last[0] + cell[0], first[1] + cell[1] : last[1] + cell[1]]
+
+        way = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(2 * i, 2 * j, 1, partial(part, cost))
+        for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
+            through = part(distance, b) + way
+            is_better = (through < part(least, a)) & (part(distance, b) < part(distance, a))
+            part(least, a)[is_better] = through[is_better]
+            part(toward, a)[is_better] = part(number, b)[is_better]
+    del number, least
+    # 2. Replace each successor by its successor until nothing changes.
+    toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward).ravel()
+    while not np.array_equal(further := toward[toward], toward):
+        toward = further
+    return label.ravel()[toward].reshape(label.shape)
+
+
+def search(
+    cost: Raster,
+    side: Sides,
+    points: Points,
+    height: Raster | None = None,
+    slope_fn: Slope = np.ones_like,
+    from_sources: bool = False,
+) -> tuple[Raster, AtCorners | None, Nearest]:
+    """Return costs of shortest paths over straight edges to centers and corners of cells, and nearest sources.
+
+    With heights, edges join centers alone, and paths begin at the center of a source's cell.
+    """
+    # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
+    points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
+    home, (rows, columns) = _homes(cost, side, points), cost.shape
+    if height is not None:
+        nearest_open: Any = ndimage.distance_transform_edt(
+            np.isinf(cost), sampling=side[::-1], return_distances=False, return_indices=True
+        )
+        height = np.pad(height[tuple(nearest_open)], _REACH, mode="edge")
+    cost = np.pad(cost, _REACH, constant_values=np.inf)
+    # 2. Nodes are corners of cells, then centers. Steps of edges are in half cells, and pass no other node.
+    halves, corner_shape = (1,), (0, 0)
+    steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
+    if height is None:
+        halves, corner_shape = (0, 1), (rows + 1, columns + 1)
+        half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
+        steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
+    corners = corner_shape[0] * corner_shape[1]
+    number = np.arange(corners + rows * columns)
+    nodes = number[:corners].reshape(corner_shape), number[corners:].reshape(rows, columns)
+    # 3. Straight motions from sources to nodes in and beside their cells. With heights, sources are moved to centers.
+    near, straight = np.zeros((1, 2), int), np.zeros((len(points), 1))
+    if height is None:
+        near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
+        straight = _straight_costs(cost, side, points, home, near)
+    # 4. The cost of each edge: its length, times the mean cost along it, times the mean factor of its parts' slopes.
+    size = len(number) * len(steps)
+    ends, costs = np.zeros(size + straight.size, np.int32), np.append(np.empty(size), straight)
+    end, weight = ends[:size].reshape(len(number), -1), costs[:size].reshape(len(number), -1)
+    for half in halves:
+        here = nodes[half]
+        rows_here = slice(here[0, 0], here[-1, -1] + 1)
+
+        def beside(values: np.ndarray, offset: tuple[int, int], shape=here.shape) -> np.ndarray:
+            i, j = _REACH + offset[0], _REACH + offset[1]
+            return values[i : i + shape[0], j : j + shape[1]]
+
+        for edge, (i, j) in enumerate(steps):
+            length = float(np.hypot(*(side[::-1] * (i, j)))) / 2
+            of_edges = length * _mean_along(i, j, half, partial(beside, cost))
+            if height is not None:
+                of_edges *= _mean_factor(i // 2, j // 2, length, partial(beside, height), slope_fn, from_sources)
+            weight[rows_here, edge] = of_edges.ravel()
+            there = nodes[(half + i) % 2]
+            row, column = (
+                np.clip(np.arange(n, dtype=np.int32) + (half + by) // 2, 0, most - 1)
+                for n, most, by in zip(here.shape, there.shape, (i, j), strict=True)
+            )
+            end[rows_here, edge] = ((there[0, 0] + row * there.shape[1])[:, None] + column).ravel()
+    to_near = ends[size:].reshape(straight.shape)
+    for edge, step in enumerate(near):
+        there = nodes[(1 + step[0]) % 2]
+        to_near[:, edge] = there[tuple(np.clip(home + (1 + step) // 2, 0, np.array(there.shape) - 1).T)]
+    if height is None:  # no path passes where two barriers touch in a corner
+        is_barrier = np.isinf(cost[_REACH - 1 : 1 - _REACH, _REACH - 1 : 1 - _REACH])
+        a, b, c, d = (is_barrier[i : i + rows + 1, j : j + columns + 1] for i, j in product((0, 1), repeat=2))
+        contacts = nodes[0][(a == d) & (b == c) & (a != b)]
+        weight[contacts] = np.inf
+    # 5. Shortest paths from all sources at once; an infinite weight is no edge.
+    begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
+    graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
+    sources = len(number) + np.arange(len(points))
+    distance, _, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
+    nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - len(number), -1)]
+    if height is not None:
+        return distance[nodes[1]], None, nearest
+    distance[contacts] = np.inf
+    return distance[nodes[1]], distance[nodes[0]], nearest
+
+
+def _straight_costs(
+    cost: Float[np.ndarray, "padded_rows padded_columns"],
+    side: Sides,
+    points: Points,
+    home: Int[np.ndarray, "k 2"],
+    near: Int[np.ndarray, "nodes 2"],
+) -> Float[np.ndarray, "k nodes"]:
+    """Return costs of straight motions from points to nodes, ``near`` half cells from the centers of their cells.
+
+    ``cost`` has a rim. A motion leaves the row and the column of the first cell at most once each.
+    """
+    begin = points[:, None, ::-1] / side[::-1]
+    change = home[:, None] + 0.5 + near / 2 - begin
+    with np.errstate(divide="ignore", invalid="ignore"):
+        leaves = np.where(np.abs(near) > 1, (home[:, None] + (near > 0) - begin) / change, 1.0)
+        first, last = leaves.min(axis=2), leaves.max(axis=2)
+        beyond = np.sign(near) * (leaves < 1)
+        cells = home[:, None], home[:, None] + beyond * (leaves == first[..., None]), home[:, None] + beyond
+        here, between, there = (cost[tuple(np.moveaxis(cell + _REACH, 2, 0))] for cell in cells)
+        mean = first * here + (last - first) * between + (1 - last) * there  # NaN where a barrier is touched
+    return np.where(np.isnan(mean), np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
+
+
+def _mean_factor(
+    i: int,
+    j: int,
+    length: float,
+    height_at: Callable[[tuple[int, int]], np.ndarray],
+    slope_fn: Slope,
+    from_sources: bool,
+) -> np.ndarray:
+    """Return the mean factor of slopes along a straight motion to the cell ``(i, j)`` further."""
+    heights, count = [], max(abs(i), abs(j))
+    for part in range(count + 1):
+        (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
+        # One of the two coordinates is whole: between two cells, heights are interpolated.
+        beyond, rest = (i0 + (to_i > 0), j0 + (to_j > 0)), max(to_i, to_j) / count
+        heights.append((1 - rest) * height_at((i0, j0)) + rest * height_at(beyond))
+    slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
+    factor = np.broadcast_to(as_numbers("slope_cost", slope_fn(slopes), "numbers"), slopes.shape)
+    if not (factor > 0).all():
+        raise ValueError("slope_cost must return positive numbers, got some that are not.")
+    return np.mean(factor, axis=0)
+
+
+def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
+    """Return the mean cost along a straight motion by ``(i, j)`` half cells; ``inf`` if barriers stop it.
+
+    It begins in the center of a cell (``half`` 1) or in its lower corner (0). ``cost_at`` gives the costs of cells by
+    the rows and columns to them.
+    """
+    # 1. Cut the motion where it enters another cell.
+    ends = {0.0, 1.0}
+    for by in (i, j):
+        ends |= {
+            abs(at - half) / abs(by)
+            for at in range(min(half, half + by), max(half, half + by) + 1)
+            if by and at % 2 == 0
+        }
+    cuts = sorted(ends)
+    middles = [((half + i * (a + b) / 2) / 2, (half + j * (a + b) / 2) / 2) for a, b in pairwise(cuts)]
+    cells = [(floor(row), floor(column)) for row, column in middles]
+    # 2. Along the border of two cells the cheaper one counts.
+    mean: Any = 0.0
+    for (a, b), (row, column) in zip(pairwise(cuts), cells, strict=True):
+        cost = cost_at((row, column))
+        if half == 0 and 0 in (i, j):
+            cost = np.minimum(cost, cost_at((row - (i == 0), column - (j == 0))))
+        mean = mean + (b - a) * cost
+    for a, b in pairwise(cells):
+        if a[0] != b[0] and a[1] != b[1]:  # a corner: one of the other two cells there must be no barrier
+            mean = np.where(np.isinf(np.minimum(cost_at((a[0], b[1])), cost_at((b[0], a[1])))), np.inf, mean)
+    return mean

@@ -1,0 +1,54 @@
+"""Rasters of xarray: a ``DataArray`` of two dimensions, y and x, with coordinates of the centers of its cells."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from plr_jax._arrays import as_numbers, with_inf_for_masked
+from plr_jax.geometry.box import Box
+
+NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray
+_X_NAMES, _Y_NAMES = {"x", "lon", "longitude", "easting"}, {"y", "lat", "latitude", "northing"}
+_DEGREES = {"lon", "longitude", "lat", "latitude"}
+_UNEVEN = 1e-3  # largest difference of two steps between coordinates, as a share of a step
+
+
+def is_data_array(raster: Any) -> bool:
+    return all(hasattr(raster, name) for name in ("dims", "coords", "attrs"))
+
+
+def raster_values(name: str, raster: Any) -> Float[np.ndarray, "..."]:
+    """Return a raster as 64-bit floats, ``inf`` where it is masked, NaN or no data."""
+    values = np.array(as_numbers(name, with_inf_for_masked(raster), "a raster of numbers"))
+    if is_data_array(raster):
+        for key in NO_DATA:
+            values[values == raster.attrs.get(key)] = np.inf
+    values[np.isnan(values)] = np.inf
+    return values
+
+
+def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
+    """Return the box that the cells fill, and slices that put the cells with the lowest coordinates first."""
+    if len(raster.dims) != 2:
+        raise ValueError(
+            f'{name} must have the dimensions y and x, got {raster.dims}: use squeeze("band") for a band.'
+        )
+    if str(raster.dims[0]).lower() in _X_NAMES or str(raster.dims[1]).lower() in _Y_NAMES:
+        raise ValueError(f"{name} must have the dimensions y and x in this order, got {raster.dims}: transpose it.")
+    lo, hi, slices = [], [], []
+    for axis in raster.dims[::-1]:
+        if str(axis).lower() in _DEGREES or str(raster[axis].attrs.get("units", "")).startswith("degree"):
+            message = f"Coordinates {axis!r} seem to be degrees, so that lengths are in degrees: project the raster."
+            warnings.warn(message, UserWarning, stacklevel=4)
+        along = as_numbers(f"coordinates {axis!r}", raster[axis].values, "numbers")
+        steps = np.diff(along)
+        side = abs(along[-1] - along[0]) / len(steps) if len(steps) else 1.0
+        if side == 0 or not (np.abs(np.abs(steps) - side) <= _UNEVEN * side).all():
+            spaced = f"got steps from {steps.min():g} to {steps.max():g}"
+            raise ValueError(f"coordinates {axis!r} must be evenly spaced, {spaced}.")
+        lo.append(along.min() - side / 2)
+        hi.append(lo[-1] + side * len(along))
+        slices.append(slice(None, None, -1 if along[0] > along[-1] else None))
+    return Box(lo, hi), (slices[1], slices[0])
