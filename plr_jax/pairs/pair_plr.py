@@ -289,7 +289,7 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     Gaps between obstacles stay open however narrow they are, and contacts stay closed.
 
     Args:
-        workspace: The free space, with at most 8,192 reflex corners.
+        workspace: The free space, with at most 8,192 reflex corners; sharp tips of thin walls count twice.
         max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
 
     Raises:
