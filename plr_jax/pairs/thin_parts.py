@@ -28,7 +28,7 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 
 def with_thin_parts(
     outline: Outline, vertex: Int[np.ndarray, "points"], free_space: Any, width: float
-) -> tuple[Outline, Int[np.ndarray, "points"]]:
+) -> tuple[Outline, Int[np.ndarray, "found_points"]]:
     """Find thin walls, cut walls that are thin in part, and give sharp tips of thin obstacles two points.
 
     Both points of a tip are neighbors on the lattice, and have the same ``vertex``. The corners in front of them lie
