@@ -27,7 +27,7 @@ from exact_plane import ExactPlane, as_exact
 from plr_jax import VisibilityGraph, Workspace, construct, construct_pairs
 
 _ASKED = ["oracle", "fields", "pairs"]  # the oracle, certified PLRs of one goal per plan, pairs
-_HANGS = 30  # seconds after which a plan counts as hanging
+_HANGS = 60  # CPU seconds after which a plan counts as hanging
 _NEAR = 2  # tolerances: points closer to a wall may lie on either side of it
 _NEAR_32 = 1e-7  # the same for 32-bit points, in widths of the workspace
 _NEAR_PAIRS, _SLACK_PAIRS = 8e-6, 2e-5  # documented resolution and error of pairs, in widths
@@ -321,7 +321,7 @@ def _refusing(result: Judge, name: str, make: Callable[[], Any]) -> Any:
     """Return the result of ``make``, or None if it raises a ``ValueError``."""
     result.counts[f"{name}: made"] += 1
     try:
-        signal.alarm(_HANGS)
+        signal.setitimer(signal.ITIMER_PROF, _HANGS)
         return make()
     except RuntimeError as error:
         result.fail(f"{name}: {error}", result.plan.goals[0], result.plan.points[0], None, None, None)
@@ -332,7 +332,7 @@ def _refusing(result: Judge, name: str, make: Callable[[], Any]) -> Any:
 def trial(seed: int, number: int, ask: Collection[str]) -> Judge:
     """Make and judge a plan; hangs and errors are counted as well."""
     plan = hostile_plan(seed, number)
-    signal.alarm(_HANGS)
+    signal.setitimer(signal.ITIMER_PROF, _HANGS)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -345,7 +345,7 @@ def trial(seed: int, number: int, ask: Collection[str]) -> Judge:
         result = Judge(plan, np.zeros((0, 2, 2)))
         result.fail(f"{type(error).__name__}: {str(error)[:80]}", plan.goals[0], plan.points[0], None, None, None)
     finally:
-        signal.alarm(0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
     return result
 
 
@@ -362,7 +362,7 @@ def main() -> None:
     arguments = parser.parse_args()
     kept = Path(tempfile.mkdtemp(prefix="plr_jax_"))
     print(f"what fails is in {kept}", flush=True)
-    signal.signal(signal.SIGALRM, _give_up)
+    signal.signal(signal.SIGPROF, _give_up)
     counts, began = Counter(), time.perf_counter()
     for number in range(arguments.first, arguments.first + arguments.plans):
         result = trial(arguments.seed, number, arguments.ask)

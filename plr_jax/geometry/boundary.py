@@ -94,8 +94,8 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
         ):
             is_new[of_known[of_known >= 0]] = False
     new_edges, old_edges = np.flatnonzero(is_new_edge), np.flatnonzero(~is_new_edge)
-    of_new = _vertices_near_edges(vertices, edges, tolerance, np.arange(len(vertices)), new_edges)
-    of_old = _vertices_near_edges(vertices, edges, tolerance, np.flatnonzero(is_new_vertex), old_edges)
+    of_new = vertices_near_edges(vertices, edges, tolerance, np.arange(len(vertices)), new_edges)
+    of_old = vertices_near_edges(vertices, edges, tolerance, np.flatnonzero(is_new_vertex), old_edges)
     vertex, edge = np.concatenate([of_new, of_old], axis=1)
     # 2. Cut edges at the vertices on them, to a quarter of the tolerance. No other vertex may be near.
     start, end = vertices[edges[edge]].transpose(1, 0, 2)
@@ -133,7 +133,7 @@ def match_boundary(
     return vertex, index_of(edges[:, 0] * size + edges[:, 1], wanted)
 
 
-def _vertices_near_edges(
+def vertices_near_edges(
     vertices: Float[np.ndarray, "vertices 2"],
     edges: Int[np.ndarray, "edges 2"],
     tolerance: float,

@@ -15,11 +15,9 @@ from typing import Any
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import shortened, take_ragged
-from plr_jax.geometry.boundary import Boundary
+from plr_jax.geometry.boundary import Boundary, vertices_near_edges
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_cells, turns_by_triangle
 from plr_jax.geometry.convex_pieces import areas
@@ -27,8 +25,8 @@ from plr_jax.geometry.corners import CornerVisibility, corner_visibility
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.pairs.portable import MARGIN, RECEDING
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, PairsFileData, distances_by_rows, most_leaves
+from plr_jax.pairs.thin_parts import FINEST, with_thin_parts
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import Limits, grow
@@ -37,8 +35,8 @@ from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
+_FINEST_EVER = 2.0**-37  # domain widths: files hold coordinates of up to 39 bits
 _SLACK = 8  # number of workspace tolerances by which visibility may err
-_FINEST = 2.0**-24  # finest lattice step, in domain widths: the resolution of 32-bit floats
 
 
 def outline_of(
@@ -71,49 +69,33 @@ def outline_of(
             edge = onward[edge]
         if len(vertex) > first[-1]:
             first.append(len(vertex))
-    index = np.array(vertex)
-    step = lattice_step(boundary.vertices - origin, width, tolerance)
-    points = distinct_lattice_points((boundary.vertices - origin) / step, edges)[index]
+    index, every = np.array(vertex), np.arange(len(edges))
+    near, edge = vertices_near_edges(
+        boundary.vertices, edges, 8 * FINEST * width, np.arange(len(boundary.vertices)), every
+    )
+    apart: Any = shapely.distance(
+        shapely.points(boundary.vertices[near]), shapely.linestrings(boundary.segments[edge].reshape(-1, 2, 2))
+    )
+    step = lattice_step(boundary.vertices - origin, width, tolerance, float(apart.min(initial=np.inf)))
+    points = np.rint((boundary.vertices - origin) / step).astype(np.int64)[index]
     return Outline(origin, step, points, np.array(first), may_squeeze), index
 
 
-def distinct_lattice_points(x: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]) -> Int[np.ndarray, "n 2"]:
-    """Round points to integers; a point whose place is taken moves to a free neighbor, away from the other point.
+def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
+    """Return a lattice step that keeps points distinct, and points closer than ``clearance`` to a wall on their side.
 
-    Only the ends of edges that round to nothing share a place (or, rarely, points with all eight neighbors taken). So
-    walls that merely come close stay apart, and walls with a common place really touch.
-    """
-    points, num = np.rint(x).astype(np.int64), len(x)
-    short = edges[(points[edges[:, 0]] == points[edges[:, 1]]).all(axis=1)]
-    graph = coo_array((np.ones(len(short)), short.T), shape=(num, num))
-    _, member, group = np.unique(connected_components(graph)[1], return_index=True, return_inverse=True)
-    x, points = x[member], points[member]
-    _, first, place = np.unique(points, axis=0, return_index=True, return_inverse=True)
-    taken, around = (
-        set(map(tuple, points[first].tolist())),
-        np.delete(np.stack(np.divmod(np.arange(9), 3)).T - 1, 4, 0),
-    )
-    for i in np.setdiff1d(np.arange(len(points)), first):
-        away = around @ (x[i] - x[first[place.ravel()[i]]]) / np.linalg.norm(around, axis=1)
-        sites = map(tuple, (points[i] + around[np.argsort(-away)]).tolist())
-        points[i] = site = next((site for site in sites if site not in taken), tuple(points[i]))
-        taken.add(site)
-    return points[group]
-
-
-def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float) -> float:
-    """Return the largest lattice step that keeps points distinct and moves no coordinate by more than the tolerance.
-
-    Steps are powers of two or ten. If no step fits, return the finest: about ``2**-24`` of the width.
+    Return the largest power of two or ten that moves no coordinate by more than the tolerance. If there is none,
+    return about ``2**-24`` of the width, or as much less as the clearance needs.
     """
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
-    for step in np.sort(steps[(steps <= width) & (steps >= _FINEST * width)])[::-1]:
+    for step in np.sort(steps[(steps <= width) & (steps >= FINEST * width)])[::-1]:
         steps_away = np.rint(points / step)
-        is_near = np.abs(points - step * steps_away).max(initial=0.0) <= tolerance
-        if is_near and len(np.unique(steps_away, axis=0)) == len(points):
+        moved = np.abs(points - step * steps_away).max(initial=0.0)
+        if moved <= min(tolerance, clearance / 4) and len(np.unique(steps_away, axis=0)) == len(points):
             return float(step)
-    return float(2.0 ** np.floor(np.log2(_FINEST * width)))
+    step = min(FINEST * width, max(clearance / 4, _FINEST_EVER * width))
+    return float(2.0 ** np.floor(np.log2(step)))
 
 
 _SHARE = 0.25  # share of the largest key above which cells are halved together
@@ -257,26 +239,36 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace may be at most {WIDEST:g} wide, got {domain.width.max():g}: scale it.")
     visibility = corner_visibility(workspace)
-    if len(visibility.corners.points) > MOST_CORNERS:
+    width = float(domain.width.max())
+    outline, vertex = outline_of(boundary, domain.lo, width, workspace.tolerance, workspace.squeeze)
+    outline, vertex = with_thin_parts(outline, vertex, workspace.free_space, width)
+    corner, of_corner = corners_in_outline(outline, vertex, visibility.of_vertex)
+    if len(corner) > MOST_CORNERS:
         raise ValueError(
-            f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(visibility.corners.points):,}: "
-            "simplify its polygons, or ask a VisibilityGraph."
+            f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(corner):,}: simplify its polygons, "
+            "or ask a VisibilityGraph."
         )
-    outline, vertex = outline_of(
-        boundary, domain.lo, float(domain.width.max()), workspace.tolerance, workspace.squeeze
-    )
-    corner, rank = corners_in_outline(outline, vertex, visibility.corners.points, boundary)
+    order = np.argsort(of_corner, kind="stable")
+    first = np.searchsorted(of_corner[order], np.arange(len(visibility.corners.points) + 1))
+
+    def in_file(corners: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        """Return the corners of the file at workspace corners, and the row of each."""
+        rows, row = take_ragged(first, corners)
+        return order[rows], row
+
     # 1. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
-    edges = np.unique(np.sort(rank[visibility.edges[is_taut]], axis=1)[:, ::-1], axis=0)[:, ::-1]
+    start, row = in_file(a[is_taut])
+    end, again = in_file(b[is_taut][row])
+    tips = np.flatnonzero(of_corner[1:] == of_corner[:-1])
+    pairs = np.concatenate([np.stack([start[again], end], axis=1), np.stack([tips, tips + 1], axis=1)])
+    edges = np.unique(np.sort(pairs, axis=1)[:, ::-1], axis=0)[:, ::-1]
     # 2. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
-    none, width = np.zeros(0, np.int64), float(domain.width.max())
-    outline = replace(outline, thin=thin_walls(outline, workspace.free_space, width))
+    none = np.zeros(0, np.int64)
     unlisted = PairsFileData(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0)
-    true = np.empty_like(unlisted.points)
-    true[rank] = visibility.corners.points
+    true = visibility.corners.points[of_corner]
     moved = float(np.linalg.norm(true - unlisted.points, axis=1).max(initial=0.0))
     largest = 0.0
     for (_, one), (_, other) in zip(
@@ -291,11 +283,12 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     # 3. Grow the leaves and their lists.
     def stored(lists: Lists) -> PairsFileData:
         tree = tree_of(lists.cells)
-        place = np.argsort(tree.order)[lists.cell]
-        by_leaf = np.lexsort((rank[lists.corner], place))
-        return replace(unlisted, tree=tree, leaf=place[by_leaf], listed=rank[lists.corner][by_leaf])
+        listed, row = in_file(lists.corner)
+        place = np.argsort(tree.order)[lists.cell[row]]
+        by_leaf = np.lexsort((listed, place))
+        return replace(unlisted, tree=tree, leaf=place[by_leaf], listed=listed[by_leaf])
 
-    most = min(limits.max_leaves, most_leaves(len(rank)))
+    most = min(limits.max_leaves, most_leaves(len(corner)))
     root = corners_seen(visibility, workspace.triangulation, domain.lo[None], domain.hi[None])
     held = stored(grow_lists(root, domain, limits, most, lambda lists: len(stored(lists).to_bytes())))
     data = held.to_bytes()
@@ -307,21 +300,20 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     return held, data
 
 
-def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
-    """Return the walls that may come close to free space when they move back, because their obstacle is thin."""
-    walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
-    return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
-
-
 def corners_in_outline(
-    outline: Outline, vertex: Int[np.ndarray, "points"], corners: Float[np.ndarray, "corners 2"], boundary: Boundary
+    outline: Outline, vertex: Int[np.ndarray, "points"], of_vertex: Int[np.ndarray, "vertices"]
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
-    """Return the outline points that are corners, ascending, and each workspace corner's place among them."""
-    number = {tuple(point): i for i, point in enumerate(corners.tolist())}
-    corner_of_vertex = np.array([number.get(tuple(point), -1) for point in boundary.vertices.tolist()])
-    order = np.argsort(~outline.is_reflex, kind="stable")
-    found, place = np.unique(corner_of_vertex[vertex[order]], return_index=True)
-    point = order[place[found >= 0]]
-    rank = np.empty(len(point), np.int64)
-    rank[np.argsort(point)] = np.arange(len(point))
-    return np.sort(point), rank
+    """Return the outline points that are corners, ascending, and the workspace corner of each.
+
+    ``vertex`` holds the boundary vertex at each outline point or -1, ``of_vertex`` the corner at each vertex or -1. A
+    sharp tip of a thin obstacle has two outline points.
+    """
+    of_point = np.append(of_vertex, -1)[vertex]
+    candidates = np.flatnonzero(of_point >= 0)
+    candidates = candidates[np.argsort(~outline.is_reflex[candidates], kind="stable")]
+    first = candidates[np.unique(of_point[candidates], return_index=True)[1]]
+    is_corner = np.zeros(len(vertex) + 1, bool)
+    is_corner[first] = True
+    is_corner[first + 1] |= np.append(vertex, -1)[first + 1] == vertex[first]
+    corner = np.flatnonzero(is_corner)
+    return corner, of_point[corner]

@@ -285,11 +285,12 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     - Points within 8e-6 widths of a contact (where obstacles touch), or of a wall or gap thinner than that, may get
       the distance of a point on the other side, or one that is too small. Bounds still hold there. Lower bounds treat
       such walls as free space, so they may be far below the distance between points on opposite sides.
+    - Paths around an end of such a wall may be up to 2e-6 widths too long.
 
     Gaps between obstacles stay open however narrow they are, and contacts stay closed.
 
     Args:
-        workspace: The free space, with at most 8,192 reflex corners.
+        workspace: The free space, with at most 8,192 reflex corners; sharp tips of thin walls count twice.
         max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
 
     Raises:

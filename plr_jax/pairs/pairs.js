@@ -32,10 +32,10 @@ function readOutline(body, origin) {
 }
 
 // How far the outline's points move if all walls move back by a distance (into free space if negative), as multiples
-// of the distance. Points between walls of thin obstacles stay, unless `surely`.
+// of the distance. Points between thin walls stay, unless `surely`.
 function moves({ points, following: ring, pastContacts, isThin, x, y }, distance, surely) {
     const count = x.length, following = distance > 0 ? pastContacts : ring, before = new Int32Array(count);
-    const mx = new Float64Array(count), my = new Float64Array(count), stays = [], turned = [];
+    const mx = new Float64Array(count), my = new Float64Array(count), turned = [];
     following.forEach((next, i) => before[next] = i);
     // Walls of length 0 are skipped.
     const normal = (i, along) => {
@@ -53,14 +53,12 @@ function moves({ points, following: ring, pastContacts, isThin, x, y }, distance
         my[i] = (ny + by) / along;
         // As far as the sharpest tip needs, but at most a quarter of the walls beside it.
         const most = distance > 0 ? Math.max(4, Math.min(length(i), length(before[i])) / (4 * distance)) : 4;
-        const isTip = cosine < -0.5 && bx * ny - by * nx < 0; // which recedes along itself, within its obstacle
-        if (isThin.has(i) && isThin.has(before[i]) && !isTip) stays.push(i);
         const shorter = Math.min(1, most / Math.max(Math.sqrt(mx[i] * mx[i] + my[i] * my[i]), 1e-12));
         mx[i] *= shorter;
         my[i] *= shorter;
+        if (!surely && distance > 0 && isThin.has(i) && isThin.has(before[i])) mx[i] = my[i] = 0;
     }
     if (surely || distance <= 0) return [mx, my];
-    stays.forEach(i => mx[i] = my[i] = 0);
     for (let i = 0; i < count; i++) {
         const next = following[i], dx = x[next] - x[i], dy = y[next] - y[i];
         if (dx * (dx - distance * (mx[next] - mx[i])) + dy * (dy - distance * (my[next] - my[i])) < 0) turned.push(i, next);

@@ -27,13 +27,13 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import take_ragged
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.vectors import cross_product, left_normal, pseudo_angle
+from plr_jax.geometry.vectors import left_normal, orientation, pseudo_angle
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
-_SHARP = -0.5  # cosine between the normals of two walls, below which their common point is a tip
-_MITRE = 4.0  # distances that a point moves at most; farther for tips, which are closed again
+MITRE = 4.0
+"""Distances that a point moves at most; farther for tips, which are closed again."""
 _COUNT_BITS = 32
 _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 
@@ -65,7 +65,7 @@ class Outline:
         return self.origin + self.step * self.points
 
     @cached_property
-    def _following(self) -> Int[np.ndarray, "points"]:
+    def following(self) -> Int[np.ndarray, "points"]:
         following = np.arange(1, len(self.points) + 1)
         following[self.first[1:] - 1] = self.first[:-1]
         return following
@@ -76,18 +76,23 @@ class Outline:
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, "points"]:
-        """Mask of the contacts that no path may pass: points where several walls begin, unless ``may_squeeze``."""
+        """Mask of the contacts that no path may pass."""
+        return self.is_shared & (not self.may_squeeze)
+
+    @cached_property
+    def is_shared(self) -> Bool[np.ndarray, "points"]:
+        """Mask of the points where several walls begin."""
         _, index = np.unique(self.points, axis=0, return_inverse=True)
-        return (np.bincount(index.ravel(), self._has_length)[index.ravel()] > 1) & (not self.may_squeeze)
+        return np.bincount(index.ravel(), self._has_length)[index.ravel()] > 1
 
     @cached_property
     def _has_length(self) -> Bool[np.ndarray, "walls"]:
-        return (self.points[self._following] != self.points).any(axis=1)
+        return (self.points[self.following] != self.points).any(axis=1)
 
     @cached_property
-    def _following_past_contacts(self) -> Int[np.ndarray, "points"]:
+    def following_past_contacts(self) -> Int[np.ndarray, "points"]:
         """Index of the point that follows each point around its obstacle, where obstacles part at contacts."""
-        following, at = self._following.copy(), np.flatnonzero(self.is_contact & self._has_length)
+        following, at = self.following.copy(), np.flatnonzero(self.is_contact & self._has_length)
         before = np.argsort(following)[at]
         onward = (self.points[following] - self.points)[at].astype(float)
         _, place = np.unique(self.points[at], axis=0, return_inverse=True)
@@ -111,8 +116,8 @@ class Outline:
     @cached_property
     def is_reflex(self) -> Bool[np.ndarray, "points"]:
         """Mask of the points that stick out into free space."""
-        (ax, ay), (bx, by) = (walls.T for walls in self._beside(self._following))
-        return ax * by < ay * bx
+        arriving, leaving = (walls.T.astype(float) for walls in self._beside(self.following))
+        return orientation(*arriving, *leaving) < 0
 
     def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         import shapely  # loading a file does not need it
@@ -156,21 +161,21 @@ class Outline:
         near the tip, to the point where the moved walls meet. With ``surely``, all walls move, even those of thin
         obstacles, and nothing closes contacts and tips.
         """
-        following = self._following if distance <= 0 else self._following_past_contacts
+        following = self.following if distance <= 0 else self.following_past_contacts
         moved = self.positions - distance * self._moves(distance, surely)
         walls = np.concatenate([moved, moved[following]], axis=1)
         if distance <= 0 or surely:
             return walls
         away = self.positions - moved
         far = np.linalg.norm(away, axis=1)
-        most = np.where(self.is_contact, 0.0, _MITRE * distance)
+        most = np.where(self.is_contact, 0.0, MITRE * distance)
         tips = np.flatnonzero(far > most)
         start = self.positions[tips] - (most[tips] / far[tips])[:, None] * away[tips]
         return np.concatenate([walls, np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])])
 
     def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
         """Return the four walls of a rectangle around each thin wall, at a distance, as rows of both ends."""
-        start, end = self.positions[self.thin], self.positions[self._following[self.thin]]
+        start, end = self.positions[self.thin], self.positions[self.following[self.thin]]
         has_length = (start != end).any(axis=1)
         start, end = start[has_length], end[has_length]
         aside = distance * left_normal(end - start)
@@ -192,22 +197,20 @@ class Outline:
         A point between two thin walls stays, unless ``surely``. So do the ends of a wall that would change direction,
         as at the end of an obstacle that is thinner than twice the distance.
         """
-        following = self._following if distance <= 0 else self._following_past_contacts
+        following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
         before, normal = map(_normal_of, self._beside(following))
-        cosine, sine = (normal * before).sum(axis=1), cross_product(before, normal)
-        mitre = (normal + before) / np.maximum(1 + cosine, 1e-12)[:, None]
+        mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         if distance <= 0:
-            return mitre * np.minimum(1, _MITRE / np.maximum(length, 1e-12))
+            return mitre * np.minimum(1, MITRE / np.maximum(length, 1e-12))
         # Tips recede until their walls have moved by the distance, but at most along a quarter of these walls.
         long = np.linalg.norm(onward, axis=1)
         short = np.minimum(long, long[np.argsort(following)])[:, None]
-        mitre *= np.minimum(1, np.maximum(_MITRE, short / (4 * distance)) / np.maximum(length, 1e-12))
+        mitre *= np.minimum(1, np.maximum(MITRE, short / (4 * distance)) / np.maximum(length, 1e-12))
         if surely:
             return mitre
-        is_tip = (cosine < _SHARP) & (sine < 0)  # a tip recedes along itself, inside its obstacle
-        mitre[self.is_thin & self.is_thin[np.argsort(following)] & ~is_tip] = 0.0
+        mitre[self.is_thin & self.is_thin[np.argsort(following)]] = 0.0
         moved_onward = onward - distance * (mitre[following] - mitre)
         turned = np.flatnonzero((onward * moved_onward).sum(axis=1) < 0)
         mitre[turned] = mitre[following[turned]] = 0.0

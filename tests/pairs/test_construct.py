@@ -68,11 +68,14 @@ def test_walls_and_ends_that_32_bits_do_not_resolve_are_gone_around(obstacle, x,
 def test_the_widest_lattice_that_holds_all_points(step):
     points = step * np.random.default_rng(0).integers(-40, 40, (50, 2))
     points[0] = step  # odd, so that no wider one holds it
-    assert lattice_step(points, 4096.0, 1e-9) == pytest.approx(step, rel=1e-12)
+    assert lattice_step(points, 4096.0, 1e-9, np.inf) == pytest.approx(step, rel=1e-12)
 
 
 def test_the_finest_lattice_if_none_holds_the_points():
-    assert lattice_step(np.array([[np.pi, 1.0]]), 8.0, 1e-12) == 8 * 2.0**-24
+    points = np.array([[np.pi, 1.0]])
+    assert lattice_step(points, 8.0, 1e-12, np.inf) == 8 * 2.0**-24
+    assert lattice_step(points, 8.0, 1e-12, 2.0**-30) == 2.0**-32
+    assert lattice_step(points, 8.0, 1e-12, 1e-20) == 8 * 2.0**-37
 
 
 def grown(workspace, most_leaves):

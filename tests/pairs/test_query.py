@@ -118,8 +118,9 @@ def test_beside_walls_too_thin_for_sight_answers_are_finite_and_bounded(kind):
         lower, upper = pairs.bounds(x, y)
         assert (lower <= truth).all() and (truth <= upper).all()
         found, on_one_side = np.asarray(pairs(x, y)), aside > 5e-5 * WIDTH
-        assert (found <= truth + 1e-6 * WIDTH).all()  # the distance on the other side of the wall, where that is less
-        np.testing.assert_allclose(found[on_one_side], truth[on_one_side], atol=1e-6 * WIDTH)
+        # Paths pass a little in front of the ends of thin walls. From the other side of the wall they may be shorter.
+        assert (found <= truth + 2e-6 * WIDTH).all()
+        np.testing.assert_allclose(found[on_one_side], truth[on_one_side], atol=2e-6 * WIDTH)
 
 
 @pytest.mark.full
