@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.export import is_symbolic_dim
-from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax._arrays import padded, padded_size, parts, ragged_indices, size_in_eighths, take_ragged
 from plr_jax.geometry.box import Box
@@ -111,9 +111,7 @@ class NearWalls:
         return (crossed.min(axis=1) < 0) & (crossed.max(axis=1) > 0)
 
 
-def updated(
-    state: State, is_open: Bool[Array, "n"], size: int, update: Callable[..., State], *columns: Shaped[Array, "n ..."]
-) -> State:
+def updated(state: State, is_open: Bool[Array, "n"], size: int, update: Callable[..., State], *columns: Any) -> State:
     """Replace the open rows of arrays by ``update(state, *columns)``, which takes ``size`` rows at a time."""
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
     words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
