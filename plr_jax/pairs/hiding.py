@@ -11,21 +11,21 @@ tests.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial, reduce
-from typing import Any
+from functools import reduce
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.export import is_symbolic_dim
-from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax._arrays import padded, padded_size, parts, ragged_indices, size_in_eighths, take_ragged
 from plr_jax.geometry.box import Box
 
 _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
 _STEP = 4
-_SHORT = 16  # walls of an entry that are tested first; few entries have more
+_SHORT = 4  # walls of an entry that are tested first; few entries have more
 _LONG = np.uint32(2**31)  # added to the first wall of an entry that has more
 _FEW, _SHARE = 2**6, 16  # rows tested against all walls of their entries; share of more rows that are tested at once
 _COST = 4  # time to test a wall read for each point, in tests of a wall shared by all points
@@ -37,6 +37,8 @@ _PAIRS = 2**12  # random pairs of points by which occluders are chosen
 _MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords tried for each obstacle
 _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
 
+State = TypeVar("State")
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,7 @@ class NearWalls:
 
     Attributes:
         ends: Both ends of the walls, list entry by list entry; one row for each coordinate.
-        first: Index of the first wall of each list entry, plus 2**31 if it has more than 16.
+        first: Index of the first wall of each list entry, plus 2**31 if it has more than 4.
         most: Largest number of walls of an entry. Queries read this many for every entry: more walls do no harm.
     """
 
@@ -85,8 +87,14 @@ class NearWalls:
         if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW:
             return self._are_crossed(self.most, first, x, corner)
         hidden = self._are_crossed(_SHORT, first, x, corner)
-        return decided(
-            hidden, is_long & ~hidden, size // _SHARE, partial(self._are_crossed, self.most), (first, x, corner)
+        return updated(
+            hidden,
+            is_long & ~hidden,
+            size // _SHARE,
+            lambda _, *row: self._are_crossed(self.most, *row),
+            first,
+            x,
+            corner,
         )
 
     def _are_crossed(
@@ -103,22 +111,30 @@ class NearWalls:
         return (crossed.min(axis=1) < 0) & (crossed.max(axis=1) > 0)
 
 
-def decided(
-    hidden: Bool[Array, "n"],
-    is_open: Bool[Array, "n"],
-    size: int,
-    test: Callable[..., Bool[Array, "size"]],
-    columns: tuple[Shaped[Array, "n ..."], ...],
-) -> Bool[Array, "n"]:
-    """Replace the values of ``hidden`` in open rows by those of a test, which takes ``size`` rows at a time."""
-    number = jnp.cumsum(is_open)  # rank of each open row, from 1
+def updated(state: State, is_open: Bool[Array, "n"], size: int, update: Callable[..., State], *columns: Any) -> State:
+    """Replace the open rows of arrays by ``update(state, *columns)``, which takes ``size`` rows at a time."""
+    bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
+    words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
+    ends = jnp.cumsum(jax.lax.population_count(words))  # number of open rows up to each word
 
-    def test_next(done: Array, hidden: Bool[Array, "n"]) -> Bool[Array, "n"]:
-        lanes = jnp.searchsorted(number, done * size + 1 + jnp.arange(size))  # past the end if fewer are left
-        found = test(*(each.at[lanes].get(mode="clip") for each in columns))
-        return hidden.at[lanes].set(found, mode="drop", unique_indices=True)
+    def next_rows(done: Array, state: State) -> State:
+        # Find the word of each row, then the bit by bisection.
+        rank = done * size + jnp.arange(size, dtype=jnp.uint32)
+        row = jnp.searchsorted(ends, rank, side="right").astype(jnp.uint32)
+        word = words.at[row].get(mode="clip")
+        rank -= ends.at[row].get(mode="clip") - jax.lax.population_count(word)
+        row = jnp.where(row < len(words), row, len(is_open))  # past the end if fewer are left
+        for half in (16, 8, 4, 2, 1):
+            below = jax.lax.population_count(word & np.uint32(2**half - 1))
+            is_above = rank >= below
+            rank, word = jnp.where(is_above, rank - below, rank), jnp.where(is_above, word >> np.uint32(half), word)
+            row = jnp.where(is_above, row + half * len(words), row)
+        rows = jax.tree.map(lambda column: column.at[row].get(mode="clip"), (state, *columns))
+        return jax.tree.map(
+            lambda old, new: old.at[row].set(new, mode="drop", unique_indices=True), state, update(*rows)
+        )
 
-    return jax.lax.fori_loop(0, -(-number[-1] // size), test_next, hidden)
+    return jax.lax.fori_loop(jnp.uint32(0), (ends[-1] + np.uint32(size - 1)) // np.uint32(size), next_rows, state)
 
 
 def near_entries(

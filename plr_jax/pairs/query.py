@@ -26,21 +26,23 @@ from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size, ragged_indices, size_in_eighths
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.hiding import NearWalls, decided, is_across_occluder, occluders_of
+from plr_jax.pairs.hiding import NearWalls, is_across_occluder, occluders_of, updated
 from plr_jax.pairs.portable import MARGIN, RECEDING, Scene, crossings, walls_with_sides, winding
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.query import lookup
 from plr_jax.plr.tables import Tables, build_tables
 
-_UNROLLED = 16  # walls or occluders tested in one step of a loop
+_UNROLLED, _CLUSTER = 16, 32  # occluders, and neighboring walls in a box, tested in one step of a loop
 _LEAVES_AT_ONCE = 32
 _AT_ONCE = 2**14  # pairs of points that fit into caches
-_TESTED = 2**10  # pairs tested against all walls together
-_MANY, _FEW = 2**11, 2**7  # open pairs per round, while there are many and then
+_TESTED = 2**10  # pairs tested against the walls of a box together
+_FEW, _SEARCHED = 2**7, 2**10  # pairs whose rounds take all of them; open pairs searched together, if there are more
+_NOWHERE = 1e30  # a coordinate beyond every domain, for boxes of no walls
 _LAST_KEY = np.float32(np.inf).view(np.uint32)  # the key of no path
 
 Columns = TypeVar("Columns")
+_Crossed = tuple[Array, Array]  # whether segments cross walls inward, and whether outward
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,23 @@ class _NoLeaf:
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
+class Walls:
+    """Groups of neighboring walls, seven coefficients a wall (:func:`walls_with_sides`).
+
+    Each box, ``(x, y)`` of its middle and then half its widths, contains a group, with a margin for rounding.
+    """
+
+    groups: Float[Array, "groups 32 7"]
+    boxes: Float[Array, "groups 4"]
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
 class PairTables:
     """The tables that a query reads. Coordinates are relative to the middle of the domain.
 
     Attributes:
-        walls: Walls that block sight, moved back a little: seven coefficients each (:func:`walls_with_sides`), in
-            groups.
+        walls: Walls that block sight, moved back a little.
         occluders: Segments inside obstacles (:func:`occluders_of`), in groups.
         near: Walls that may hide a listed corner; None if they are too many to save time.
         x: First coordinate of the corners that each leaf lists, padded with ``inf``; ``y`` likewise.
@@ -75,7 +88,7 @@ class PairTables:
     """
 
     partition: Tables
-    walls: Float[Array, "groups 16 7"]
+    walls: Walls
     occluders: Float[Array, "groups_of_occluders 16 7"]
     near: NearWalls | None
     x: Float[Array, "leaves longest"]
@@ -86,9 +99,9 @@ class PairTables:
     corners: Float[Array, "size 2"]
     middle: Float[Array, "2 2"]
     half: Float[Array, "2"]
-    proud_walls: Float[Array, "groups_of_proud 16 7"]
+    proud_walls: Walls
     proud_corners: Float[Array, "size 2"]
-    sure_walls: Float[Array, "groups_of_sure 16 7"] | None
+    sure_walls: Walls | None
     rounding: Float[Array, "2"]
     unresolved: tuple[str, ...] = field(metadata={"static": True})
     is_certain: bool = field(default=False, metadata={"static": True})
@@ -128,16 +141,28 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
         return jnp.asarray(values.astype(np.float32))
 
-    def in_groups(rows: Float[np.ndarray, "n 7"]) -> Float[Array, "groups 16 7"]:
-        groups = size_in_eighths(-(-len(rows) // _UNROLLED))
-        return in_32_bits(padded(rows, _UNROLLED * groups).reshape(-1, _UNROLLED, 7))
+    def in_groups(rows: Float[np.ndarray, "n 7"], of: int) -> Float[Array, "groups {of} 7"]:
+        groups = size_in_eighths(-(-len(rows) // of))
+        return in_32_bits(padded(rows, of * groups).reshape(-1, of, 7))
+
+    def in_boxes(walls: Float[np.ndarray, "n 4"]) -> Walls:
+        ends = walls.reshape(-1, 2, 2)
+        # Sort the walls by the Morton code of their middles, so that groups are compact.
+        place = ((ends.mean(axis=1) / domain.width + 0.5) * 2**10).astype(int)
+        bits = place[:, :, None] >> np.arange(10) & 1
+        order = np.argsort((bits << 2 * np.arange(10) + np.arange(2)[:, None]).sum(axis=(1, 2)), kind="stable")
+        groups, ends = in_groups(walls_with_sides(walls[order]), _CLUSTER), ends[order]
+        count, margin = len(groups) * _CLUSTER, RECEDING * float(domain.width.max())
+        lo = padded(ends.min(axis=1), count, _NOWHERE).reshape(-1, _CLUSTER, 2).min(axis=1) - margin
+        hi = padded(ends.max(axis=1), count, -_NOWHERE).reshape(-1, _CLUSTER, 2).max(axis=1) + margin
+        return Walls(groups, in_32_bits(np.concatenate([(lo + hi) / 2, (hi - lo) / 2], axis=1)))
 
     distances = jnp.asarray(distances_table(stored, size))
     x, y = (along[listed] for along in seen.corners.T)
     return PairTables(
         partition=build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes),
-        walls=in_groups(walls_with_sides(seen.walls)),
-        occluders=in_groups(occluders),
+        walls=in_boxes(seen.walls),
+        occluders=in_groups(occluders, _UNROLLED),
         near=near,
         x=in_32_bits(x),
         y=in_32_bits(y),
@@ -147,9 +172,9 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         corners=in_32_bits(padded(seen.corners, size, np.inf)),
         middle=in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=in_32_bits(stored.domain.width / 2),
-        proud_walls=in_groups(walls_with_sides(free.walls)),
+        proud_walls=in_boxes(free.walls),
         proud_corners=in_32_bits(padded(free.corners[:-1], size, np.inf)),
-        sure_walls=None if np.array_equal(sure, seen.walls) else in_groups(walls_with_sides(sure)),
+        sure_walls=None if np.array_equal(sure, seen.walls) else in_boxes(sure),
         rounding=in_32_bits(stored.rounding + 2 * np.array([seen.moved, free.moved])),
         unresolved=unresolved_types(stored.domain),
     )
@@ -342,36 +367,27 @@ def _ways(
     return Ways(search.length, jnp.minimum(search.length, _bound_of(search.key, longest)), from_x, from_y)
 
 
-def _after_all_rounds(after_round: Callable[[_Pairs, _Search], _Search], pairs: _Pairs, search: _Search) -> _Search:
+def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: _Pairs, search: _Search) -> _Search:
     size = search.length.shape[0]
 
     # The search ends: each round drops a corner from a list of each open pair of points.
     def is_open(search: _Search) -> Bool[Array, "n"]:
         return _bound_of(search.key, pairs.keys.shape[1]) < search.length
 
-    def while_open(than: int, after: Callable[[_Search], _Search], search: _Search) -> _Search:
-        return jax.lax.while_loop(lambda search: is_open(search).sum() > than, after, search)
-
     def round_of_all(search: _Search) -> _Search:
         stays = ~is_open(search)
-        after = after_round(pairs, search)
+        after = after_round(search, pairs)
         return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(stays, range(1, a.ndim)), a, b), search, after)
 
-    def round_of_first(count: int, search: _Search) -> _Search:
-        number = jnp.cumsum(is_open(search))  # rank of each open pair, from 1
-        lanes = jnp.searchsorted(number, 1 + jnp.arange(count))  # past the last pair if fewer are open
-        first = after_round(*jax.tree.map(lambda a: _at(a, lanes, "clip"), (pairs, search)))
-        return jax.tree.map(lambda a, b: a.at[lanes].set(b, mode="drop", unique_indices=True), search, first)
+    def round_of_open(search: _Search) -> _Search:
+        return updated(search, is_open(search), _SEARCHED, after_round, pairs)
 
-    if is_symbolic_dim(size) or size <= _FEW:
-        return while_open(0, round_of_all, search)
-    if size > _MANY:
-        search = while_open(_MANY, partial(round_of_first, _MANY), search)
-    return while_open(0, partial(round_of_first, _FEW), search)
+    each_round = round_of_all if is_symbolic_dim(size) or size <= _FEW else round_of_open
+    return jax.lax.while_loop(lambda search: is_open(search).any(), each_round, search)
 
 
 def _after_round(
-    tables: PairTables, to_corners: Float[Array, "goals size"] | None, pairs: _Pairs, search: _Search
+    tables: PairTables, to_corners: Float[Array, "goals size"] | None, search: _Search, pairs: _Pairs
 ) -> _Search:
     """Examine the most promising corner that each first point's leaf lists."""
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
@@ -452,31 +468,37 @@ def _is_leg_hidden(
 
 
 def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether an obstacle separates points. Occluders decide most hidden pairs, walls the rest."""
-    size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
-    if is_symbolic_dim(size) or size <= _TESTED:
-        return hidden | _is_across_walls(tables, x, y)
-    return decided(hidden, ~hidden, _TESTED, partial(_is_across_walls, tables), (x, y))
+    """Return whether an obstacle separates points. Occluders decide most hidden pairs, walls the rest.
 
-
-def _is_across_walls(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether an obstacle, whose walls have moved back a little, separates points.
-
-    A segment through an obstacle crosses one wall inward and another outward. A single crossing happens at a point
-    that rounding puts into a wall, or where thin walls have moved past one another. It does not hide, unless paths
-    must be certainly free.
+    A segment through an obstacle, whose walls have moved back a little, crosses one wall inward and another outward.
+    A single crossing happens at a point that rounding puts into a wall, or where thin walls have moved past one
+    another. It does not hide, unless paths must be certainly free.
     """
+    size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
+    takes_all = is_symbolic_dim(size) or size <= _TESTED
+    (px, py), (dx, dy) = x.T, (y - x).T
 
-    def meets(crossed, walls):
+    def cross(crossed: _Crossed, walls: Any, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> _Crossed:
         goes_in, goes_out = crossed
         for wall in walls:
             inward, outward = crossings(x.T, y.T, wall)
             goes_in, goes_out = goes_in | inward, goes_out | outward
-        return (goes_in, goes_out), None
+        return goes_in, goes_out
 
-    none = jnp.zeros(x.shape[0], bool)
-    goes_in, goes_out = jax.lax.scan(meets, (none, none), tables.walls)[0]
-    return goes_in | goes_out if tables.is_certain else goes_in & goes_out
+    def cross_group(crossed: _Crossed, group: tuple[Array, Array]) -> tuple[_Crossed, None]:
+        walls, (middle_x, middle_y, half_x, half_y) = group
+        if takes_all:
+            return cross(crossed, walls, x, y), None
+        # Test only pairs whose segment no axis separates from the box.
+        along_x, along_y, to_x, to_y = jnp.abs(dx), jnp.abs(dy), middle_x - px, middle_y - py
+        meets = (jnp.abs(dx - 2 * to_x) <= along_x + 2 * half_x) & (jnp.abs(dy - 2 * to_y) <= along_y + 2 * half_y)
+        meets &= jnp.abs(dx * to_y - dy * to_x) <= along_x * half_y + along_y * half_x
+        is_open = meets & ~hidden & ~(crossed[0] & crossed[1])
+        return updated(crossed, is_open, _TESTED, lambda crossed, *ends: cross(crossed, walls, *ends), x, y), None
+
+    none, walls = jnp.zeros(size, bool), tables.walls
+    goes_in, goes_out = jax.lax.scan(cross_group, (none, none), (walls.groups, walls.boxes))[0]
+    return hidden | (goes_in | goes_out if tables.is_certain else goes_in & goes_out)
 
 
 def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
@@ -488,4 +510,4 @@ def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
             turns += up.astype(int) - down.astype(int)
         return turns, None
 
-    return jax.lax.scan(winds, jnp.zeros(x.shape[0], int), tables.walls)[0] == 1
+    return jax.lax.scan(winds, jnp.zeros(x.shape[0], int), tables.walls.groups)[0] == 1

@@ -67,7 +67,7 @@ def test_the_walls_of_an_entry_are_read_at_its_place():
         own = walls[pairs[1][pairs[0] == entry]].astype(np.float32)
         begin = first % 2**31
         np.testing.assert_array_equal(np.asarray(near.ends).T[begin : begin + len(own)], own)
-        assert (first >= 2**31) == (len(own) > 16)
+        assert (first >= 2**31) == (len(own) > 4)
 
 
 @pytest.mark.parametrize("n", [40, 2000])  # all walls at once, and few walls first
