@@ -23,7 +23,7 @@ _SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, bits of the flat table)
 MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
 _DEEP_BITS = 28  # most halvings over all axes, for more leaves than MOST_ROWS or more than two axes
-_PAGED_DEPTH = 13  # most splits along an axis with pages, so that blocks and pages stay small
+_PAGED_DEPTH = 14  # most splits along an axis with pages, so that blocks and pages stay small
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27  # log2: per byte, least, most
 
 
