@@ -29,7 +29,7 @@ class Exits:
         self.polygons = list(map(shapely.Polygon, polygons))
         centers = [np.array(polygon.centroid.coords[0]) for polygon in self.polygons]
         inset = Workspace.from_polygons(area.free_space.buffer(-RADIUS, join_style="mitre"))
-        first = VisibilityGraph(inset, centers[0])
+        first: Any = VisibilityGraph(inset, centers[0])
         nearest = NearestGoal([first, *map(first.with_goal, centers[1:])])
         self.cones = construct(nearest, area.bounds, leaf="cone", max_bytes=max_bytes)
 
