@@ -63,11 +63,12 @@ class Sources:
     """The goal, and the points where shortest paths to it may turn.
 
     The shortest path from a point starts with a straight segment to one of these points, the *source* of the point.
-    So a point's distance is the length of this segment plus the source's distance to the goal.
+    So a point's distance is the length of this segment plus the source's distance to the goal. If there are several
+    goals, they come first, and all distances are those to the nearest goal.
 
     Attributes:
         distances: Distances of the sources to the goal; ``inf`` where the goal cannot be reached.
-        parents: Next source on each source's shortest path; its own index for the goal and for unreachable sources.
+        parents: Next source on each source's shortest path; its own index for a goal and for unreachable sources.
     """
 
     points: Float[np.ndarray, "sources dim"]
@@ -114,6 +115,15 @@ class CellwiseFn(Protocol):
         ...
 
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
+
+
+@runtime_checkable
+class NearestFn(CellwiseFn, Protocol):
+    """A distance function in the plane to the nearest of several goals, which tells the index of that goal."""
+
+    @property
+    def goals(self) -> Float[np.ndarray, "goals 2"]: ...
+    def which(self, x: ArrayLike, /) -> Int[np.ndarray, "n"]: ...
 
 
 @runtime_checkable

@@ -1,4 +1,4 @@
-"""JuPedSim (package ``jupedsim``) with agents that walk where PLRs of cones say; its routes beside those of PLRs.
+"""JuPedSim (package ``jupedsim``) with agents that walk where a PLR of cones says; its routes beside those of PLRs.
 
 ``evacuate(area, exits, starts, is_steered=True)`` sets the targets of all agents every 0.1 s. Paths keep the agents'
 radius from walls, and have sharp corners: round ones take more bytes, and agents get stuck at them.
@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from plr_jax import VisibilityGraph, Workspace, construct_many, trace
+from plr_jax import NearestGoal, VisibilityGraph, Workspace, construct, construct_many, trace
 
 jupedsim: Any = import_module("jupedsim")  # type checkers take the name for this very file
 RADIUS = 0.2
@@ -23,28 +23,25 @@ Points = Float[np.ndarray, "n 2"]
 
 
 class Exits:
-    """Exits of a walkable area, convex polygons, and for each exit a PLR of cones of the distance to its centroid."""
+    """Exits of a walkable area, convex polygons, and one PLR of cones of the distance to the nearest centroid."""
 
     def __init__(self, area: Workspace, polygons: Sequence[Any], max_bytes: int = 8192):
         self.polygons = list(map(shapely.Polygon, polygons))
         centers = [np.array(polygon.centroid.coords[0]) for polygon in self.polygons]
         inset = Workspace.from_polygons(area.free_space.buffer(-RADIUS, join_style="mitre"))
-        first = VisibilityGraph(inset, centers[0])
-        oracles = [first, *map(first.with_goal, centers[1:])]
-        self.cones = construct_many(oracles, area.bounds, leaf="cone", max_bytes=max_bytes)
+        first: Any = VisibilityGraph(inset, centers[0])
+        nearest = NearestGoal([first, *map(first.with_goal, centers[1:])])
+        self.cones = construct(nearest, area.bounds, leaf="cone", max_bytes=max_bytes)
 
     def targets(self, x: Points) -> tuple[Int[np.ndarray, "n"], Points]:
         """Return the index of the nearest exit of each point, and the first corner on the path there, or the exit.
 
         Walls push agents back, so an agent may never arrive at a corner. Corners within ``RADIUS`` do not count.
         """
-        traces, targets = [trace(plr, x) for plr in self.cones], []
-        for each in traces:
-            is_ahead = np.linalg.norm(each.paths - x[:, None], axis=2) > RADIUS
-            index = np.where(is_ahead.any(axis=1), is_ahead.argmax(axis=1), -1)
-            targets.append(each.paths[np.arange(len(x)), index])
-        nearest = np.argmin([each.lengths for each in traces], axis=0)
-        return nearest, np.array(targets)[nearest, np.arange(len(x))]
+        paths = trace(self.cones, x).paths
+        is_ahead = np.linalg.norm(paths - x[:, None], axis=2) > RADIUS
+        index = np.where(is_ahead.any(axis=1), is_ahead.argmax(axis=1), -1)
+        return self.cones.which(x), paths[np.arange(len(x)), index]
 
 
 class Evacuation(NamedTuple):

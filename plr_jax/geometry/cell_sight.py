@@ -149,7 +149,7 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class SightedSources:
-    """Sources (the goal and corners), with viewpoint and turn point (-1: the goal)."""
+    """Sources (goals and corners), with viewpoint and turn point (-1: a goal)."""
 
     sources: Sources
     view: Int[np.ndarray, "sources"]
@@ -404,18 +404,21 @@ class CellSources:
         return found.of_pieces(np.flatnonzero(np.isfinite(distance)))
 
 
-def goal_sight(sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation) -> Sight:
-    """Return the :class:`Sight` of one goal; sources are the goal, then the corners where paths may turn."""
+def goal_sight(
+    sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation, num_goals: int = 1
+) -> Sight:
+    """Return the :class:`Sight` of the nearest goal; sources are the goals, then corners where paths may turn."""
     each = np.arange(len(sources.points))
     turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
-    turn[0], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
+    turn[:num_goals], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
     return Sight(SightedSources(sources, each, turn), Shadows.of(table), turns, triangulation, True)
 
 
-def lists_of_goal(regions: TurnRegions) -> SourceLists:
-    """Return where paths from each triangle may go first: the goal, and the turn points that see a part of it."""
+def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> SourceLists:
+    """Return where paths from each triangle may go first: all goals, and the turn points that see a part of it."""
     first, turns = regions.first, regions.turns.vertex[regions.turn]
-    return first + np.arange(len(first)), np.insert(turns, first[:-1], 0)
+    goals = np.tile(np.arange(num_goals), len(first) - 1)
+    return first + num_goals * np.arange(len(first)), np.insert(turns, np.repeat(first[:-1], num_goals), goals)
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:

@@ -29,10 +29,10 @@ class ReflexCorners:
     walls: Float[np.ndarray, "2 corners 2"]
     slack: float
 
-    def with_goal(self, goal: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        """Return the corners with the goal in front, as vertex 0."""
-        points = np.concatenate([goal[None], self.points])
-        return ReflexCorners(points, np.concatenate([np.zeros((2, 1, 2)), self.walls], axis=1), self.slack)
+    def with_goal(self, *goals: Float[np.ndarray, "2"]) -> "ReflexCorners":
+        """Return the corners with the goal in front, as vertex 0, or with several goals in front."""
+        points = np.concatenate([np.stack(goals), self.points])
+        return ReflexCorners(points, np.insert(self.walls, [0] * len(goals), 0.0, axis=1), self.slack)
 
     def without(self, point: Float[np.ndarray, "2"]) -> "ReflexCorners":
         """Return the corners that do not lie exactly at a point."""
@@ -169,10 +169,13 @@ class TurnPoints:
 
 
 def find_turn_points(
-    vertices: ReflexCorners, distances: Float[np.ndarray, "vertices"], parents: Int[np.ndarray, "vertices"]
+    vertices: ReflexCorners,
+    distances: Float[np.ndarray, "vertices"],
+    parents: Int[np.ndarray, "vertices"],
+    num_goals: int = 1,
 ) -> TurnPoints:
     """Return the corners where shortest paths to the goal can turn first; ``parents``: the next vertex from each."""
-    vertex = 1 + np.flatnonzero(np.isfinite(distances[1:]))
+    vertex = num_goals + np.flatnonzero(np.isfinite(distances[num_goals:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points
     onward[(opens == 0).all(axis=1)] = 0.0

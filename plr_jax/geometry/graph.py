@@ -51,10 +51,14 @@ class Graph:
         return graph
 
 
-def dijkstra(graph: Graph, source: int) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
-    """Return each vertex's distance from ``source`` (``inf``: no path), and its predecessor (negative: none)."""
-    distances, parents = sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True)
-    return distances, parents
+def dijkstra(
+    graph: Graph, source: int | Int[np.ndarray, "sources"]
+) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
+    """Return each vertex's distance from the nearest source (``inf``: no path), and predecessor (negative: none)."""
+    found = sparse_graphs.dijkstra(
+        graph.adjacency, indices=source, return_predecessors=True, min_only=np.ndim(source) > 0
+    )
+    return found[0], found[1]
 
 
 def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.ndarray, "dim"], vertex: int) -> Points:

@@ -83,9 +83,11 @@ nearest = stack(np.arange(8)[:, None], x).min(axis=0)  # (n,); this also works i
 
 docks = plr_jax.NearestGoal(oracles)
 print(docks(x[:3]), docks.which(x[:3]))  # distances, and which goal is nearest
-one = plr_jax.construct(docks, workspace.bounds, leaf="continuous", max_bytes=1024)
+one = plr_jax.construct(docks, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
+print(one(x[:3]), one.which(x[:3]), one.bounds(x[:3]))  # all from one file, but which: that the object knows
 ```
 
-A stack is fastest if all its PLRs have one leaf model. `NearestGoal` runs on the host, and a PLR of it cannot be
-certified. All classes of pairs are in `plr_jax.pairs`.
+A stack is fastest if all its PLRs have one leaf model. `NearestGoal` runs on the host. A PLR of it can have cones,
+proofs and `which` if its oracles are `VisibilityGraph`s of one workspace. A wide goal, such as a door, is a row of
+goals: the error is at most half of their spacing. All classes of pairs are in `plr_jax.pairs`.
 """

@@ -1,10 +1,10 @@
 from ._car import Dubins as Dubins
 from ._car import ReedsShepp as ReedsShepp
 from ._euclidean import Euclidean as Euclidean
-from ._euclidean import NearestGoal as NearestGoal
 from ._grids import GridField as GridField
 from ._grids import GridGraph as GridGraph
 from ._grids import VoxelGraph as VoxelGraph
+from ._nearest_goal import NearestGoal as NearestGoal
 from ._roadmap import Roadmap as Roadmap
 from ._robot_distances import robot_distance_fns as robot_distance_fns
 from ._visibility_graph import VisibilityGraph as VisibilityGraph

@@ -13,7 +13,7 @@ from plr_jax._arrays import index_of as index_of
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilySamples
-from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
+from plr_jax.geometry.cell_sight import CellSources, Sight, SourceLists, goal_sight, lists_of_goal
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
 from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see_polygons
 from plr_jax.geometry.corners import (
@@ -150,10 +150,7 @@ class VisibilityGraph:
 
     @cached_property
     def regions(self) -> TurnRegions:
-        turns = self._turns
-        triangulation = self.workspace.triangulation
-        visits = triangles_within(triangulation, self._corners.views[turns.vertex - 1], *turns.bounds)
-        return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
+        return _turn_regions(self, self._turns, 1)
 
     @cached_property
     def _goal_sight(self) -> PointSight:
@@ -162,10 +159,7 @@ class VisibilityGraph:
     @cached_property
     def sources(self) -> Sources:
         """The goal and the corners, as numbered in ``graph``: shortest paths go straight to one of them first."""
-        points = self._corners.corners.with_goal(self.goal).points
-        # A vertex without a next one is its own parent.
-        parents = np.where(self._parents < 0, np.arange(len(points)), self._parents)
-        return Sources(points, self.distances, parents)
+        return _sources(self.graph, self.distances, self._parents)
 
     @cached_property
     def sight(self) -> Sight:
@@ -322,6 +316,46 @@ class VisibilityGraph:
         seen = free[direct]
         distance[seen] = np.linalg.norm(x[seen] - self.goal, axis=1)
         return distance, turn
+
+
+@dataclass(frozen=True, eq=False)
+class NearestSources:
+    """The goals and corners that paths to the nearest of several goals of one workspace may go to first."""
+
+    graphs: tuple[VisibilityGraph, ...]
+
+    @cached_property
+    def _sight_and_lists(self) -> tuple[Sight, SourceLists]:
+        """The sight of all goals (vertices ``0`` to ``count - 1``), then corners; what each triangle may see."""
+        first, count = self.graphs[0], len(self.graphs)
+        # Oracles that were not made of one another may number corners in different ways.
+        graphs = [each if each.family is first.family else first.with_goal(each.goal) for each in self.graphs]
+        corners, tables = first.family, [each._goal_table for each in graphs]
+        edges = [np.array([number, count - 1]) + each._goal_edges for number, each in enumerate(graphs)]
+        points = corners.corners.with_goal(*(each.goal for each in graphs)).points
+        graph = Graph(points, np.concatenate([*edges, count + corners.edges]))
+        distances, parents = dijkstra(graph, np.arange(count))
+        vertices = corners.corners.with_goal(*(table.points[0] for table in tables))
+        turns = find_turn_points(vertices, distances, parents, count)
+        table, triangulation = joined_tables([*tables, corners.table]), first.workspace.triangulation
+        sight = goal_sight(_sources(graph, distances, parents), turns, table, triangulation, count)
+        return sight, lists_of_goal(_turn_regions(first, turns, count), count)
+
+    def cell_sources(self, domain: Box) -> CellSources:
+        """Return a box's free convex pieces, and the goals or corners that paths from each may go to first."""
+        return CellSources.of_boxes(*self._sight_and_lists, domain.lo[None], domain.hi[None])
+
+
+def _turn_regions(oracle: VisibilityGraph, turns: TurnPoints, num_goals: int) -> TurnRegions:
+    triangulation, views = oracle.workspace.triangulation, oracle.family.views
+    visits = triangles_within(triangulation, views[turns.vertex - num_goals], *turns.bounds)
+    return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
+
+
+def _sources(graph: Graph, distances: Distances, parents: Int[np.ndarray, "vertices"]) -> Sources:
+    # A vertex without a next one is its own parent.
+    parents = np.where(parents < 0, np.arange(len(parents)), parents)
+    return Sources(graph.vertices, distances, parents)
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:

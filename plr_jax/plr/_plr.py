@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import jax
@@ -246,18 +246,20 @@ class PLR(FileBacked):
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
         """Return the index of the goal that is nearest to each point ``(n, dim)``; -1 where the PLR is not finite.
 
-        Only for a PLR of several goals as :func:`solve_eikonal` returned it. Files do not store which goal is
-        nearest, and a PLR that a jitted function takes or returns does not know it. Like the distance, the index is
-        an estimate: where two goals are about equally near, it may be wrong. If the same goal was given twice, the
-        answer is the first index.
+        Only for a PLR of several goals as :func:`solve_eikonal` returned it, or :func:`construct` of a
+        :class:`NearestGoal` of ``VisibilityGraph``s. Files do not store which goal is nearest, and a PLR that a
+        jitted function takes or returns does not know it. Like the distance, the index is an estimate: where two
+        goals are about equally near, it may be wrong. All points of a cone's leaf have one answer. If the same goal
+        was given twice, the answer is the first index.
 
         Raises:
             ValueError: If the PLR does not know its goals, or points have another shape.
         """
         if self.nearest_goal is None:
             raise ValueError(
-                "Only a PLR that solve_eikonal returned for goals (k, dim) knows which goal is nearest; files do not "
-                "store it. Call which on the PLR that solve_eikonal returned."
+                "Only a PLR that solve_eikonal returned for goals (k, dim), or construct for a NearestGoal of "
+                "VisibilityGraphs, knows which goal is nearest; files do not store it. Call which on the PLR that was "
+                "returned."
             )
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
@@ -564,3 +566,16 @@ def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
     tables, placed = plr._tables_and_points(np.asarray(x, np.float64))
     return np.asarray(plr._answer(find_leaves, (tables,), placed)).astype(np.int64)
+
+
+def goal_of_leaves(plr: PLR, goals: Float[np.ndarray, "goals dim"]) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the function for :meth:`PLR.with_nearest_goal` of a PLR of cones: the goal to which each leaf leads."""
+    sources, root = as_sourced(plr.leaf).sources(plr.stored)
+    while (sources.parents[root] != root).any():
+        root = sources.parents[root]
+    away = np.linalg.norm(sources.points[:, None] - goals, axis=2)
+    return partial(_in_leaf, plr, away.argmin(axis=1)[root])
+
+
+def _in_leaf(plr: PLR, of_leaf: Int[np.ndarray, "leaves"], x: np.ndarray) -> Int[np.ndarray, "n"]:
+    return of_leaf[leaf_of(plr, x)]  # a function of its own, since lambdas cannot be pickled

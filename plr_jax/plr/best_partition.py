@@ -10,6 +10,7 @@ References:
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,7 +21,7 @@ from plr_jax.plr.growth import Limits, check_memory
 from plr_jax.plr.tree import MAX_DEPTH, Cells
 
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
-# Weight of a box's largest error in its cost, beside the integral of its error; in volumes of an average leaf.
+# Weight of a box's peak (its largest error) beside the integral of its error, in volumes of an average leaf.
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
 BOXES_PER_BATCH = 1 << 14
 UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or excluded to save time
@@ -44,9 +45,9 @@ class BoxLevel:
     def of(boxes: Any, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
         return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
-    def costs(self, least_share: float) -> Float[np.ndarray, "boxes"]:
-        """Return each box's cost as a leaf: integral of the error plus ``least_share`` times the largest error."""
-        return self.boxes.integral + least_share * self.boxes.error
+    def costs(self, share: float) -> Float[np.ndarray, "boxes"]:
+        """Return each box's cost as a leaf: integral of its error plus ``share`` times its peak."""
+        return self.boxes.integral + share * self.boxes.peak
 
     def append(self, boxes: Any, key: UInt64[np.ndarray, "new"]) -> None:
         self.boxes = self.boxes.append(boxes)
@@ -57,16 +58,15 @@ class BoxLevel:
 def expand(
     levels: list[BoxLevel],
     price: Float[np.ndarray, "first"],
-    least_share: float,
+    share: float,
     limits: Limits,
     margin: float = np.inf,
-    share: float = 0.0,
 ) -> None:
     """Compute the halves of all boxes that may be split at a price, level by level, and add them to ``levels``.
 
     ``price`` has a price per leaf for each box of the first level, which its halves inherit; ``inf`` excludes a box.
-    Halves are pruned if they cost more than ``margin`` times the halves along the other axis. In costs, largest
-    errors have the weight ``least_share``; in the comparison for pruning, they have the weight ``share``.
+    Halves are pruned if they cost more than ``margin`` times the halves along the other axis. In costs, peaks have
+    the weight ``share``.
 
     A box that is halved has at least two leaves, so it pays two prices where a leaf pays one. ``most`` is the largest
     cost of each box, without one price, with which the box can be part of a better tree. Boxes are halved only if
@@ -77,7 +77,7 @@ def expand(
         if depth == len(levels):
             break
         level = levels[depth]
-        costs = level.costs(least_share)
+        costs = level.costs(share)
         is_new = may_halve(level.boxes.cells, limits) & (level.child[:, 0] == UNKNOWN)
         axis, parent = np.nonzero(is_new & (np.minimum(costs, most) > price))
         if len(parent):
@@ -90,7 +90,7 @@ def expand(
                 axis, which = np.nonzero((halves > margin * halves[::-1]) & (halves < np.inf))
                 level.child[axis, :, parent[which]] = PRUNED
         if depth + 1 < len(levels):
-            box, below = np.flatnonzero(price < np.inf), levels[depth + 1].costs(least_share)
+            box, below = np.flatnonzero(price < np.inf), levels[depth + 1].costs(share)
             of_halves, most_of_halves = np.full(len(below), np.inf), np.full(len(below), -np.inf)
             for lower, upper in level.child[:, :, box]:
                 known = np.flatnonzero(lower >= 0)
@@ -167,6 +167,11 @@ class PricedTree:
         return len(self.order)
 
 
+def peak_share(num_leaves: float, is_proven: bool) -> float:
+    """Return the weight of peaks in costs; without a proof, peaks are errors times sides, ``num_leaves**-0.5``."""
+    return LEAST_SHARE_PROVEN / num_leaves if is_proven else LEAST_SHARE / float(np.sqrt(num_leaves))
+
+
 class SelectedBoxes(NamedTuple):
     """Boxes of one level that a tree may contain; ``child`` has indices into the next level's selected boxes."""
 
@@ -185,7 +190,7 @@ class PriceSearch:
         self, levels: list[BoxLevel], limits: Limits, size: Callable[[PricedTree], int], num_sources: int = 0
     ) -> None:
         self.levels, self._limits, self._size, self._num_sources = levels, limits, size, num_sources
-        self._least = LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN
+        self._peak_share = partial(peak_share, is_proven=limits.proof is not Proof.NONE)
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
         self._selected: list[SelectedBoxes] = []
 
@@ -200,39 +205,39 @@ class PriceSearch:
         """Compute more boxes and return the next, usually larger tree; None if the search is over."""
         if now.is_final:
             return None
-        price, least_share = self._next_price(now)
-        expand(self.levels, np.full(1, price), least_share, self._limits)
-        is_final = self._select_boxes(price, least_share)
-        larger = self._tree(_LAST * price if is_final else price, least_share, is_final)
-        return larger if self._share(larger) <= 1 else self._largest(now, larger, least_share)
+        price, share = self._next_price(now)
+        expand(self.levels, np.full(1, price), share, self._limits)
+        is_final = self._select_boxes(price, share)
+        larger = self._tree(_LAST * price if is_final else price, share, is_final)
+        return larger if self._share(larger) <= 1 else self._largest(now, larger, share)
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
-        """Return the next price, for a larger tree, and the weight of largest errors in costs."""
+        """Return the next price, for a larger tree, and the weight of peaks in costs."""
         # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
         more = bits / (self._bits_a_leaf + _BITS_A_SOURCE * is_crowded)  # each new leaf brings its source
         most = float(min(self._limits.max_leaves, len(now) + more))
-        least_share, room = self._least / (most if most < _UNLIMITED else len(now)), most / len(now)
+        share, room = self._peak_share(most if most < _UNLIMITED else len(now)), most / len(now)
         if len(now) == 1:
             room = max(_FIRST_SHARE * room, 2.0)
-            return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), least_share
-        before = len(self._best_tree(_RATE_STEP * now.price, least_share))
+            return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), share
+        before = len(self._best_tree(_RATE_STEP * now.price, share))
         if before == len(now) or room > _MUCH_ROOM:
-            return _LARGEST_DROP * now.price, least_share
+            return _LARGEST_DROP * now.price, share
         rate = np.log(len(now) / before) / np.log(_RATE_STEP)
         drop = float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
-        return drop * now.price, least_share
+        return drop * now.price, share
 
-    def _tree(self, price: float, least_share: float, is_final: bool = False) -> PricedTree:
-        tree = self._best_tree(price, least_share)
+    def _tree(self, price: float, share: float, is_final: bool = False) -> PricedTree:
+        tree = self._best_tree(price, share)
         num_bytes = self._size(tree) if np.isfinite(self._limits.max_bytes) else 0
         return replace(tree, num_bytes=num_bytes, is_final=is_final)
 
     def _share(self, tree: PricedTree) -> float:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
-    def _largest(self, fits: PricedTree, beyond: PricedTree, least_share: float) -> PricedTree:
+    def _largest(self, fits: PricedTree, beyond: PricedTree, share: float) -> PricedTree:
         """Return the largest tree found within the limits, at prices between those of ``fits`` and ``beyond``."""
         largest = fits
         for attempt in range(_ATTEMPTS):
@@ -240,7 +245,7 @@ class PriceSearch:
             sizes = np.log([self._share(fits), self._share(beyond)])
             aim = sizes[0] / (sizes[0] - sizes[1]) if attempt % 2 == 0 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.05, 0.95) * (low - high)))
-            middle = self._tree(price, least_share)
+            middle = self._tree(price, share)
             if self._share(middle) <= 1:
                 fits = largest = middle
             else:
@@ -249,7 +254,7 @@ class PriceSearch:
                 break
         return replace(largest, is_final=True)
 
-    def _select_boxes(self, price: float, least_share: float) -> bool:
+    def _select_boxes(self, price: float, share: float) -> bool:
         """Select the boxes that result from the first box if every box that costs more than ``price`` is halved.
 
         Return whether the selection is complete: no lower price would halve more of the selected boxes.
@@ -258,7 +263,7 @@ class PriceSearch:
         for depth, level in enumerate(self.levels):
             if not len(here):
                 break
-            cost = level.boxes.integral[here] + least_share * level.boxes.error[here]
+            cost = level.costs(share)[here]
             is_worth, child = cost > price, level.child[:, :, here]
             is_whole = ~is_worth | (child[:, 0] == UNKNOWN).all(axis=0)
             rest = np.flatnonzero(is_whole & (cost > 0) & (cost < np.inf))
@@ -277,10 +282,10 @@ class PriceSearch:
         self._selected = own
         return is_all
 
-    def _best_tree(self, price: float, least_share: float) -> PricedTree:
+    def _best_tree(self, price: float, share: float) -> PricedTree:
         """Return the tree of least total cost, with a price per leaf, among the selected boxes."""
         own = self._selected
-        axes = best_axes(self.levels, own, price, least_share)
+        axes = best_axes(self.levels, own, price, share)
         leaves, walked, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
         for depth, ((box, child), choice) in enumerate(zip(own, axes, strict=True)):
             if not len(here):
@@ -296,12 +301,12 @@ class PriceSearch:
 
 
 def best_axes(
-    levels: list[BoxLevel], own: list[SelectedBoxes], price: float, least_share: float
+    levels: list[BoxLevel], own: list[SelectedBoxes], price: float, share: float
 ) -> list[Int[np.ndarray, "own"]]:
     """Return each box's best split axis, or -1 for a leaf, by dynamic programming from the smallest boxes upward."""
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
-        total, choice = level.costs(least_share)[box] + price, np.full(len(box), -1)
+        total, choice = level.costs(share)[box] + price, np.full(len(box), -1)
         for axis, (lower, upper) in enumerate(child):
             halved = np.flatnonzero(lower >= 0)
             both = below[lower[halved]] + below[upper[halved]]

@@ -23,7 +23,7 @@ _SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, log2 of slots); MAX_FLA
 MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
 _DEEP_BITS = 28  # most halvings, summed over the axes, for more leaves than MOST_ROWS or more than two axes
-_PAGED_DEPTH = 13  # most halvings along an axis of tables with pages, so that blocks and pages stay small
+_PAGED_DEPTH = 14  # most halvings along an axis of tables with pages, so that blocks and pages stay small
 # Most entries of lookup tables, as log2: per byte of the file, but at least and at most.
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from oracle_helpers import MIDDLE
 from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
 
-from plr_jax import Box, VisibilityGraph, Workspace
+from plr_jax import Box, NearestGoal, VisibilityGraph, Workspace
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.tree import Cells
 
@@ -51,9 +51,9 @@ def least_cones(found, piece, x):
     return cone.min(axis=0), np.where(found.by_all[pairs, None], cone, np.inf).min(axis=0)
 
 
-def reached_region(oracle):
+def reached_region(oracle, workspace):
     """The parts of free space from which the goal can be reached."""
-    parts = shapely.get_parts(oracle.workspace.free_space)
+    parts = shapely.get_parts(workspace.free_space)
     inside = np.array([part.representative_point().coords[0] for part in parts])
     return shapely.union_all(parts[np.isfinite(oracle(inside))])
 
@@ -80,7 +80,8 @@ def check_bounds(oracle, cells, rng, slack, offset=0.0):
     bounds = [least_cones(cells, piece, at) for piece, at in zip(few, x, strict=True)]
     lower, upper = np.array(bounds).reshape(-1, 2, 10).swapaxes(0, 1)
     # Beside a tip the oracle sees past it, within the tolerance; a contact it reaches from the nearest side.
-    clear = (np.linalg.norm(x[:, :, None] - oracle.workspace.boundary.vertices, axis=3) > 1e-5).all(axis=2)
+    vertices = cells.sight.shadows.table.boundary.vertices
+    clear = (np.linalg.norm(x[:, :, None] - vertices, axis=3) > 1e-5).all(axis=2)
     assert np.isfinite(exact).all()
     assert (exact >= lower - slack)[clear].all()
     assert (exact <= upper + slack).all()
@@ -90,9 +91,9 @@ def check_bounds(oracle, cells, rng, slack, offset=0.0):
     assert (lower <= cells.distance + 1e-12).all() and (upper >= cells.distance - 1e-12).all()
 
 
-def check_area(oracle, cells, lo, hi):
+def check_area(oracle, workspace, cells, lo, hi):
     """The pieces of each cell are all of it from which the goal can be reached, and do not overlap."""
-    exact = shapely.area(shapely.intersection(reached_region(oracle), shapely.box(*lo.T, *hi.T)))
+    exact = shapely.area(shapely.intersection(reached_region(oracle, workspace), shapely.box(*lo.T, *hi.T)))
     shapes = np.array(polygons(cells.pieces))
     np.testing.assert_allclose(np.bincount(cells.cell, shapely.area(shapes), cells.num_cells), exact, atol=1e-8)
     one, other = np.triu_indices(len(shapes), 1)
@@ -111,13 +112,29 @@ def test_sources_of_pieces_bound_the_distance(kind, seed, squeeze, on_corner, do
     for cells, lo, hi in ((root, domain.lo[None], domain.hi[None]), halved(root, domain, rng)):
         assert cells.num_cells == len(lo)
         check_in_order(cells)
-        check_area(oracle, cells, lo, hi)
+        check_area(oracle, oracle.workspace, cells, lo, hi)
         check_bounds(oracle, cells, rng, cells.slack)
     rows = rng.permutation(len(cells.cell))[:9]
     alone = cells.pieces_as_cells(rows)
     check_in_order(alone)
     np.testing.assert_array_equal(alone.pieces, cells.pieces[:, rows])
     check_bounds(oracle, alone, rng, alone.slack)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", WORKSPACES)
+@given(SEEDS, st.booleans())
+def test_sources_of_pieces_bound_the_distance_to_the_nearest_goal(kind, seed, squeeze):
+    """Goals are anywhere, at a corner, and one of them twice; oracles need not be made of one another."""
+    oracle, rng = random_oracle(kind, seed, squeeze)
+    workspace, domain = oracle.workspace, DOMAINS[0]
+    goals = [*workspace.sample_free(2, seed + 1), rng.permutation(workspace.boundary.vertices)[0], oracle.goal]
+    oracle = NearestGoal([oracle, *(VisibilityGraph(workspace, goal) for goal in goals)])
+    root = oracle.cell_sources(domain)
+    for cells, lo, hi in ((root, domain.lo[None], domain.hi[None]), halved(root, domain, rng)):
+        check_in_order(cells)
+        check_area(oracle, workspace, cells, lo, hi)
+        check_bounds(oracle, cells, rng, cells.slack)
 
 
 def test_a_wall_and_four_quarters_by_hand():

@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from plr_jax import NearestGoal, VisibilityGraph, Workspace
 from plr_jax.oracles import Euclidean
 
 
@@ -30,41 +29,3 @@ def test_what_is_no_point_is_out_of_reach():
 def test_bad_input_is_refused(goal, x, message):
     with pytest.raises(ValueError, match=message):
         Euclidean(goal)(x)
-
-
-# A room of two, and one without a goal.
-ROOMS = Workspace(((0, 0), (10, 4)), [[(4, 0), (4.2, 0), (4.2, 3), (4, 3)], [(8, 0), (8.1, 0), (8.1, 4), (8, 4)]])
-DOCKS = [(1.0, 1.0), (7.0, 1.0), (3.5, 3.5)]
-FIRST = VisibilityGraph(ROOMS, DOCKS[0])
-FNS = [FIRST, *map(FIRST.with_goal, DOCKS[1:])]
-X = ROOMS.sample_free(2000, 0)
-
-
-def test_the_nearest_dock_and_which_one():
-    nearest = NearestGoal(FNS)
-    assert (nearest.dim, nearest.is_lower_bound) == (2, True)
-    each = np.stack([fn(X) for fn in FNS])
-    np.testing.assert_array_equal(nearest(X), each.min(axis=0))
-    x = [(1, 0.9), (5, 0.5), (3.9, 3.5), (9, 1), (-1, 0), (np.nan, 1)]
-    assert nearest.which(x).tolist() == [0, 1, 2, -1, -1, -1]
-    assert np.isinf(nearest(x)).tolist() == [False] * 3 + [True] * 3
-    assert NearestGoal([FIRST, FIRST]).which(x[:1]).tolist() == [0], "of equals the first"
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize("fns", [[], FIRST, [FIRST, lambda x: x[:, 0]], None, [FIRST, (1, 1)]])
-def test_what_is_no_list_of_distance_functions_is_refused(fns):
-    with pytest.raises(ValueError, match="NearestGoal needs a list of distance functions"):
-        NearestGoal(fns)
-
-
-def test_masked_answers_and_nan_are_none():
-    class Masked:
-        dim = 1
-
-        def __call__(self, x):
-            return np.ma.masked_array(np.where(x[:, 0] < 0, np.nan, x[:, 0]), x[:, 0] > 1)
-
-    nearest = NearestGoal([Masked()])
-    assert nearest([[0.5], [2.0], [-1.0]]).tolist() == [0.5, np.inf, np.inf]
-    assert nearest.which([[2.0], [-1.0]]).tolist() == [-1, -1]

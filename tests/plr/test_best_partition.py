@@ -46,7 +46,7 @@ class FakeBoxes:
         return np.array([self.costs[tuple(key)] for key in keys.tolist()])
 
     @property
-    def error(self):
+    def peak(self):
         return np.zeros(len(self.cells))
 
     def __getitem__(self, index):

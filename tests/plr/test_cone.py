@@ -1,5 +1,6 @@
 """Cones of an oracle: small, exact, above other leaves within bounds, in files, and repaired where a map changes."""
 
+import pickle
 import tracemalloc
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from piece_helpers import TEN, WORKSPACES, box, points_of, random_pieces
 from plr_helpers import UNIT, leaf_by_search, points
 
-from plr_jax import Box, VisibilityGraph, Workspace, scenes
+from plr_jax import Box, NearestGoal, VisibilityGraph, Workspace, from_bytes, scenes
 from plr_jax.plr import construct
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.coding import BitReader, BitWriter
@@ -117,6 +118,52 @@ def test_partitions_of_random_workspaces_tile_the_domain(kind):
     leaf_by_search(plr, -1 + 12 * points(500, 0))
     x = workspace.sample_free(3000, 1)
     assert mean_error(plr, oracle, x[np.isfinite(oracle(x))]) < 0.2
+
+
+def check_nearest(workspace, oracles, max_bytes):
+    """Check bounds and goals of cones of several goals against each goal's own oracle; return the mean error."""
+    plr = construct(NearestGoal(oracles), workspace.bounds, leaf="cone", max_bytes=max_bytes, certified="leaves")
+    assert plr.num_bytes <= max_bytes
+    x = workspace.sample_free(20_000, 1)
+    distances = np.stack([oracle(x) for oracle in oracles])
+    is_reached = np.isfinite(distances).any(axis=0)
+    x, distances = x[is_reached], distances[:, is_reached]
+    least, (lower, upper) = distances.min(axis=0), np.asarray(plr.bounds(x), float)
+    assert ((lower <= least) & (least <= upper)).all()
+    error, which = np.abs(np.asarray(plr(x), float) - least), plr.which(x)
+    excess = distances[which, np.arange(len(x))] - least
+    resolution = 1e-6 * least.max()
+    assert (excess <= 2 * resolution)[error <= resolution].all(), "another goal only where the distance ties or errs"
+    assert (error <= resolution).mean() > 0.9
+    return error.mean()
+
+
+@pytest.mark.parametrize("kind", WORKSPACES)
+def test_cones_of_several_goals_have_the_distance_and_index_of_the_nearest(kind):
+    workspace = kind(np.random.default_rng(2))
+    goals = [*workspace.sample_free(4, 0), workspace.boundary.vertices[0]]
+    first = VisibilityGraph(workspace, goals[0])
+    assert check_nearest(workspace, [first, *map(first.with_goal, goals[1:])], 4096) < 1e-3
+
+
+def test_which_goal_of_a_leaf_is_nearest_outlives_copies_but_no_file():
+    workspace = Workspace(TEN, [box(4, 2, 6, 8)])
+    oracles = [VisibilityGraph(workspace, goal) for goal in ((9, 1), (1, 5), (1, 5))]
+    plrs = [construct(NearestGoal(oracles), Box(*TEN), leaf=leaf, max_leaves=60) for leaf in ("cone", "plane")]
+    for plr in plrs:
+        assert plr.which([(1, 5), (9, 1), (2, 2), (8, 8), (11, 1)]).tolist() == [1, 0, 1, 0, -1]
+    assert pickle.loads(pickle.dumps(plrs[0])).which([(2, 2)]).tolist() == [1]
+    with pytest.raises(ValueError, match="or construct for a NearestGoal"):
+        from_bytes(plrs[0].to_bytes()).which([(2, 2)])
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", ["arena", "aknz_evac"])
+def test_cones_of_the_exits_of_a_walkable_area(name, data_dir):
+    workspace = scenes.read_workspace(data_dir / "jupedsim" / f"{name}.wkt")
+    first = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
+    oracles = [first, *map(first.with_goal, workspace.sample_free(4, 5))]
+    assert check_nearest(workspace, oracles, 16_384) < 1e-3
 
 
 def test_where_nothing_is_reached_the_construction_says_so():

@@ -413,10 +413,10 @@ def test_a_budget_of_bytes_bounds_the_leaves_and_no_limit_means_512(given, expec
         ({}, [(2048, 7), (2049, 8), (8192, 8), (8193, 9), (32768, 9), (32769, 14)]),
         ({"least_bytes": 1}, [(1024, 7), (2048, 8), (16384, 9), (16385, 14)]),  # twice the leaves
         ({"least_bytes": 0.5}, [(256, 7), (512, 7), (513, 8)]),
-        ({"least_bytes": 0.5, "has_deep_trees": True}, [(256, 13)]),
+        ({"least_bytes": 0.5, "has_deep_trees": True}, [(256, 14)]),
         ({"max_leaves": 512}, [(10**6, 7), (None, 7)]),
         ({"max_leaves": 513}, [(None, 8)]),
-        ({"max_leaves": 512, "least_bytes": 0.5, "has_deep_trees": True}, [(None, 13)]),
+        ({"max_leaves": 512, "least_bytes": 0.5, "has_deep_trees": True}, [(None, 14)]),
         ({"tolerance": 0.1}, [(None, 14)]),
         ({"max_depth": 20}, [(None, 14)]),
         ({"dim": 3}, [(2048, 9)]),

@@ -23,7 +23,7 @@ from plr_jax.plr.best_partition import (
     PriceSearch,
 )
 from plr_jax.plr.cell_memory import distances_in_cells
-from plr_jax.plr.certificate import bounds_of_pieces
+from plr_jax.plr.certificate import Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
@@ -54,12 +54,22 @@ class ConeBoxes(Rows):
     source: Int[np.ndarray, "boxes"]
     error: Float[np.ndarray, "boxes"]
     integral: Float[np.ndarray, "boxes"]
+    by_side: bool = False
 
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> Self:
         return replace(super().__getitem__(index), visible=self.visible.of_cells(index))
 
     def append(self, *others: Self) -> Self:
         return replace(super().append(*others), visible=self.visible.append(*(other.visible for other in others)))
+
+    @property
+    def peak(self) -> Float[np.ndarray, "boxes"]:
+        """The largest error, times the side of the box (the root of its share of the domain's area) if ``by_side``.
+
+        Times the side, a wall through boxes costs the same however often they are halved, so boxes beside it are
+        halved until slivers are thin. But classes of proven bounds need few leaves with large errors.
+        """
+        return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
 
     def new_halves(
         self,
@@ -75,7 +85,7 @@ class ConeBoxes(Rows):
         _, first = np.unique(key, return_index=True)
         new = np.sort(first[~np.isin(key[first], known)])
         found = self.visible.parts(parent[new], axis[new], is_upper[new], lo[new], hi[new])
-        return fit_boxes(self.domain, self.negligible, cells[new], found), key[new], key
+        return fit_boxes(self.domain, self.negligible, cells[new], found, self.by_side), key[new], key
 
 
 def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
@@ -83,7 +93,7 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
 
-def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources) -> ConeBoxes:
+def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources, by_side: bool = False) -> ConeBoxes:
     """Find each box's best cone, of at most 4 tried, by the integral of its proven error (0 if ``negligible``)."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
@@ -103,7 +113,7 @@ def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources
         best[several], error[several], integral[several] = source[order], largest[order], of_option[order]
     counts = error > negligible
     integral = np.where(counts, integral, 0.0) / np.prod(domain.width)
-    return ConeBoxes(domain, negligible, cells, visible, best, np.where(counts, error, 0.0), integral)
+    return ConeBoxes(domain, negligible, cells, visible, best, np.where(counts, error, 0.0), integral, by_side)
 
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
@@ -302,7 +312,7 @@ def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, patter
     ``visible`` are the sources of the domain, slightly enlarged; ``run`` is :func:`grow` or :func:`run_quietly`.
     """
     negligible = max(limits.tolerance, query_resolution(visible.distance))
-    box = fit_boxes(domain, negligible, Cells.root(2), visible)
+    box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
     levels = [BoxLevel.of(box, box.cells.hashes())]
     files = ConeFiles(visible.sources, domain)
 

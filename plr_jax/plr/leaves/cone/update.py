@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import CellSources, ChangingFn
 from plr_jax.geometry.changed_distances import ChangedDistances
-from plr_jax.plr.best_partition import LEAST_SHARE_PROVEN, BoxLevel, SelectedBoxes, best_axes, expand
+from plr_jax.plr.best_partition import BoxLevel, SelectedBoxes, best_axes, expand, peak_share
 from plr_jax.plr.cell_memory import sources_by_level
 from plr_jax.plr.certificate import LeafBounds
 from plr_jax.plr.growth import Limits
@@ -55,7 +55,7 @@ class NodeCosts:
     """
 
     integral: Float[np.ndarray, "nodes"]
-    error: Float[np.ndarray, "nodes"]
+    peak: Float[np.ndarray, "nodes"]
     source: Int[np.ndarray, "nodes"]
     price: float
 
@@ -64,11 +64,11 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     """Compute the errors of nodes as leaves, and estimate a price per leaf at which few leaves should be merged."""
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
-    (integral, error), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
+    (integral, peak), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
     for nodes, visible in sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain):
         boxes = fit_boxes(domain, negligible, tree.cells[nodes], visible)
-        integral[nodes], error[nodes], source[nodes] = boxes.integral, boxes.error, boxes.source
-    costs = integral + _share(tree, limits) * error
+        integral[nodes], peak[nodes], source[nodes] = boxes.integral, boxes.peak, boxes.source
+    costs = integral + _share(tree, limits) * peak
     total, count = costs.copy(), np.ones(len(costs))
     for split in tree.splits[::-1]:
         total[split], count[split] = (
@@ -78,13 +78,13 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     worth = (costs - total)[inner] / (count - 1)[inner]
     worth = worth[worth > 0]
     price = float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), _NO_PRICE)
-    return NodeCosts(integral, error, source, price)
+    return NodeCosts(integral, peak, source, price)
 
 
 def _share(tree: Tree, limits: Limits) -> float:
-    """Return the weight of a leaf's largest error beside the integral of its error, from the number of leaves."""
+    """Return the weight of a leaf's peak in costs, from the number of leaves."""
     most = min(limits.max_bytes, limits.max_leaves)
-    return LEAST_SHARE_PROVEN / max(len(tree.node_of_leaf), most if np.isfinite(most) else 0)
+    return peak_share(float(max(len(tree.node_of_leaf), most if np.isfinite(most) else 0)), True)
 
 
 class UpdatedCones(NamedTuple):
@@ -213,13 +213,13 @@ class ConeSearch:
         now = np.where(node_costs.source < 0, -1, changed.source[node_costs.source])
         is_known = (most - least <= changed.rounding) & ((now >= 0) | (node_costs.source < 0))
         now[tree.node_of_leaf] = source
-        integral, error = (np.where(is_known, each, np.inf) for each in (node_costs.integral, node_costs.error))
+        integral, peak = (np.where(is_known, each, np.inf) for each in (node_costs.integral, node_costs.peak))
         # Roots: the largest nodes without a leaf that holds.
         is_root = is_whole.copy()
         for split in tree.splits:
             whole = split[is_whole[split]]
             is_root[tree.child[whole]] = is_root[tree.child[whole] + 1] = False
-        roots, nodes = np.flatnonzero(is_root), NodeCosts(integral, error, now, node_costs.price)
+        roots, nodes = np.flatnonzero(is_root), NodeCosts(integral, peak, now, node_costs.price)
         files = ConeFiles(oracle.sources, leaves.domain)
         search = ConeSearch(leaves, nodes, oracle, limits, files, np.isnan(change), [roots], [])
         boxes = search.boxes(roots)
@@ -256,19 +256,19 @@ class ConeSearch:
     def expand_boxes(self, price: float) -> None:
         """Compute the boxes that may be leaves at a price per leaf."""
         each = np.full(len(self.levels[0].key), price)
-        expand(self.levels, each, self.share, self.limits, _MARGIN, self.share)
+        expand(self.levels, each, self.share, self.limits, _MARGIN)
 
     def needs_no_refinement(self, price: float) -> bool:
         """Return whether most leaves are kept and few cost more than the price, so that more leaves would not pay."""
-        cost = (self.nodes.integral + self.share * self.nodes.error)[self.leaves.tree.node_of_leaf]
+        cost = (self.nodes.integral + self.share * self.nodes.peak)[self.leaves.tree.node_of_leaf]
         known = cost[~self.is_reopened & np.isfinite(cost)]
         return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
 
     def reopen_worst_leaves(self, count: int, price: float) -> None:
         """Mark the kept leaves of the highest costs above the price, at most ``count``, to be searched again."""
         tree = self.leaves.tree
-        integral, error = self.nodes.integral, self.nodes.error
-        cost = (integral + self.share * error)[tree.node_of_leaf]
+        integral = self.nodes.integral
+        cost = (integral + self.share * self.nodes.peak)[tree.node_of_leaf]
         cost[self.is_reopened | np.isinf(cost)] = 0.0
         leaf = np.argsort(-cost, kind="stable")[:count]
         leaf = np.sort(leaf[cost[leaf] > price])
@@ -285,7 +285,7 @@ class ConeSearch:
 
     def best(self, price: float) -> FoundTree:
         tree, (num, first) = self.leaves.tree, (len(self.leaves.tree.child), len(self.leaves.tree.child))
-        cost = self.nodes.integral + self.share * self.nodes.error + price
+        cost = self.nodes.integral + self.share * self.nodes.peak + price
         total = np.where(np.isfinite(cost), cost, 0.0)
         axes, children = [np.where(tree.child >= 0, tree.axis, -1)], [np.stack([tree.child, tree.child + 1], axis=1)]
         for split in tree.splits[::-1]:
@@ -336,11 +336,11 @@ class ConeSearch:
 
     def node_costs(self, found: FoundTree) -> NodeCosts:
         boxes = [level.boxes for level in self.levels]
-        integral, error, source = (
+        integral, peak, source = (
             np.concatenate([getattr(each, name) for each in (self.nodes, *boxes)])[found.nodes]
-            for name in ("integral", "error", "source")
+            for name in ("integral", "peak", "source")
         )
-        return NodeCosts(integral, error, source, found.price)
+        return NodeCosts(integral, peak, source, found.price)
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
