@@ -41,9 +41,13 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
     functions = LeafFunctions(leaf, *cells.boxes(domain), coefficients)
     rounding = leaf.rounding_bounds(domain, cells, coefficients)
     encoded = partial(Certificate.of, rounding=rounding, proof=proof, **_weights(contents))
+    last = None
 
-    def sufficient(least: Errors, most: Errors) -> tuple[Errors, Errors]:
-        return encoded(LeafBounds(least, most)).sufficient_bounds(least, most, rounding)
+    def sufficient(least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
+        nonlocal last
+        if last is None or anew or last.codes is not None or max(most.max(), -least.min()) > last.scale:
+            last = encoded(LeafBounds(least, most), before=None if anew else last)
+        return last.sufficient_bounds(least, most, rounding)
 
     return encoded(prove_bounds(functions, visible, sufficient))
 
@@ -115,7 +119,10 @@ def updated_contents(
     new = DecodedFile(domain, model, found.tree, found.stored)
     bounds, coefficients = found.bounds, filled_coefficients(new)
     rounding, rebuilt = model.rounding_bounds(domain, new.tree.leaves, coefficients), found.rebuilt
-    sufficient = partial(certificate.sufficient_bounds, rounding=rounding[rebuilt])
+
+    def sufficient(least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
+        return certificate.sufficient_bounds(least, most, rounding[rebuilt])
+
     functions = LeafFunctions(model, *new.tree.leaves[rebuilt].boxes(domain), coefficients[rebuilt])
     proven = prove_bounds(functions, found.visible, sufficient)
     bounds.lower[rebuilt], bounds.upper[rebuilt] = proven.lower, proven.upper
