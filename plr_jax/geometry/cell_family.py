@@ -1,4 +1,4 @@
-"""What distances to many goals of one workspace share: samples of free space, and cells, with corners that they see."""
+"""Samples and cells of free space with the corners that they see, shared by distances to many goals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

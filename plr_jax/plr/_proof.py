@@ -28,7 +28,7 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
 
 
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` holds the cells of their leaves in turn."""
+    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` has the cells of their leaves in turn."""
     domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
@@ -63,7 +63,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """Bounds that are tight enough for the leaves of one PLR, from the certificate that attained errors would have."""
+    """Bounds that are tight enough for one PLR's leaves, from the certificate that attained errors would have."""
 
     leaves: slice
     rounding: Errors

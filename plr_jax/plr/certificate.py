@@ -227,8 +227,8 @@ def classify_bounds(
     """Group leaves into classes with common bounds of small mean width; return each leaf's new codes.
 
     A class holds the leaves whose larger code is in a range. Dynamic programming finds the best ranges at a price of
-    a bit. The lowest price at which the classes fit into ``max_bits`` is found by bisection. ``code_factor`` maps codes
-    to multiples of the scale.
+    a bit; bisection finds the lowest price at which the classes fit into ``max_bits``. ``code_factor`` maps codes to
+    multiples of the scale.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
