@@ -167,7 +167,7 @@ class FamilyCells:
 
 
 class FamilyGoal(NamedTuple):
-    """One goal of a family: its sources (the goal, then all corners), its turn points, and what it sees."""
+    """A goal of a family: its sources (the goal, then all corners), its turn points, and what it sees."""
 
     sources: Sources
     turns: TurnPoints
