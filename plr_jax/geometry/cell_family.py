@@ -260,14 +260,16 @@ def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[Family
     turn[:, 0] = -1
     for number, each in enumerate(goals):
         turn[number, each.turns.vertex] = first[number] + np.arange(len(each.turns.vertex))
-    vertex, points, distance = (
+    vertex, at, distance = (
         np.concatenate([getattr(each.turns, name) for each in goals]) for name in ("vertex", "points", "distance")
     )
     normal = np.concatenate([each.turns.normal for each in goals], axis=1)
-    turns = TurnPoints(vertex, points, distance, normal, goals[0].turns.slack)
-    sources = Sources(
-        *(np.concatenate([getattr(each.sources, name) for each in goals]) for name in ("points", "distances")),
-        np.concatenate([number * count + each.sources.parents for number, each in enumerate(goals)]),
+    turns = TurnPoints(vertex, at, distance, normal, goals[0].turns.slack)
+    points, distances, parents = (
+        np.concatenate(each)
+        for each in zip(*((of.points, of.distances, of.parents) for of, *_ in goals), strict=True)
     )
+    parents += np.repeat(count * np.arange(num), count)
+    sources = Sources(points, distances, parents)
     source_table = SightedSources(sources, view.ravel(), turn.ravel())
     return Sight(source_table, Shadows(table, **columns), turns, sight.triangulation, True)

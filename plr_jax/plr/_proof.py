@@ -77,7 +77,7 @@ class _Targets:
     def __call__(self, least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
         # Attained errors of most PLRs stay as they are while others of the same proof are improved.
         attained, last = np.stack([least, most, np.full(len(least), anew)]), self.last
-        if last is None or not np.array_equal(self.attained, attained):
+        if last is None or self.attained is None or not np.array_equal(self.attained, attained):
             self.attained = attained
             if last is None or anew or last.codes is not None or max(most.max(), -least.min()) > last.scale:
                 self.last = last = self.encode(least, most, None if anew else last)
