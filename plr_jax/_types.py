@@ -97,6 +97,20 @@ class FamilyFn(Protocol):
         """Return each sample's distance, and the index of its source; ``inf`` and -1 if it cannot reach the goal."""
         ...
 
+    def shared_cells(self, lo: Any, hi: Any, /) -> Any:
+        """Return boxes' free convex pieces, and the corners that paths from each to any goal may turn at first."""
+        ...
+
+    def cells_of_members(
+        self, shared: Any, members: Sequence[Any], box: Any, member: Any, near: Any, /
+    ) -> CellSources:
+        """Return the sources of cells for several functions of the family.
+
+        Cell ``i`` is box ``box[i]`` of the shared cells, for ``members[member[i]]``. Its paths go first to about
+        ``near[i]``, an index in that function's ``sources``; -1 if unknown.
+        """
+        ...
+
     @property
     def sources(self) -> Sources:
         """The goal, followed by the corners where paths may turn."""

@@ -1,20 +1,32 @@
-"""Samples of free space with the corners that they see, shared by the distances to many goals of one workspace."""
+"""Samples and cells of free space with the corners that they see, shared by distances to many goals."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import parts, take_ragged
-from plr_jax.geometry.cell_sight import turns_by_triangle
-from plr_jax.geometry.convex_pieces import areas, centers, clip_to_boxes
-from plr_jax.geometry.corners import CornerVisibility
+from plr_jax._types import Sources
+from plr_jax.geometry.cell_sight import (
+    CellSources,
+    Shadows,
+    Sight,
+    SightedSources,
+    SourceLists,
+    corner_sight,
+    turns_by_triangle,
+)
+from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip_to_boxes, highest, lowest
+from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints
 from plr_jax.geometry.triangulation import Triangulation
-from plr_jax.geometry.visibility import VisibilityTable
+from plr_jax.geometry.vectors import turned_left
+from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 
 _PAIRS, _WALL_BOXES = 1 << 18, 1 << 11  # pairs of a sample and a corner, and boxes at walls, in memory at a time
+_CANDIDATES = 1 << 14  # pairs of a piece and a source whose arrays stay in a core's cache
 _LEAST_SHARE = 1e-9  # free share of a box's area below which the box counts as an obstacle
 Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
 
@@ -100,10 +112,164 @@ class FamilySamples:
             counts = np.diff(self.first, append=len(way))
             shortest = np.flatnonzero((way == np.repeat(distance[self.box], counts)) & np.isfinite(way))[::-1]
             vertex[np.repeat(self.box, counts)[shortest]] = self.corner[shortest] + 1
-        # The goal sees nothing outside the bounding box of itself and the walls that it sees.
-        ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
-        lo, hi = ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
+        lo, hi = _view_box(view)
         near = np.flatnonzero(((self.placed >= lo) & (self.placed <= hi)).all(axis=1))
         direct = self.sampled[near[view.sees(np.zeros(len(near), int), self.placed[near])]]
         distance[direct], vertex[direct] = np.linalg.norm(self.x[direct] - goal, axis=1), 0
         return distance, vertex
+
+
+def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+    """Return a box outside of which a goal sees nothing: it contains the goal and the walls that it sees."""
+    ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
+    return ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyCells:
+    """Free convex pieces of boxes, and the corners that paths from them to any goal may turn at first.
+
+    Attributes:
+        sight: What the corners see, see :func:`corner_sight`.
+        lists: For each triangle, the corners and sides (``2 * corner + side``) that see a part of it.
+        first_piece: Index of the first piece of each box, then the number of pieces.
+        triangle: The triangle that contains each piece; -1 for a box that no wall reaches into.
+        center, radius: A point inside each piece, and its largest distance from other points of the piece.
+        first_part, part: The triangles ``part[first_part[i] : first_part[i + 1]]`` cover piece ``i``.
+    """
+
+    sight: Sight
+    lists: SourceLists
+    first_piece: Int[np.ndarray, "boxes_plus_one"]
+    pieces: Pieces
+    triangle: Int[np.ndarray, "pieces"]
+    center: Float[np.ndarray, "pieces 2"]
+    radius: Float[np.ndarray, "pieces"]
+    first_part: Int[np.ndarray, "pieces_plus_one"]
+    part: Int[np.ndarray, "parts"]
+
+    @staticmethod
+    def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
+        """Cut the free convex pieces out of boxes. A box that meets no wall is one piece."""
+        triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
+        pieces, box, part = clip_to_boxes(triangles, lo, hi)
+        at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
+        is_free = ~np.isin(np.arange(len(lo)), at_wall)[box]
+        first_part = np.flatnonzero(~is_free | np.append(True, box[1:] != box[:-1])[: len(box)])
+        pieces, triangle, is_free = pieces[:, first_part], part[first_part], is_free[first_part]
+        box = box[first_part]
+        pieces[:, is_free], triangle[is_free] = boxes_as_pieces(lo[box[is_free]], hi[box[is_free]]), -1
+        center = centers(pieces)
+        radius = highest(np.hypot(*(pieces - center.T[:, :, None])))
+        sight, lists = corner_sight(visibility, triangulation), turns_by_triangle(visibility, triangulation)
+        first_piece, first_part = np.searchsorted(box, np.arange(len(lo) + 1)), np.append(first_part, len(part))
+        return FamilyCells(sight, lists, first_piece, pieces, triangle, center, radius, first_part, part)
+
+
+class FamilyGoal(NamedTuple):
+    """A goal of a family: its sources (the goal, then all corners), its turn points, and what it sees."""
+
+    sources: Sources
+    turns: TurnPoints
+    view: VisibilityTable
+
+
+def cells_of_goals(
+    shared: FamilyCells,
+    corners: ReflexCorners,
+    goals: Sequence[FamilyGoal],
+    box: Int[np.ndarray, "cells"],
+    goal_of: Int[np.ndarray, "cells"],
+    near: Int[np.ndarray, "cells"],
+) -> CellSources:
+    """Return the sources of cells for several goals: cell ``i`` is box ``box[i]``, for goal ``goal_of[i]``.
+
+    ``near`` is a source of the goal that a shortest path from the cell goes to first, or one near it; -1 if unknown.
+    Sources of all goals are in one table: those of the first goal, then those of the second goal, and so on.
+    """
+    sight, count = _sight_of_goals(shared.sight, corners, goals), 1 + len(corners.points)
+    sources, table = sight.source_table.sources, sight.shadows.table
+    rows, cell = take_ragged(shared.first_piece, box)
+    goal, center = goal_of[cell], shared.center[rows]
+    pieces = shared.pieces[:, rows]
+
+    def lengths(piece: Int[np.ndarray, "n"], source: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        dx, dy = (center[piece] - sources.points[source]).T
+        return sources.distances[source] + np.sqrt(dx * dx + dy * dy)
+
+    # 1. Bound the distances of centers by paths through the near source, if it sees the center.
+    best, distance = goal * count + np.maximum(near[cell], 0), np.full(len(cell), np.inf)
+    known = np.flatnonzero(near[cell] >= 0)
+    known = known[table.sees(sight.source_table.view[best[known]], center[known])]
+    distance[known] = lengths(known, best[known])
+    # 2. List, for each triangle and goal, the corners where paths to the goal turn, around the side in the list.
+    first, turns = shared.lists
+    firsts, vertices = [np.zeros(1, np.int64)], []
+    for each in goals:
+        vertex, turns_here = each.turns.vertex - 1, np.zeros(2 * len(corners.points), bool)
+        side = (each.turns.normal[1] == turned_left(corners.walls[0, vertex])).all(axis=1)
+        turns_here[2 * vertex + side] = True
+        kept = turns_here[turns]
+        firsts.append(firsts[-1][-1] + np.append(0, np.cumsum(kept))[first[1:]])
+        vertices.append(1 + (turns[kept] >> 1))
+    first, vertex = np.concatenate(firsts), np.concatenate(vertices)
+    # 3. Pair pieces with the corners in the lists of their triangles, and with the goal if it may see them. Drop a
+    #    source if a path through the center is shorter from every point of the piece, or no path bends around it.
+    lo, hi = np.stack([_view_box(each.view) for each in goals], axis=1)[:, goal]
+    near_goal = [(highest(x) >= lo[:, i]) & (lowest(x) <= hi[:, i]) for i, x in enumerate(pieces)]
+    is_near, bound = near_goal[0] & near_goal[1], distance + 2 * shared.radius[rows]
+    part, piece = take_ragged(shared.first_part, rows)
+    part = goal[piece] * (len(shared.lists[0]) - 1) + shared.part[part]
+    keys = [np.zeros(0, np.int64)]
+    for some in parts(first[part + 1] - first[part], _CANDIDATES):
+        entry, run = take_ragged(first, part[some])
+        each = piece[some][is_near[piece[some]]]
+        each, source = np.append(each, piece[some][run]), np.append(0 * each, vertex[entry])
+        source += goal[each] * count
+        pairs = np.flatnonzero(lengths(each, source) <= bound[each])
+        pairs = pairs[sight.may_bend(pieces[:, each[pairs]], source[pairs])]
+        keys.append(each[pairs] * np.int64(len(sources.points)) + source[pairs])
+    key = np.sort(np.concatenate(keys))  # a source may be in the lists of several triangles of a piece
+    piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], len(sources.points))
+    # 4. Test what the sources see, once for all goals.
+    view, num_views = sight.source_table.view[source], len(table.points)
+    key, index = np.unique(rows[piece] * num_views + view, return_inverse=True)
+    row, view = np.divmod(key, num_views)
+    seen, is_whole = (each[index] for each in sight.shadows.see(view, shared.pieces[:, row], shared.center[row]))
+    keep, triangle = seen | ~is_whole, shared.triangle[rows]
+    piece, source, by_all, by_center = piece[keep], source[keep], (seen & is_whole)[keep], seen[keep]
+    found = CellSources(sight, len(box), cell, pieces, triangle, center, distance, best, piece, source, by_all)
+    return found.prune_dominated(np.ones(len(cell), bool), by_center)
+
+
+def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
+    """Return the :class:`Sight` of several goals, whose sources are in one table."""
+    num, count = len(goals), 1 + len(corners.points)
+    tables, shadows = joined_tables([each.view for each in goals]), sight.shadows
+    table, of_goals = joined_tables([tables, shadows.table]), Shadows.of(tables)
+    columns = {
+        name: np.concatenate([getattr(each, name) for each in (of_goals, shadows)])
+        for name in ("key", "unit", "start", "end")
+    }
+    columns["key"][len(of_goals.key) :] += 4.0 * num
+    # Views are those of the goals, then those of the corners.
+    view = np.tile(num - 1 + np.arange(count), (num, 1))
+    view[:, 0] = np.arange(num)
+    first = np.cumsum([0, *(len(each.turns.vertex) for each in goals)])
+    turn = np.full((num, count), first[-1] - 1)  # also of corners that no path turns at, which are never tested
+    turn[:, 0] = -1
+    for number, each in enumerate(goals):
+        turn[number, each.turns.vertex] = first[number] + np.arange(len(each.turns.vertex))
+    vertex, at, distance = (
+        np.concatenate([getattr(each.turns, name) for each in goals]) for name in ("vertex", "points", "distance")
+    )
+    normal = np.concatenate([each.turns.normal for each in goals], axis=1)
+    turns = TurnPoints(vertex, at, distance, normal, goals[0].turns.slack)
+    points, distances, parents = (
+        np.concatenate(each)
+        for each in zip(*((of.points, of.distances, of.parents) for of, *_ in goals), strict=True)
+    )
+    parents += np.repeat(count * np.arange(num), count)
+    sources = Sources(points, distances, parents)
+    source_table = SightedSources(sources, view.ravel(), turn.ravel())
+    return Sight(source_table, Shadows(table, **columns), turns, sight.triangulation, True)

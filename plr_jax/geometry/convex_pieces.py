@@ -14,6 +14,7 @@ Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
 PartIndex: TypeAlias = Int[np.ndarray, "parts"]
 PartSide: TypeAlias = Bool[np.ndarray, "parts"]
 PartCorner: TypeAlias = Float[np.ndarray, "parts 2"]
+_BOXES_AND_PIECES = 1 << 22  # pairs of a box and a piece that are compared at a time
 ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clipping needs one more
 
 
@@ -114,14 +115,23 @@ def clip_to_boxes(
 ) -> tuple[Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"]]:
     """Intersect convex pieces with boxes; return parts of positive area by box, and the box and piece of each."""
     (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
-    box, rows = np.nonzero((x0 < hi[:, :1]) & (x1 > lo[:, :1]) & (y0 < hi[:, 1:]) & (y1 > lo[:, 1:]))
-    pieces = pieces[:, rows]
+    at_once, found = max(1, _BOXES_AND_PIECES // max(1, len(x0))), [np.zeros((2, 0), np.int64)]
+    for begin in range(0, len(lo), at_once):
+        (left, low), (right, high) = (each[begin : begin + at_once].T[:, :, None] for each in (lo, hi))
+        box, rows = np.nonzero((x0 < right) & (x1 > left) & (y0 < high) & (y1 > low))
+        found.append(np.stack([begin + box, rows]))
+    box, rows = np.concatenate(found, axis=1)
+    pieces, is_cut = (
+        pieces[:, rows][:, :, np.minimum(np.arange(ROOM), pieces.shape[2] - 1)],
+        np.zeros(len(rows), bool),
+    )
     for axis in range(2):
         for sign, bound in ((1.0, lo[:, axis]), (-1.0, hi[:, axis])):
             height = sign * (pieces[axis] - bound[box, None])
-            reaches = (height > 0).any(axis=1)
-            box, rows = box[reaches], rows[reaches]
-            pieces = clip(pieces[:, reaches], height[reaches])
+            reaches = highest(height) > 0
+            box, rows, pieces, height = box[reaches], rows[reaches], pieces[:, reaches], height[reaches]
+            is_cut = is_cut[reaches] | (lowest(height) < 0)  # clipping again drops corners that clipping repeated
+            pieces[:, is_cut] = clip(pieces[:, is_cut], height[is_cut])
     some = areas(pieces) > 0
     return pieces[:, some], box[some], rows[some]
 

@@ -1,6 +1,7 @@
 """Exact shortest-path distances among polygons in the plane, by a visibility graph."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -12,7 +13,7 @@ from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields, sh
 from plr_jax._arrays import index_of as index_of
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_family import FamilySamples
+from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, cells_of_goals
 from plr_jax.geometry.cell_sight import CellSources, Sight, SourceLists, goal_sight, lists_of_goal
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
 from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see_polygons
@@ -195,6 +196,22 @@ class VisibilityGraph:
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
         """Return each sample's distance, and the index in ``sources`` of the first vertex of its path; or inf, -1."""
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
+
+    def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
+        """Return boxes' free convex pieces, and the corners that paths from each to any goal may turn at first."""
+        return FamilyCells.of(self._corners, self.workspace.triangulation, lo, hi)
+
+    def cells_of_members(
+        self,
+        shared: FamilyCells,
+        members: "Sequence[VisibilityGraph]",
+        box: Int[np.ndarray, "cells"],
+        member: Int[np.ndarray, "cells"],
+        near: Int[np.ndarray, "cells"],
+    ) -> CellSources:
+        """Return the sources of cells for members of the family, see :func:`cells_of_goals`."""
+        goals = [FamilyGoal(each.sources, each._turns, each._goal_table) for each in members]
+        return cells_of_goals(shared, self._corners.corners, goals, box, member, near)
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the length of the shortest path from each point to the goal.

@@ -7,16 +7,16 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 from tqdm import tqdm
 
-from plr_jax._arrays import require_integer, shortened
+from plr_jax._arrays import parts, require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of, require_certifiable
 from plr_jax.plr._file import DecodedFile, encode
 from plr_jax.plr._plr import PLR
-from plr_jax.plr._proof import certificate_of
-from plr_jax.plr.cell_memory import CellMemory
+from plr_jax.plr._proof import certificates_of
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
@@ -25,6 +25,7 @@ from plr_jax.plr.leaves.base import LeafModel, check_limits
 from plr_jax.plr.parallel_builds import BuildResults, Checkpoint, Chunk, digest_of
 
 _MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that progress is stored from time to time
+_PIECES_AT_ONCE = 1 << 14  # convex pieces of free space whose bounds are proven together
 
 
 def construct_many(
@@ -121,8 +122,8 @@ def construct_many(
         first = oracles[numbers[0]]
         task = family_task(first, domain, limits) if as_family and isinstance(first, FamilyFn) else None
         work = partial(_files, alone, task, leaf_model(model.name))
-        parts = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
-        chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in parts]
+        split = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
+        chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in split]
     with tqdm(
         desc="construct_many",
         unit=" PLRs",
@@ -143,16 +144,37 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build files of members of a family; without a task, or if no shared sample reaches the goal, one by one."""
-    files = []
+    """Build files of members of a family; without a task, or if no shared sample reaches a goal, build them alone."""
+    trees = [None if task is None else task(oracle) for oracle in oracles]
+    if task is None or all(tree is None for tree in trees):
+        return [alone(oracle).to_bytes() for oracle in oracles]
+    members = [number for number, tree in enumerate(trees) if tree is not None]
+    found = [DecodedFile(task.domain, leaf, tree.tree, tree.stored) for tree in trees if tree is not None]
+    if task.limits.proof is not Proof.NONE:
+        sources = [tree.source for tree in trees if tree is not None]
+        found = _certified(found, [oracles[number] for number in members], sources, task.limits.proof)
+    contents = dict(zip(members, found, strict=True))
+    return [
+        encode(contents[number]) if number in contents else alone(oracle).to_bytes()
+        for number, oracle in enumerate(oracles)
+    ]
+
+
+def _certified(
+    contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
+) -> list[DecodedFile]:
+    """Prove error bounds of members of a family; the oracles' ``sources`` of all leaves hint at those of cells."""
     for oracle in oracles:
-        if task is None or (found := task(oracle)) is None:
-            files.append(alone(oracle).to_bytes())
-            continue
-        contents = DecodedFile(task.domain, leaf, *found)
-        if task.limits.proof is not Proof.NONE:
-            memory = CellMemory(require_certifiable(oracle, task.domain), task.domain)
-            visible = memory.sources_of_leaves(contents.tree)
-            contents = replace(contents, certificate=certificate_of(contents, visible, task.limits.proof))
-        files.append(encode(contents))
-    return files
+        require_certifiable(oracle, contents[0].domain)
+    # Cells that several members have as leaves are cut into free pieces once.
+    first, *others = (each.tree.leaves for each in contents)
+    leaves, ends = first.append(*others), np.cumsum([0, *(len(each.tree.leaves) for each in contents)])
+    _, distinct, box = np.unique(leaves.hashes(), return_index=True, return_inverse=True)
+    shared = oracles[0].shared_cells(*leaves[distinct].grown_boxes(contents[0].domain))
+    num_pieces, certificates = np.diff(shared.first_piece)[box], []
+    for part in parts(np.add.reduceat(num_pieces, ends[:-1]), _PIECES_AT_ONCE):
+        here, near = slice(ends[part.start], ends[part.stop]), np.concatenate(sources[part])
+        member = np.repeat(np.arange(part.stop - part.start), np.diff(ends)[part])
+        visible = oracles[0].cells_of_members(shared, oracles[part], box[here], member, near)
+        certificates += certificates_of(contents[part], visible, proof)
+    return [replace(each, certificate=proven) for each, proven in zip(contents, certificates, strict=True)]

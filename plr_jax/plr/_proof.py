@@ -1,10 +1,13 @@
 """Prove error bounds of all leaves of a PLR, and update proven PLRs of cones after the map changed."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from plr_jax._arrays import shortened
 from plr_jax._types import CellSources, ChangingFn, DistanceFn
@@ -20,16 +23,21 @@ _COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of t
 
 def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
     """Prove error bounds of all leaves; ``visible`` has the sources of the leaves' slightly enlarged cells."""
-    domain, cells, leaf = contents.domain, contents.tree.leaves, contents.leaf
+    return certificates_of([contents], visible, proof)[0]
+
+
+def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
+    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` has the cells of their leaves in turn."""
+    domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
             f"A proof needs free space known to {_COARSEST:g} of the domain's shorter side, got {visible.slack:.2g} "
             f"in {domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move "
             "the origin, divide the domain, or build the PLR without a proof."
         )
-    coefficients = filled_coefficients(contents)
+    lo, hi = map(np.concatenate, zip(*(each.tree.leaves.boxes(domain) for each in contents), strict=True))
+    coefficients = np.concatenate([filled_coefficients(each) for each in contents])
     if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:
-        lo, hi = cells.boxes(domain)
         at = np.unique(visible.cell)[blind[0]]
         raise ValueError(
             "A proof needs a finite function in every leaf with points that reach the goal, got inf in the leaf from "
@@ -37,14 +45,42 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
             "certified=True."
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
-    functions = LeafFunctions(leaf, *cells.boxes(domain), coefficients)
-    rounding = leaf.rounding_bounds(domain, cells, coefficients)
-    encoded = partial(Certificate.of, rounding=rounding, proof=proof, **_weights(contents))
+    ends = np.cumsum([0, *(len(each.tree.leaves) for each in contents)]).tolist()
+    targets = []
+    for each, leaves in zip(contents, (slice(*both) for both in pairwise(ends)), strict=True):
+        rounding = leaf.rounding_bounds(domain, each.tree.leaves, coefficients[leaves])
+        targets.append(_Targets(leaves, rounding, partial(Certificate.of, proof=proof, **_weights(each))))
 
-    def sufficient(least: Errors, most: Errors) -> tuple[Errors, Errors]:
-        return encoded(LeafBounds(least, most)).sufficient_bounds(least, most, rounding)
+    def sufficient(least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
+        bounds = [each(least[each.leaves], most[each.leaves], anew) for each in targets]
+        low, high = map(np.concatenate, zip(*bounds, strict=True))
+        return low, high
 
-    return encoded(prove_bounds(functions, visible, sufficient))
+    found = prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
+    return [each.encode(found.lower[each.leaves], found.upper[each.leaves]) for each in targets]
+
+
+@dataclass(eq=False)
+class _Targets:
+    """Bounds that are tight enough for one PLR's leaves, from the certificate that attained errors would have."""
+
+    leaves: slice
+    rounding: Errors
+    certificate: Callable[..., Certificate]
+    last: Certificate | None = None
+    attained: Float[np.ndarray, "3 leaves"] | None = None
+
+    def encode(self, lower: Errors, upper: Errors, before: Certificate | None = None) -> Certificate:
+        return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
+
+    def __call__(self, least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
+        # Attained errors of most PLRs stay as they are while others of the same proof are improved.
+        attained, last = np.stack([least, most, np.full(len(least), anew)]), self.last
+        if last is None or self.attained is None or not np.array_equal(self.attained, attained):
+            self.attained = attained
+            if last is None or anew or last.codes is not None or max(most.max(), -least.min()) > last.scale:
+                self.last = last = self.encode(least, most, None if anew else last)
+        return last.sufficient_bounds(least, most, self.rounding)
 
 
 def _weights(contents: DecodedFile) -> dict[str, Any]:
@@ -114,7 +150,10 @@ def updated_contents(
     new = DecodedFile(domain, model, found.tree, found.stored)
     bounds, coefficients = found.bounds, filled_coefficients(new)
     rounding, rebuilt = model.rounding_bounds(domain, new.tree.leaves, coefficients), found.rebuilt
-    sufficient = partial(certificate.sufficient_bounds, rounding=rounding[rebuilt])
+
+    def sufficient(least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
+        return certificate.sufficient_bounds(least, most, rounding[rebuilt])
+
     functions = LeafFunctions(model, *new.tree.leaves[rebuilt].boxes(domain), coefficients[rebuilt])
     proven = prove_bounds(functions, found.visible, sufficient)
     bounds.lower[rebuilt], bounds.upper[rebuilt] = proven.lower, proven.upper

@@ -24,7 +24,7 @@ from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int, Integer, Shaped, UInt8
+from jaxtyping import Bool, Float, Int, Integer, Shaped, UInt8
 
 from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources
@@ -94,7 +94,8 @@ class LeafFunctions:
         return errors
 
 
-# Rounds of halving, and pieces in a round. Beyond these limits bounds are valid, but not tight.
+# Rounds in which pieces of a leaf are halved, and pieces halved in a round. Beyond these limits bounds are valid, but
+# not tight.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
 # Bounds of leaves are tight enough if they exceed attained errors by at most this share of the range of a leaf's
 # errors, clipped to these shares of the largest error of all leaves.
@@ -115,7 +116,7 @@ Errors: TypeAlias = Float[np.ndarray, "leaves"]
 """Distance minus the leaf's function, one value a leaf."""
 
 
-def tight_bounds(least: Errors, most: Errors) -> tuple[Errors, Errors]:
+def tight_bounds(least: Errors, most: Errors, anew: bool = True) -> tuple[Errors, Errors]:
     """Return bounds that are tight enough if each leaf has its own, given the leaf's attained errors."""
     largest = max(most.max(initial=0.0), -least.min(initial=0.0))
     spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
@@ -125,18 +126,26 @@ def tight_bounds(least: Errors, most: Errors) -> tuple[Errors, Errors]:
 def prove_bounds(
     functions: LeafFunctions,
     visible: CellSources,
-    sufficient: Callable[[Errors, Errors], tuple[Errors, Errors]] = tight_bounds,
+    sufficient: Callable[[Errors, Errors, bool], tuple[Errors, Errors]] = tight_bounds,
 ) -> LeafBounds:
     """Prove bounds of the distance minus each leaf's function, from the sources of the leaves' cells (``visible``).
 
-    ``sufficient`` maps each leaf's smallest and largest attained error to bounds that are tight enough. Rounding in
-    double precision is far below the ``slack`` of the sources, which the bounds include.
+    ``sufficient`` maps each leaf's smallest and largest attained error to bounds that are tight enough. Its third
+    argument is True if it must choose these anew, and False if bounds near the last ones will do. Rounding in double
+    precision is far below the ``slack`` of the sources, which the bounds include.
     """
     num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
     least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # attained errors
     aside: list[tuple[Any, ...]] = []
-    for round_ in range(_MOST_ROUNDS):
+    rounds, below, above = np.zeros(num_leaves, np.int64), np.zeros(0), np.zeros(0)
+
+    def open_pieces(anew: bool) -> Bool[np.ndarray, "pieces"]:
+        low, high = sufficient(least - slack, most + slack, anew)
+        low, high = np.minimum(low + slack, least - slack), np.maximum(high - slack, most + slack)
+        return ((below < low[leaf]) | (above > high[leaf])) & (rounds[leaf] < _MOST_ROUNDS)
+
+    while True:
         # 1. Bound the errors of pieces, and collect attained errors: at centers, and if all of a piece sees all its
         #    sources, at corners, as the distance is the least of their cones. Then exact lower bounds are attained
         #    too; exact upper bounds, if there is only one source.
@@ -164,16 +173,15 @@ def prove_bounds(
                 np.maximum.at(most, leaf[rows], met)
         # 2. Halve the pieces whose bounds are not tight enough. If there are none, test the pieces of earlier rounds
         #    again, since attained errors have changed.
-        low, high = sufficient(least - slack, most + slack)
-        low, high = np.minimum(low + slack, least - slack), np.maximum(high - slack, most + slack)
-        is_open = (below < low[leaf]) | (above > high[leaf])
-        if aside and not is_open.any():
+        is_open = open_pieces(not rounds.any())
+        if rounds.any() and not is_open.any():
             several, leaves, *bounds = zip(*aside, (visible, leaf, below, above), strict=True)
             visible, leaf, aside = several[0].append(*several[1:]), np.concatenate(leaves), []
             below, above = map(np.concatenate, bounds)
-            is_open = (below < low[leaf]) | (above > high[leaf])
-        if round_ == _MOST_ROUNDS - 1 or not 0 < np.count_nonzero(is_open) <= _MOST_PIECES:
+            is_open = open_pieces(True)
+        if not 0 < np.count_nonzero(is_open) <= _MOST_PIECES:
             break
+        rounds[np.unique(leaf[is_open])] += 1
         is_final = (below >= least[leaf] - slack) & (above <= most[leaf] + slack)
         rest = np.flatnonzero(~is_open & ~is_final)
         aside.append((visible.of_pieces(rest), leaf[rest], below[rest], above[rest]))
@@ -205,7 +213,8 @@ def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellS
 # far smaller errors than the few worst, such as leaves where walls touch.
 
 _COUNT_BITS = 4
-_BITS_A_CLASS = 53  # its bounds, and the fixed size of a set
+_BITS_OF_SET = 37  # the least bits of a set; of the last class, none is written
+_BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # bounds of a class, and its set
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices of a bit to try, in units of the width of one class of all leaves
 
 
@@ -218,7 +227,8 @@ def classify_bounds(
     """Group leaves into classes with common bounds of small mean width; return each leaf's new codes.
 
     A class holds the leaves whose larger code is in a range. Dynamic programming finds the best ranges at a price of
-    a bit; the price falls until ``max_bits`` is exceeded. ``code_factor`` maps codes to multiples of the scale.
+    a bit; bisection finds the lowest price at which the classes fit into ``max_bits``. ``code_factor`` maps codes to
+    multiples of the scale.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
@@ -234,23 +244,29 @@ def classify_bounds(
     width = of_ranges(np.bincount(rank_of, volume), np.add) * code_factor[of_class].sum(axis=0)
     members = of_ranges(np.bincount(rank_of).astype(float), np.add)
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
-    found, before = np.broadcast_to(of_class[:, :1, -1], codes.shape), None
-    for price in _PRICES * width[0, -1]:
-        costs, least, first = width + price * bits, np.zeros(number + 1), np.zeros(number, np.int64)
+    width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
+
+    def best_classes(price: float) -> Integer[np.ndarray, "2 leaves"]:
+        costs, least, first = width + price * bits, np.zeros(number + 1), []
         for last in range(number):
-            costs_to = least[: last + 1] + costs[: last + 1, last]
-            first[last] = np.argmin(costs_to)
-            least[last + 1] = costs_to[first[last]]
+            costs_to = least[: last + 1] + costs[last, : last + 1]
+            first.append(costs_to.argmin())
+            least[last + 1] = costs_to[first[-1]]
         best, end = np.empty_like(highest), number
         while end:
             start = first[end - 1]
             best[:, start:end] = of_class[:, start, end - 1, None]
             end = start
-        if before is not None and (best == before).all():
-            continue
-        if not _fits(best[:, rank_of], max_bits):
-            break
-        found, before = best[:, rank_of], best
+        return best[:, rank_of]
+
+    found, few, many = np.broadcast_to(of_class[:, :1, -1], codes.shape), 0, len(_PRICES)
+    while few < many:
+        middle = (few + many) // 2
+        classes = best_classes(_PRICES[middle] * width[-1, 0])
+        if _fits(classes, max_bits):
+            found, few = classes, middle + 1
+        else:
+            many = middle
     return found
 
 
@@ -268,7 +284,8 @@ def requantize_bounds(
 
 
 def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
-    if len(np.unique(_class_keys(codes))) > 1 << _COUNT_BITS:
+    num_classes = len(np.unique(_class_keys(codes)))
+    if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
         return False
     body = BitWriter()
     write_classes(body, codes)
@@ -372,10 +389,11 @@ class Certificate:
         if proof is Proof.OPEN_LEAVES:
             largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # reserves the largest code for open leaves
         scale = float(np.nextafter(np.float32(largest), np.float32(np.inf)))
+        if proof is Proof.CLASSES and not (room := _room_for_classes(num_bytes)):
+            return Certificate(scale, None, proof)
         codes = np.stack([_encode_bounds(lower, scale), _encode_bounds(np.where(is_open, scale, upper), scale)])
         if proof is Proof.CLASSES:
-            room, factor = _room_for_classes(num_bytes), _decode_bounds(np.arange(_MOST + 1), 1.0)
-            found = None
+            factor, found = _decode_bounds(np.arange(_MOST + 1), 1.0), None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
                 of_scale = np.stack([_encode_bounds(lower, before.scale), _encode_bounds(upper, before.scale)])
                 found = requantize_bounds(of_scale, distinct_classes(before.codes), factor, room)

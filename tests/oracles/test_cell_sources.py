@@ -236,3 +236,36 @@ def test_samples_of_a_family_lie_in_their_boxes_and_know_all_first_turns(seed, s
         way = sources.distances[vertex] + np.linalg.norm(samples.x[reached] - sources.points[vertex], axis=1)
         np.testing.assert_allclose(distance[reached], way, rtol=1e-12)
         assert workspace.is_visible(samples.x[reached], sources.points[vertex]).all()
+
+
+@pytest.mark.parametrize("squeeze", [False, True])
+@given(seed=SEEDS)
+def test_cells_of_several_goals_bound_the_distance_to_each_whatever_source_is_said_to_be_near(seed, squeeze):
+    rng = np.random.default_rng(seed)
+    workspace = WORKSPACES[seed % 3](rng, squeeze)
+    first, *others = workspace.sample_free(3, seed)
+    oracles = [VisibilityGraph(workspace, first)]
+    oracles += [oracles[0].with_goal(goal) for goal in others]
+    coarse = Cells(np.full((16, 2), 2), np.stack(np.divmod(np.arange(16), 4), axis=1))
+    shared = oracles[0].shared_cells(*coarse.boxes(Box((-1, -1), (11, 11))))
+    lo, hi = coarse.boxes(Box((-1, -1), (11, 11)))
+    box, member = rng.integers(16, size=30), np.sort(rng.integers(3, size=30))
+    near = rng.integers(-1, len(oracles[0].sources.points), size=30)
+    found = oracles[0].cells_of_members(shared, oracles, box, member, near)
+    assert found.num_cells == 30
+    count = len(oracles[0].sources.points)
+    assert (found.source // count == member[found.cell[found.piece]]).all()
+    for number, oracle in enumerate(oracles):
+        cells = np.flatnonzero(member == number)
+        own = found.of_cells(cells)
+        check_area(oracle, own, lo[box[cells]], hi[box[cells]])
+        check_bounds(oracle, own, rng, own.slack)
+        check_bounds(oracle, own.parts(*halves_of(lo[box[cells]], hi[box[cells]])), rng, own.slack)
+
+
+def halves_of(lo, hi):
+    """Arguments of ``parts`` for both halves of all cells across the first axis."""
+    parent, upper = np.repeat(np.arange(len(lo)), 2), np.tile([False, True], len(lo))
+    middle, lo, hi = ((lo + hi) / 2)[parent, 0], lo[parent].copy(), hi[parent].copy()
+    lo[upper, 0], hi[~upper, 0] = middle[upper], middle[~upper]
+    return parent, np.zeros(len(parent), int), upper, lo, hi

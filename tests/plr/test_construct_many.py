@@ -125,6 +125,14 @@ def test_bytes_do_not_depend_on_who_is_built_together(oracles, family, monkeypat
         assert files_of(many(oracles[::-1], executor=threads)) == files_of(family)[::-1]
 
 
+def test_proofs_do_not_depend_on_who_is_proven_together(oracles, monkeypatch):
+    expected = files_of(many(oracles, certified=True, max_bytes=2000))
+    for at_once, pieces in ((64, 1), (2, 1 << 14)):
+        monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", at_once)
+        monkeypatch.setattr(_construct_many, "_PIECES_AT_ONCE", pieces)
+        assert files_of(many(oracles[::-1], certified=True, max_bytes=2000)) == expected[::-1]
+
+
 @pytest.mark.full
 @pytest.mark.usefixtures("parts_of_one")
 def test_processes_give_the_same_bytes_even_if_a_worker_is_killed(oracles, family, tmp_path):

@@ -312,6 +312,14 @@ def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], sh
     return LeafOptions(*map(np.concatenate, zip(*options, strict=True)))
 
 
+class FamilyTree(NamedTuple):
+    """A tree, the file form of its leaves, and each leaf's source in the oracle's ``sources``; -1 without a path."""
+
+    tree: Tree
+    stored: StoredCones
+    source: Int[np.ndarray, "leaves"]
+
+
 @dataclass(frozen=True, eq=False)
 class FamilyTask:
     """A builder of cone leaves for oracles of one family (goals of one workspace)."""
@@ -323,7 +331,7 @@ class FamilyTask:
     limits: Limits
     num_leaves: float
 
-    def __call__(self, oracle: FamilyFn) -> tuple[Tree, StoredCones] | None:
+    def __call__(self, oracle: FamilyFn) -> FamilyTree | None:
         """Return the best cones for one goal; None if no sample reaches it."""
         goal = goal_samples(oracle, self.shared)
         if (goal.source < 0).all():
@@ -340,7 +348,7 @@ class FamilyTask:
                 return files.num_bytes(source, self.limits) <= self.limits.max_bytes
 
             source = change_sources(source, options, float(total), float(most), has_room)
-        return tree_of_axes(tree.axes, 2), files.stored(source)
+        return FamilyTree(tree_of_axes(tree.axes, 2), files.stored(source), source)
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:
