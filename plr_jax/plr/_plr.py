@@ -258,7 +258,7 @@ class PLR(FileBacked):
         if self.nearest_goal is None:
             raise ValueError(
                 "Only a PLR that solve_eikonal returned for goals (k, dim), or construct for a NearestGoal of "
-                "VisibilityGraphs, knows which goal is nearest; files do not store it. Call which on the returned PLR."
+                "VisibilityGraphs, knows which goal is nearest. Files do not store it: call which on the PLR itself."
             )
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
