@@ -258,7 +258,7 @@ def test_cells_of_several_goals_bound_the_distance_to_each_whatever_source_is_sa
     for number, oracle in enumerate(oracles):
         cells = np.flatnonzero(member == number)
         own = found.of_cells(cells)
-        check_area(oracle, own, lo[box[cells]], hi[box[cells]])
+        check_area(oracle, workspace, own, lo[box[cells]], hi[box[cells]])
         check_bounds(oracle, own, rng, own.slack)
         check_bounds(oracle, own.parts(*halves_of(lo[box[cells]], hi[box[cells]])), rng, own.slack)
 
