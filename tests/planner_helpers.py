@@ -17,6 +17,7 @@ from plr_jax import (
     Workspace,
     bl_plan,
     robot_distance_fns,
+    scenes,
     validate,
 )
 from plr_jax.collision.team import JointMotionTest, motions_apart
@@ -38,6 +39,7 @@ TIGHT_TEAM = Problem(
     [(0.5, 0.5, 1), (2.5, 2.5, 0.1), (0.5, 2.5, 2)],
     [(2.5, 2.5, 0), (0.6, 0.6, 0), (2.5, 0.5, 0)],
 )
+DOOR, ROOMS = scenes.single_door(), scenes.four_rooms(2)
 SLIT = Workspace(((0, 0), (6, 5)), [shapely.box(2.45, 1, 2.55, 2.9)])
 
 

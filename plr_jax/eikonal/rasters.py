@@ -71,8 +71,8 @@ def cost_distance(
 
     ``result = plr_jax.cost_distance(costs, sources)`` has ``result.distance`` and ``result.nearest``, arrays of the
     raster's shape. Distances are costs of paths, on average about 0.1 % above the least. The search for paths takes
-    about 2 kB of memory a cell. Over more than 2 million cells a front marches instead, in 100 bytes a cell; there,
-    errors are a few percent where costs jump from cell to cell.
+    about 2 kB of memory a cell. Over more than 2 million cells a front marches instead, in 100 bytes a cell. Its
+    errors are those of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray

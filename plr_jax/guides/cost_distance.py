@@ -22,8 +22,8 @@ The result is a `plr_jax.CostDistance`. Its arrays have the shape of the raster.
 - `bounds=True` adds `result.lower` and `result.upper`, which are proven for costs that are constant in each cell.
 - `max_bytes=8192` adds `result.plr`, a `plr_jax.PLR` of the distance: a small file with a gradient, also for C and
   JavaScript.
-- Up to 2 million cells, about 2 kB of memory a cell. Larger rasters take 100 bytes a cell, and errors there are a few
-  percent where costs jump from cell to cell.
+- Up to 2 million cells, about 2 kB of memory a cell. Larger rasters take 100 bytes a cell, with the errors of
+  scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
 
 # A least-cost path
 

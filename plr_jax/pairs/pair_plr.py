@@ -19,16 +19,9 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.one_goal import plr_to
 from plr_jax.pairs.portable import ENDS, NumpyPairs, js_pairs_module
-from plr_jax.pairs.query import (
-    PairTables,
-    PreparedGoals,
-    build_pair_tables,
-    distances_to_corners,
-    is_inside,
-    shortest_ways,
-    table_size,
-)
+from plr_jax.pairs.query import PreparedGoals, distances_to_corners, is_inside, shortest_ways
 from plr_jax.pairs.stored import PairsFileData
+from plr_jax.pairs.tables import PairTables, build_pair_tables, table_size
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.container import FileBacked, padded_file
 from plr_jax.plr.frame import Outside, as_outside, require_resolved, unresolved_types

@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 import shapely
 from planner_helpers import (
+    DOOR,
     ROOM,
+    ROOMS,
     exact,
     graph_of,
     hallway,
@@ -35,10 +37,7 @@ from plr_jax import (
 )
 from plr_jax.planners import driver
 
-DOOR, ROOMS = scenes.single_door(), scenes.four_rooms(2)
-DOOR_STRAIGHT = np.hypot(8.21 - 2.13, 2.07 - 1.94)
 LARGE = Workspace(((0, 0), (1000, 1000)))
-NUDGED_BARS = nudged_team(RectangleRobot(0.4, 0.1))
 
 
 # What is solved

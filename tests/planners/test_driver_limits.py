@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planner_helpers import (
+    DOOR,
+    ROOMS,
     exact,
     hallway,
     joint_lattice_of,
@@ -32,9 +34,7 @@ from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners import driver, lacam, lattice
 from plr_jax.planners.lacam import PIBT
 
-DOOR, ROOMS = scenes.single_door(), scenes.four_rooms(2)
 DOOR_STRAIGHT = np.hypot(8.21 - 2.13, 2.07 - 1.94)
-LARGE = Workspace(((0, 0), (1000, 1000)))
 NUDGED_BARS = nudged_team(RectangleRobot(0.4, 0.1))
 
 
