@@ -160,8 +160,8 @@ class SlopeSets:
 
     A lower bound may fall along a motion by at most the motion's cost. So minus its gradient lies in the set whose
     support function is that cost: a ball for a length, a product of balls for a sum of norms over groups of axes
-    (``blocks``), and with pulls a ball moved along the segment between them. Coordinates are such that a step of
-    length 1 along the axes of one group costs 1.
+    (``blocks``). If costs depend on the direction, it is all balls with centers on the segment between the two
+    negated ``pulls`` of :class:`CellCosts`. A step of length 1 along the axes of one group costs 1.
     """
 
     blocks: Sequence[Sequence[int]]

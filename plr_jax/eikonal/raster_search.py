@@ -1,10 +1,10 @@
 """Cost distance over a grid of costs: a search for shortest paths, proven lower bounds, and a march over large grids.
 
 - Dijkstra's algorithm finds shortest paths over straight edges between the centers and corners of cells. Edges are up
-  to four cells long. Their costs are exact for costs that are constant in each cell. So directions hardly matter, as
-  they do for shortest paths over 8 or 16 neighbors.
+  to four cells long, and their costs are exact for costs that are constant in each cell. Unlike with 8 or 16
+  neighbors, lengths hardly depend on the direction.
 - If heights give directed costs, edges join centers alone and are up to six cells long.
-- Lower bounds are functions that are nowhere steeper than the costs allow, projected from the distances.
+- Lower bounds are the distances, projected onto the functions that are nowhere steeper than the costs allow.
 - Over grids too large for a search, scikit-fmm marches.
 
 References:

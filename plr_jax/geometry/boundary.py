@@ -68,7 +68,7 @@ class Boundary:
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
 
     def is_reflex(self) -> Bool[np.ndarray, "edges"]:
-        """Return whether each sector is wider than half a turn."""
+        """Whether the sector of free space that opens at each edge is wider than half a turn."""
         corner = self.vertices[self.edges[:, 0]]
         to_start = self.vertices[self.edges[:, 1]] - corner
         to_end = self.vertices[self.sector_end] - corner
@@ -388,7 +388,7 @@ def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> An
 
 
 class Region(NamedTuple):
-    """Free space of a workspace, its boundary, and whether all its vertices were moved by rounding only."""
+    """Free space of a workspace, its boundary, and whether its walls moved by rounding only: none was too thin."""
 
     polygon: Polygon | MultiPolygon
     boundary: Boundary

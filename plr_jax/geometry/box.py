@@ -101,7 +101,7 @@ class Box:
 
     @property
     def single_rests(self) -> Float[np.ndarray, "2 dim"]:
-        """Distances along each axis of the corners ``in_single`` from the box; rounded down, at least 0."""
+        """Distances by which the corners ``in_single`` lie outside the box along each axis, rounded down."""
         lo, hi = self.in_single
         rests = np.nextafter(np.stack([self.lo - lo, hi - self.hi]).astype(np.float32), np.float32(-1))
         return np.maximum(rests, np.float32(0))

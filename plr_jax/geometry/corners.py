@@ -147,7 +147,7 @@ class TurnPoints:
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
 
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
-        """Return path lengths from each point through each corner to the goal; NaN if it would not bend around it."""
+        """Return path lengths from each point through each corner to the goal; NaN if none bends there."""
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
@@ -158,7 +158,7 @@ class TurnPoints:
     def first_visible(
         self, x: Float[np.ndarray, "n 2"], sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return the first corner on each point's shortest path with turns, and its length; else -1 and ``inf``."""
+        """Return the first corner of each point's shortest path with turns (-1: none), and its length."""
         way, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]),
             len(x),
@@ -198,7 +198,10 @@ _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """The turn points that see a part of triangle ``t`` in their cones, as ``turn[first[t] : first[t + 1]]``."""
+    """Turn points (corners at which a path may turn first) by triangle ``t``: ``turn[first[t] : first[t + 1]]``.
+
+    Their cones, from which such a path can come, contain a visible part of the triangle.
+    """
 
     turns: TurnPoints
     triangulation: Triangulation
@@ -208,7 +211,7 @@ class TurnRegions:
     def first_visible(
         self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return the first corner on each point's shortest path with turns, and its length; else -1 and ``inf``."""
+        """Return the first corner of each point's shortest path with turns (-1: none), and its length."""
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, places)
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]

@@ -378,7 +378,7 @@ def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
 
 
 def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, "n"]) -> list[list[int]]:
-    """Split a ring wherever it returns to a contact; return each loop as indices of the ring's points."""
+    """Split a ring where it returns to a contact, a corner at which two free pixels touch; return indices by loop."""
     loops, path, place = [], [], {}
     for i, (point, meets) in enumerate(zip(map(tuple, points.tolist()), is_contact.tolist(), strict=True)):
         if meets and point in place:

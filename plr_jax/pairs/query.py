@@ -329,7 +329,10 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
 
 
 def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether points are inside the walls; walls that have changed sides count negatively."""
+    """Return whether points are in free space as the moved walls bound it: whether these wind around them once.
+
+    Where walls have passed one another, so that free space has vanished, they wind around a point less often.
+    """
 
     def winds(turns, walls):
         for wall in walls:

@@ -192,10 +192,11 @@ class Outline:
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return how far points move back, in multiples of the distance.
+        """Return vectors, for subtraction of ``distance`` times the vector from each point, that move all walls.
 
-        A point between two thin walls stays, unless ``surely``. So do the ends of a wall that would change direction,
-        as at the end of an obstacle that is thinner than twice the distance.
+        The walls move by the distance into obstacles, or into free space if it is negative. If it is positive, points
+        between two thin walls stay, unless ``surely``. So do the ends of a wall that would change direction, as at
+        the end of an obstacle that is thinner than twice the distance.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions

@@ -143,7 +143,7 @@ def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan robots one by one, those with the largest detours first, in rounds until a round saves little."""
+    """Replan robots with detours, the largest first, in rounds until a round saves little or time is up."""
     while True:
         before = table.cost.sum()
         for i in np.argsort(table.least_costs - table.cost).tolist():

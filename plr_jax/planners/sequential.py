@@ -34,7 +34,7 @@ TouchDistances = list[list[float]]
 
 
 class CornerRoadmap:
-    """A disc's roadmap: positions at which it rounds corners of walls, and free straight motions between them."""
+    """A disc's roadmap: places of its center beside corners of walls, and free straight motions between them."""
 
     def __init__(self, workspace: Workspace, radius: float):
         boundary = workspace.boundary
@@ -101,10 +101,11 @@ _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 def _positions_at(
     at: Points, normal: Points, turn: Float[np.ndarray, "n"], radius: float
 ) -> Float[np.ndarray, "corners 2"]:
-    """Return positions from which the disc's center rounds each corner; a sharp convex corner has two.
+    """Return places of a disc's center at which its paths turn around corners.
 
-    At a concave corner the disc touches both walls, at a convex corner the lines that extend them (one line each if
-    there are two positions).
+    At most corners, this is where the two walls meet after they are moved outward by the radius. A sharp convex
+    corner is cut off instead, by two places. Corners with one place come first, then the first and the second places
+    of sharp corners.
     """
     count = np.where(turn > _SHARP_TURN, 2, 1)
     points = []

@@ -212,8 +212,8 @@ def lifelong(
     goal. A robot that finds no path goes to a place near its goal where it may rest, and is replanned later. If it
     cannot make way, robots that would pass there are replanned. If all this fails, the whole team is planned again.
 
-    The function shows progress. Ctrl-C ends it and returns the run so far. Results are deterministic unless a time
-    limit is reached.
+    The function shows progress in terminals. Ctrl-C, or a team that cannot be planned, ends it early; it then returns
+    the run so far. Results are deterministic unless a time limit is reached.
 
     Args:
         problem: The robots, their starts, and their first goals.
@@ -221,7 +221,7 @@ def lifelong(
             robot's next goal, ``(dof,)``. The goal must be free and reachable. If it overlaps another robot's goal,
             the robot stays near its place until that robot has another goal, or the two swap places.
         num_goals: Number of goals to serve, at least 1. Goals reached at the same time may add a few more.
-        options: Options of :func:`bl_plan`; the time limit applies to each replanning.
+        options: Options of :func:`bl_plan`; the time limit applies to each replanning. Ignored if ``plan`` is given.
         plan: A planner of problems, such as :func:`bl_plan`, that plans the whole team whenever a robot arrives.
             None: replanning as described above.
 
