@@ -22,12 +22,15 @@ _COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of t
 
 
 def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
-    """Prove error bounds of all leaves; ``visible`` has the sources of the leaves' slightly enlarged cells."""
+    """Prove error bounds of all leaves from the sources (``visible``) of the leaves' slightly enlarged cells."""
     return certificates_of([contents], visible, proof)[0]
 
 
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` has the cells of their leaves in turn."""
+    """Prove error bounds of PLRs of one leaf model and domain.
+
+    ``visible`` has the sources of the cells of all their leaves, one PLR after another.
+    """
     domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
@@ -62,7 +65,10 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """Bounds that are tight enough for one PLR's leaves, from the certificate that attained errors would have."""
+    """A function that tells which bounds of one PLR's leaves are tight enough, from the errors attained so far.
+
+    It encodes these errors as a certificate: bounds within the codes of this certificate cannot improve the file.
+    """
 
     leaves: slice
     rounding: Errors
@@ -94,7 +100,7 @@ class BuildInputs:
     """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store.
 
     Attributes:
-        bounds: Proven bounds of each leaf; None: use the bounds that the file stores.
+        bounds: Proven bounds of each leaf; None to use the bounds that the file stores.
         node_costs: The errors that nodes of the tree would have as leaves; None if unknown.
     """
 

@@ -14,7 +14,10 @@ if TYPE_CHECKING:
 
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Function of node pairs, side, half and axes: which pairs to keep after a half replaced the node of one side."""
+"""Function ``keep(pairs, side, half, axis)`` that tells which node pairs to keep.
+
+In each pair, a half (0 lower, 1 upper) along ``axis`` has replaced the node in row ``side``.
+"""
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
@@ -62,7 +65,10 @@ ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples 
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Return the matrix that computes all values from the free ones, given the matrix of direct dependencies."""
+    """Return the matrix that computes all values from the free ones.
+
+    Row ``i`` of ``step`` has the weights of the values on which value ``i`` depends directly, none if it is free.
+    """
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -73,9 +79,10 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """Return a square matrix ``m`` for which ``rows @ m @ values`` is 0 for any ``values`` of the groups.
+    """Return a square matrix ``m`` for which ``rows @ m @ values`` is 0 for any ``values`` of groups (tied corners).
 
-    Each row is solved for its group of the highest ``level``. Raises ``ValueError`` beyond ``most`` weights.
+    Each row is solved for its group of the highest ``level``. Raises ``ValueError`` if that takes more than ``most``
+    weights.
     """
     from scipy.sparse import csr_array
 
@@ -135,7 +142,7 @@ def neighbor_of_largest_contact(
     reachable: Int[np.ndarray, "reachable"],
     periodic: tuple[bool, ...] = (),
 ) -> Int[np.ndarray, "unreachable"]:
-    """Return, for each unreachable leaf, the first reachable leaf that it touches most; -1 if it touches none."""
+    """Return, for each unreachable leaf, the first reachable leaf of largest contact; -1 if it touches none."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
     mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
@@ -175,7 +182,10 @@ def _contacts(
     b: Int[np.ndarray, "n"],
     is_periodic: Bool[np.ndarray, "dim"],
 ) -> Float[np.ndarray, "n"]:
-    """Return the size of each pair's contact: larger for faces than for edges or corners, 0 without contact."""
+    """Return the size of each pair's contact, a product over the axes: largest for faces, then edges, then corners.
+
+    It is 0 for cells that do not touch. ``finest`` is the largest number of halvings along each axis.
+    """
     contact = np.ones(len(a))
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
@@ -233,7 +243,10 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
-    """Return points of faces in fractions of the domain; ``w`` has their places in a face, from 0 to 1 by axis."""
+    """Return points of faces in fractions of the domain.
+
+    ``w`` has their places in a face, from 0 to 1 along each axis; along the face's axis it is ignored.
+    """
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])
@@ -244,9 +257,9 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return, for each corner of each leaf, the ends of the edge whose middle it is, and whether a split made it.
+    """Return the ends of the edge that a split halved at each leaf corner, and whether there is such a split.
 
-    The ends are corners ``leaf * 2**dim + corner``; they mean nothing for corners of the domain, which no split made.
+    The ends are corners ``leaf * 2**dim + corner``. Corners of the domain have no such split, and arbitrary ends.
     """
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]

@@ -158,7 +158,7 @@ def _interpolation(
     row: Int[np.ndarray, "n"],
     shape: tuple[int, int],
 ) -> "csr_array":
-    """Return a matrix whose rows ``row`` interpolate group values multilinearly at points ``t`` of leaves."""
+    """Return a matrix whose rows ``row`` interpolate values of groups (tied corners) at points ``t`` of leaves."""
     from scipy.sparse import csr_array
 
     point, corner, weight = np.arange(len(t)), np.zeros(len(t), np.int64), np.ones(len(t))

@@ -23,8 +23,7 @@ _LEAST_POINT, _LEAST_IN_TABLES = 2.0**-39, 2.0**-63
 class SmallBatches:
     """A caller of the compiled functions of one object, such as a PLR; NumPy answers until compiling pays off.
 
-    Attributes:
-        work: For each function and shape of points, the coordinates that NumPy answered, plus 4,096 for each call.
+    ``work`` counts, for each function and shape of points, the coordinates that NumPy answered, plus 4,096 a call.
     """
 
     def __init__(self) -> None:

@@ -142,7 +142,7 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """A partition whose leaves are tied: functions are continuous across ``tied`` faces, all of reachable leaves."""
+    """A partition with functions that are continuous across ``tied`` faces, which lie between reachable leaves."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
@@ -178,7 +178,7 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round values >= 0 at the corners of leaves to values >= 0; values at hanging corners are ignored."""
+        """Round values >= 0 at leaf corners to values >= 0; ignore corners inside another leaf's face (hanging)."""
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
@@ -260,7 +260,7 @@ def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> Sto
 
 
 class _Rounds:
-    """A construction in rounds, each of which splits at most ``_most`` leaves and fits all leaves again."""
+    """A construction in rounds, each of which splits up to ``_most`` leaves and fits all leaves again."""
 
     def __init__(self, order: int, sampler: Sampler, rules: Rules, limits: Limits) -> None:
         self._order, self._sampler, self._rules, self._limits = order, sampler, rules, limits
@@ -268,7 +268,7 @@ class _Rounds:
         self._most = limits.max_leaves
 
     def next(self, now: _FittedPartition) -> _FittedPartition | None:
-        """Split some leaves and fit again; None if no more leaves fit into the limits."""
+        """Split some leaves and fit again; return None if no more leaves fit into the limits."""
         while True:
             leaf, axis = self._next_splits(now)
             if len(leaf) == 0:

@@ -134,7 +134,11 @@ class _Image:
     def _write_tree(
         self, marks: list[tuple[Int[np.ndarray, "records fields"], int]], places: list[tuple[Any, int]]
     ) -> None:
-        """Append a record for every 16 splits; with values, ``marks`` come first, and ``places`` of fields last."""
+        """Append a record for every 16 splits; ``marks`` are more columns at its start, ``places`` at its end.
+
+        Both are lists of columns and their width in bits, empty unless the file has values in the middles of edges:
+        then marks say how these are stored, and places have the width and position of the record's fields.
+        """
         splits = np.flatnonzero(self.tree.child >= 0)
         is_split = self.tree.child[self.tree.child[splits][:, None] + np.arange(2)] >= 0
         children = _by_record(is_split.astype(np.int64))
@@ -170,7 +174,7 @@ class _Image:
         is_odd: Bool[np.ndarray, "leaves terms"],
         rows: Float[np.ndarray, "..."],
     ) -> bytes:
-        """Append planes, exceptions and rows of floats; return all bytes."""
+        """Append leaves stored as planes, exceptions (where ``is_odd``) and rows of floats; return all bytes."""
         program, folding = self.program, self.program.folding_arrays
         at_planes = self._at
         fields = np.column_stack([planes, _float_bits(of_planes)])
@@ -270,7 +274,7 @@ def _float_bits(numbers: Float[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape
 
 
 def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndarray, "records fields_of_record"]:
-    """Concatenate the fields of all splits of a record; zeros pad the last record."""
+    """Concatenate the fields of the 16 splits of each record; zeros pad the last record."""
     padded = np.pad(of_splits, ((0, -len(of_splits) % _RECORD), (0, 0)))
     return padded.reshape(-1, _RECORD * of_splits.shape[1])
 
@@ -336,7 +340,10 @@ class _Middles:
                 self.corners[halves], self.corners[halves + 1] = lower, upper
 
     def best_widths(self) -> Int[np.ndarray, "records"]:
-        """Choose the width of each record for which its fields take the fewest bits, and set marks 1 and 2."""
+        """Return the width of each record for which its fields take the fewest bits.
+
+        Change marks from 1 to 2 where a value does not fit into this width.
+        """
         narrow = 1 + np.frexp(np.abs(self.narrow))[1]
         wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
         sizes = []
@@ -349,7 +356,7 @@ class _Middles:
         return widths
 
     def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return the stored integers and their widths, two for each middle; ``unit`` is the width of each split."""
+        """Return the stored integers and their widths, two for each middle; ``unit`` is the width by split."""
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
@@ -362,7 +369,7 @@ _EXACT = 2**53  # doubles hold all integers up to here
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of smooth leaves, in level order, in units of a stored integer; NaN if uncertain."""
+    """Return the coefficients of smooth leaves, in level order and units of ``corners``; NaN if uncertain."""
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
@@ -385,9 +392,9 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """Value and derivatives of smooth leaves at corners, by the operations of ``plr_jax_smooth``.
+    """A function that computes value and derivatives of smooth leaves at a corner as ``decoder.h`` does.
 
-    A query meets the leaves around a corner in any order, so the result is NaN where it depends on the order.
+    The decoder meets the leaves around a corner in any order, so the result is NaN where it depends on the order.
     """
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
@@ -397,7 +404,7 @@ class _SmoothCorners:
         self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return four numbers, and the length of the chain of hanging corners from which they follow."""
+        """Return value and three derivatives, and the length of the chain of hanging corners they follow from."""
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)
             self.known[point, value] = numbers if chain <= _LONGEST_CHAIN else [np.nan] * 4, chain
@@ -442,7 +449,7 @@ class _SmoothCorners:
     def _on_edge(
         self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
     ) -> tuple[list[float], int]:
-        """Return the numbers of a corner inside the edge of a larger leaf, from its cubic along the edge."""
+        """Return value, derivatives and chain length at a corner inside a larger leaf's edge, from its cubic."""
         across, t, scale = 2 >> edge, (point[edge] - start) / size, float((1 << FRACTION_BITS) // size)
         places = [tuple(at if axis == edge else x for axis, x in enumerate(point)) for at in (start, start + size)]
         (p, first), (q, second) = map(self, places, ends)

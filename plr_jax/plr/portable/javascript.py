@@ -130,7 +130,7 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    """Generate the query functions; if ``is_proven``, the last two of a leaf's ``width`` numbers bound its error."""
+    """Generate the query functions; if ``is_proven``, the last two of a leaf's ``width`` numbers are error bounds."""
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
@@ -176,7 +176,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the search of a point's leaf in the tree; if its cell is not needed, a grid lookup comes first."""
+    """Generate the search of a point's leaf in the tree; a grid lookup comes first unless the cell is needed."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),

@@ -27,7 +27,7 @@ Leaf = Int[np.ndarray, "pairs"]
 
 @dataclass(frozen=True, eq=False)
 class ConeLeaves:
-    """A tree of cone leaves, with proven bounds of distance minus cone; ``slack`` is the uncertainty of distances."""
+    """A tree of cone leaves, with proven bounds of (distance - cone); ``slack`` is the uncertainty of distances."""
 
     domain: Box
     tree: Tree
@@ -50,9 +50,9 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Return the change of the distances in each leaf, if all changed by one number, and each leaf's new source.
+        """Return the number by which all distances in each leaf changed, and its source's (apex's) index in ``after``.
 
-        The change is NaN if it may differ within the leaf. A source is an index in ``after``, -1 if it is gone.
+        The number is NaN if changes may differ within the leaf; the index is -1 if the source is gone.
         """
         from scipy.spatial import KDTree  # which no query needs
 
@@ -101,7 +101,11 @@ class ConeLeaves:
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Find pairs of a leaf and a source whose cone comes as low as distances in the leaf may be."""
+        """Find pairs of a leaf and a source whose cone comes as low in the leaf as distances there may be.
+
+        ``leaf`` and ``triangle`` are pairs that intersect; leaves that ``differ`` are skipped. ``pairs`` has the
+        sources of each triangle. Upper bounds of distances in a leaf have risen by ``grown``.
+        """
         first = np.searchsorted(
             pairs.triangle, np.arange(triangle.max(initial=-1) + 2)
         )  # first pair of each triangle
@@ -123,7 +127,7 @@ class ConeLeaves:
     def _may_cross_changes(
         self, leaf: Leaf, pairs: TriangleSources, sources: Sources, changed: ChangedDistances
     ) -> Bool[np.ndarray, "n"]:
-        """Return whether straight lines from each leaf to its source may cross a changed part of the map."""
+        """Return, for pairs of a leaf and a source, whether a segment between them may cross a changed wall."""
         (lo, hi), rows = self._boxes, np.flatnonzero(pairs.is_doubted)
         corners = [np.stack([x[leaf[rows], 0], y[leaf[rows], 1]], axis=1) for x in (lo, hi) for y in (lo, hi)]
         cut = np.zeros(len(leaf), bool)

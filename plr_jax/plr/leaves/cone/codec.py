@@ -102,7 +102,7 @@ def store_sources(
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
     """Return sources in their file form, without duplicates, and the new index of each given source.
 
-    ``is_off`` may give the result of :func:`off_lattices` for the points.
+    ``is_off`` is the result of :func:`off_lattices` for the points, if it is known.
     """
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
@@ -129,7 +129,7 @@ def store_sources(
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
-    """Return, for each point, which of the lattices ``1 / n`` that files can state do not contain it."""
+    """Return which lattices (multiples of ``1 / n``, of those that a file can state) do not contain each point."""
     # A little more than workspaces round the corners that they are given.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     is_off = np.zeros((len(points), len(_LATTICES)), bool)
@@ -140,7 +140,7 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
 
 
 def _lattice(is_off: Bool[np.ndarray, "sources fractions"], exponent: int) -> tuple[int, Bool[np.ndarray, "sources"]]:
-    """Return ``n`` of the lattice ``1 / n`` that takes the fewest bits, and which sources do not lie on it."""
+    """Return ``n`` of the lattice of multiples of ``1 / n`` with the fewest bits, and which sources are not on it."""
     fractions = _LATTICES[2.0**-exponent > _LATTICES]
     if not len(fractions):  # in a very wide domain, integers are too fine
         return 1, np.ones(len(is_off), bool)
@@ -271,7 +271,7 @@ class ConeFiles:
         self._cache: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
 
     def of_goal(self, sources: Sources) -> "ConeFiles":
-        """Return the encoder for another goal, source 0, of the same corners."""
+        """Return the encoder for another goal, which is source 0, and the same corners."""
         files = copy(self)
         files._sources, files._cache, files._is_off = sources, {}, self._is_off.copy()
         files._is_off[:1] = off_lattices(sources.points[:1], self._domain)

@@ -1,4 +1,4 @@
-"""Cone leaves: a function ``offset + |x - source|`` in every leaf, with sources that many leaves share."""
+"""Cone leaves: functions ``offset + |x - source|``, whose sources (corners or the goal) are shared by many leaves."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -49,9 +49,9 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 @dataclass(frozen=True, eq=False)
 class NodeCosts:
-    """Errors of a tree's nodes if they were leaves, as in ``ConeBoxes``; ``integral`` is ``inf`` if unknown.
+    """Errors that each node of a tree would have as a leaf, as in ``ConeBoxes``; ``integral`` is ``inf`` if unknown.
 
-    ``price`` is a price per leaf at which the tree is optimal.
+    ``price`` is a price per leaf at which the tree has about the least sum of errors and prices.
     """
 
     integral: Float[np.ndarray, "nodes"]
@@ -61,7 +61,7 @@ class NodeCosts:
 
 
 def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> NodeCosts:
-    """Compute the errors of nodes as leaves, and estimate a price per leaf at which few leaves should be merged."""
+    """Compute the errors that nodes would have as leaves, and a price per leaf at which few leaves would merge."""
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
     (integral, peak), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
@@ -82,15 +82,15 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
 
 
 def _share(tree: Tree, limits: Limits) -> float:
-    """Return the weight of a leaf's peak in costs, from the number of leaves."""
+    """Return the weight of a leaf's peak (largest error) in costs."""
     most = min(limits.max_bytes, limits.max_leaves)
     return peak_share(float(max(len(tree.node_of_leaf), most if np.isfinite(most) else 0)), True)
 
 
 class UpdatedCones(NamedTuple):
-    """Leaves after a change of the map, in tree order; ``rebuilt`` has the indices of new leaves.
+    """Cone leaves after a change of the map, in tree order; ``rebuilt`` has the indices of new leaves.
 
-    ``bounds`` are valid for kept leaves only. ``visible`` has the sources of the new leaves' cells.
+    ``bounds`` are valid for other leaves only. ``visible`` has the sources of the cells of new leaves.
     """
 
     tree: Tree
@@ -155,11 +155,11 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The best tree at a price, among the computed boxes, level by level; leaves are in tree order.
+    """The tree of least error plus price per leaf whose leaves are nodes of the old tree or boxes of a search.
 
     Attributes:
-        axes: Split axis of each node; -1 for a leaf.
-        nodes, leaves: Indices into the nodes of the old tree, followed by all boxes.
+        axes: Split axis of each node, level by level; -1 for a leaf.
+        nodes, leaves: Nodes level by level, leaves in tree order: indices of nodes of the old tree, then of boxes.
         share: Share of the limits that the tree uses.
     """
 
@@ -173,12 +173,12 @@ class FoundTree:
 
 @dataclass(frozen=True, eq=False)
 class ConeSearch:
-    """The search for the best leaves of a changed map.
+    """A search for the best leaves after a change of the map.
 
     Attributes:
         nodes: Costs of the nodes of the old tree; ``inf`` where distances did not change by one number.
-        is_reopened: Which of the old leaves are searched again.
-        roots: Nodes of the old tree that boxes replace.
+        is_reopened: Which old leaves are searched again.
+        roots: Nodes of the old tree that are replaced by boxes, which the search halves.
         levels: Levels of boxes; the first level begins with the roots, in their order.
     """
 
@@ -201,7 +201,7 @@ class ConeSearch:
         oracle: ChangingFn,
         limits: Limits,
     ) -> "ConeSearch":
-        """Start the search from each leaf's change of distances (NaN if they may differ) and its new source."""
+        """Start from each leaf's change of all its distances (NaN if changes may differ) and its new source."""
         tree = leaves.tree
         least, most = np.empty((2, len(tree.child)))
         least[tree.node_of_leaf], most[tree.node_of_leaf] = change, change
@@ -315,7 +315,7 @@ class ConeSearch:
         return FoundTree(price, walked, node, leaf, num_bytes, share)
 
     def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
-        """Return each leaf's source (a corner or the goal); new leaves get one that they see, where possible."""
+        """Return each leaf's source (a corner or the goal); new leaves get a source that they see, where possible."""
         first = np.cumsum([len(self.leaves.tree.child), *(len(level.key) for level in self.levels)])
         place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
         leaf = found.leaves[place]
@@ -344,7 +344,7 @@ class ConeSearch:
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
-    """Return the best tree found that fits; None if none does, or if the limits allow far more leaves."""
+    """Return the largest tree found within the limits; None if none is, or if the limits allow far more leaves."""
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
