@@ -80,7 +80,7 @@ class _Targets:
         return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
 
     def __call__(self, least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
-        # Attained errors of most PLRs stay as they are while others of the same proof are improved.
+        # Encode again only if attained errors changed: late in a proof, few of its PLRs still improve.
         attained, last = np.stack([least, most, np.full(len(least), anew)]), self.last
         if last is None or self.attained is None or not np.array_equal(self.attained, attained):
             self.attained = attained

@@ -170,9 +170,9 @@ class PricedTree:
 
 
 def peak_share(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of peaks (largest errors) in costs, of a tree of about ``num_leaves`` leaves.
+    """Return the weight of peaks (largest errors) in costs, in proportion to the volume of an average leaf.
 
-    It is larger without a proof, as peaks are then multiplied by the sides of boxes, about ``num_leaves**-0.5``.
+    Without a proof, peaks are already multiplied by the sides of boxes, about ``num_leaves**-0.5``.
     """
     return LEAST_SHARE_PROVEN / num_leaves if is_proven else LEAST_SHARE / float(np.sqrt(num_leaves))
 

@@ -95,8 +95,8 @@ class LeafFunctions:
         return errors
 
 
-# Rounds in which pieces of a leaf are halved, and pieces halved in a round. Beyond these limits bounds are valid, but
-# not tight.
+# Most rounds in which pieces of a leaf are halved, and most pieces in a round. If they do not suffice, bounds are
+# valid, but not tight.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
 # Bounds of leaves are tight enough if they exceed attained errors by at most this share of the range of a leaf's
 # errors, clipped to these shares of the largest error of all leaves.

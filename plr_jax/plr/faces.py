@@ -14,10 +14,7 @@ if TYPE_CHECKING:
 
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Function ``keep(pairs, side, half, axis)`` that tells which node pairs to keep.
-
-In each pair, a half (0 lower, 1 upper) along ``axis`` has replaced the node in row ``side``.
-"""
+"""Function ``keep(pairs, side, half, axis)``: which node pairs to keep after halves along ``axis`` replaced a row."""
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:

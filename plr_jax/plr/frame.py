@@ -24,7 +24,7 @@ MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
 _DEEP_BITS = 28  # most halvings, summed over the axes, for more leaves than MOST_ROWS or more than two axes
 _PAGED_DEPTH = 14  # most halvings along an axis of tables with pages, so that blocks and pages stay small
-# Most entries of lookup tables, as log2: per byte of the file, but at least and at most.
+# Log2 of the largest number of entries of lookup tables, per byte of the file, and least and largest value of it.
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 
 

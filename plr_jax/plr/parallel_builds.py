@@ -158,7 +158,7 @@ Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
 
 
 class BuildResults:
-    """The results of a computation of many independent parts, such as PLRs, as bytes; None for missing results."""
+    """The ``results`` of many independent computations, such as PLRs, as bytes; None for missing results."""
 
     def __init__(self, total: int, checkpoint: Checkpoint | None) -> None:
         records = {} if checkpoint is None else checkpoint.records

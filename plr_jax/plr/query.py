@@ -297,8 +297,8 @@ def _fraction_bits(tables: Tables, x: Float[AnyArray, "*batch dim"], axis: int) 
         tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
     )
     share = (x[..., axis] - lo) * scale
-    # The bound separates product and sum. If a compiler fused them in only one part of a query, a point near a border
-    # could get the block (coarse cell) of one leaf and the entry of another.
+    # The minimum (``where``) separates product and sum. If a compiler fused them in only one part of a query, a point
+    # near a border could get the block (coarse cell) of one leaf and the entry of another.
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
     xp = x.__array_namespace__()
     placed = xp.maximum(xp.where(share < top, share, top) + start, 1)

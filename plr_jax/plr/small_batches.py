@@ -15,8 +15,8 @@ from plr_jax._compiled import is_on_one_host
 # So NumPy answers the first 31 calls for few points, or the first call for up to 60,000 points of the plane.
 _MOST_WORK = 2**17  # in coordinates
 _WORK_OF_CALL = 2**12  # in coordinates
-# XLA takes numbers below 2**-126 for 0, NumPy does not. Differences of larger points are 0 or at least 2**-63, and
-# products of these with numbers in tables are 0 or at least 2**-126.
+# XLA takes numbers below 2**-126 for 0, NumPy does not. Differences of coordinates above _LEAST_POINT are 0 or at
+# least 2**-63, and their products with numbers above _LEAST_IN_TABLES are 0 or at least 2**-126.
 _LEAST_POINT, _LEAST_IN_TABLES = 2.0**-39, 2.0**-63
 
 

@@ -287,13 +287,13 @@ def build_pages(
 def _place_pages(
     shape: Int[np.ndarray, "blocks dim"], page_bits: Int[np.ndarray, "dim"], below: Int[np.ndarray, "dim"], first: int
 ) -> tuple[Int[np.ndarray, "blocks"], int]:
-    """Return the first slot of the page (table) of every block, 0 if it has none, and the end of the last page.
+    """Return the first slot of the page (table) of every block, 0 if it has none, and the end of all slots.
 
     ``shape`` has log2 of each page's slots by axis, ``page_bits`` of the largest possible page. ``below`` is the
-    number of index bits of all later axes, ``first`` the first slot that pages may use. Slots are allocated as by a
-    buddy allocator, whose *rooms* are free pages. Pages are placed by decreasing size, equal shapes together. Each
-    takes the smallest room that holds it, else a new room of the largest page. A room that is too large is halved
-    along one axis after another until it has the page's shape. Each half takes every other slot along that axis.
+    number of index bits of all later axes, ``first`` the first slot that pages may use. A buddy allocator places
+    pages by decreasing size. Each takes the smallest free *room* that holds it, else a new room of the largest page.
+    A room that is too large is halved along one axis after another until it has the page's shape; each half takes
+    every other slot along that axis.
     """
     finest = tuple(page_bits.tolist())
     rooms: dict[tuple[int, ...], list[int]] = {}

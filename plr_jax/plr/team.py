@@ -83,7 +83,7 @@ def _evaluate(
     bands: tuple[tuple[Float[AnyArray, "2 _"], Float[AnyArray, "_"] | None] | None, ...],
     q: Float[AnyArray, "n robots dof"],
 ) -> tuple[Float[AnyArray, "n"], ...]:
-    """Return one array per robot: for a single array, XLA would compute all robots in one slower loop."""
+    """Evaluate each robot's PLR; return one array per robot, as XLA would compute one array in one slower loop."""
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
     return tuple(
         evaluate_tables(table, part) if band is None else bounds_of_tables(table, *band, part)[0]

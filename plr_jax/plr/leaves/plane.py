@@ -58,7 +58,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
-        """Return the bit width of half-differences for each axis and depth; 0 if all of them are 0."""
+        """Return the bit width of half-differences for each axis and depth: 0 if all are 0, but 32 for floats."""
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)

@@ -87,7 +87,7 @@ def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
     return do.fraction(placed)
 
 
-_TOLERANCE = 2.0**-44  # of wrapping, relative to the ends of the domain
+_TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the domain
 
 
 class Program:

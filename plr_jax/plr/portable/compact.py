@@ -7,9 +7,9 @@ are sequences of bits, lowest first:
     frame         nine 32-bit floats for each axis: the domain and constants of a query (see ``FORMAT.md``)
     exact         five 64-bit floats for each axis; only for planes, and in domains far from the origin
     folding       mirror symmetries: center, its rounding error, axes if turned, mirrors, corners of the folded box
-    corners       only for values: the values at the corners of the domain
+    corners       only with values: the values at the corners of the domain
     tree          a record for every 16 splits
-    levels        only for planes: for each level of the tree, the position and widths of the fields of its leaves
+    levels        only with planes: for each level of the tree, the position and widths of the fields of its leaves
     fields        integers of leaves or splits
     planes        leaves whose plane is stored as floats, sorted: leaf number, value and slopes
     exceptions    other parameters that do not follow from the fields, sorted: leaf number, index, float
@@ -19,16 +19,16 @@ are sequences of bits, lowest first:
 Nodes, splits and leaves are numbered in level order. So the children of split ``s`` are the nodes ``2 s + 1`` and
 ``2 s + 2``. The number of a split or leaf follows from the number of splits before it. A record of the tree holds a
 bit for each child of its 16 splits (1 if the child is split), the axis of each split, and the number of splits among
-the children of all earlier records. With values, the record begins with marks, and ends with the width and the
-position of its fields.
+the children of all earlier records. With values, a record begins with marks, and ends with the width and the position
+of its fields. There are three encodings of leaves:
 
-- Cones, and leaves of other models if that takes fewer bytes, store the index of a row.
-- Planes store the integers of the file.
-- Continuous leaves follow from the values at the corners of the domain. Each split halves edges of its cell, and
-  stores the values in the *middles* of these edges. A query computes the corner values of one half from them. A mark
-  of two bits says how a middle is stored (see :class:`_Middles`).
-- Smooth leaves have such values too. A query computes the derivatives at the corners of its leaf from the leaves
-  around them. It takes leaves as continuous where their values agree; where that is wrong, there are exceptions.
+- Rows, for cones, and for other leaves if that takes the fewest bytes: each leaf stores the index of a row.
+- Planes: each leaf stores the integers of the file.
+- Values, for continuous and smooth leaves. Each split halves edges of its cell, and stores the values in the
+  *middles* of these edges. A query computes the corner values of one half from them, starting from the values at the
+  corners of the domain. A mark of two bits says how a middle is stored (see :class:`_Middles`). For smooth leaves, a
+  query computes the derivatives at the corners of its leaf from the leaves around them. It takes leaves as continuous
+  where their values agree; where that is wrong, there are exceptions.
 
 Planes and exceptions make all answers equal to those of the file, bit for bit. This module computes leaf parameters
 as a query does, and stores those that differ, if only by rounding. It leaves out those too small to change an answer.
@@ -58,7 +58,7 @@ _RECORD = 16  # splits in a record of the tree
 _FAR, _FOLDED, _TURNED, _CODED, _VALUES = 1, 2, 4, 8, 16  # flags
 _UNITS = np.array([0, 1, 2, 4])  # width of a middle's fields by its mark, in multiples of the width of its record
 _FLOAT_BITS = 32  # files whose planes have so many bits store floats
-# Of a polynomial close to a plane, Horner's rule adds all other coefficients to a slope. If their sum is smaller than
+# In a polynomial close to a plane, Horner's rule adds all other coefficients to a slope. If their sum is less than
 # this share of each slope, rounding removes them (a slope has 24 bits; two more cover rounding and ``t`` beyond 1).
 _NEGLIGIBLE = 2.0**-27
 _MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 28
@@ -228,7 +228,7 @@ class _Image:
         is_signed = np.arange(1 + self.dim) > 0
         np.maximum.at(widths, self.level_of_leaf, np.frexp(np.abs(codes))[1] + (is_signed & (codes != 0)))
         self._write_tree([], [])
-        # For each level: where the fields of leaf 0 would be if all leaves had the widths of this level; the widths.
+        # For each level: the position that leaf 0 would have if all leaves had this level's widths; these widths.
         self.at_levels, size = self._at, widths.sum(axis=1)
         self.at_fields = self._at + self.num_levels * (40 + 8 * self.dim)
         count = np.bincount(self.level_of_leaf, minlength=self.num_levels)
@@ -362,7 +362,7 @@ class _Middles:
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
 
 
-_LONGEST_CHAIN = 8  # of hanging corners of smooth leaves, each inside an edge that ends at the next
+_LONGEST_CHAIN = 8  # most hanging corners of smooth leaves, each inside an edge that ends at the next
 _EXACT = 2**53  # doubles hold all integers up to here
 
 

@@ -37,7 +37,6 @@ class JavaScriptEmitter(Emitter):
         return self.atom(f"Math.floor({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 mantissa bits of a value in [1, 2) in a word's upper bits; the descent shifts them out."""
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
 
 
@@ -71,7 +70,7 @@ def js_file_reader() -> str:
 
 
 def js_cone_reader() -> str:
-    """Return JavaScript of ``coneReader``, from the tables of ``readCones`` to distance, waypoint and bounds."""
+    """Return JavaScript's ``coneReader``, which makes distance, waypoint and bounds from tables of ``readCones``."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program, rows = _ConesFromTables(), np.zeros((2, 5), np.float32)
     tree = CodedTree(program.contents.tree, np.zeros(2, int))

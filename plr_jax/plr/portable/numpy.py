@@ -227,7 +227,7 @@ class NumpyPLR:
         self.num_leaves = len(cells)
         self._table = LeafTable(CodedTree(program.contents.tree, np.arange(self.num_leaves)))
         numbers = program.leaf_parameters
-        if program.leaf.is_cell_relative:  # number of cells along each axis, position of the leaf's
+        if program.leaf.is_cell_relative:  # add the number of cells along each axis, and the leaf's position
             of_cells = np.stack([np.ldexp(1.0, cells.depth), cells.position], axis=2).astype(np.float32)
             numbers = np.concatenate([of_cells.reshape(self.num_leaves, -1), numbers], axis=1)
         self._columns = np.ascontiguousarray(numbers.T)

@@ -147,7 +147,7 @@ class Emitter(Operations, ABC):
 
     @abstractmethod
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 mantissa bits of a value in [1, 2): as an integer in Python, else as a word's upper bits."""
+        """Return the 23 mantissa bits of a value in [1, 2): an integer in Python, else the upper bits of a word."""
 
     def used_statements(self) -> list[str]:
         """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
@@ -199,7 +199,7 @@ def format_domain(domain: Box) -> str:
     )
 
 
-_WIDTH = 100  # of a line of generated code
+_WIDTH = 100  # width of a line of generated code
 
 
 def indent(lines: Iterable[str]) -> list[str]:

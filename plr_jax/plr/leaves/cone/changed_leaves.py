@@ -50,9 +50,10 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Return the number by which all distances in each leaf changed, and its source's (apex's) index in ``after``.
+        """Return the number by which all distances in each leaf changed, and the leaf's source as index in ``after``.
 
-        The number is NaN if changes may differ within the leaf; the index is -1 if the source is gone.
+        The number is NaN if changes may differ within the leaf. The index is -1 if the source, the apex of the leaf's
+        cone, is gone.
         """
         from scipy.spatial import KDTree  # which no query needs
 
@@ -79,7 +80,7 @@ class ConeLeaves:
         differ[of[self._may_cross_changes(of, pairs, before, changed) | np.isnan(pairs.change)]] = True
         take(of, np.where(np.isnan(pairs.change), 0.0, pairs.change))
         if (np.maximum(np.abs(least), np.abs(most))[least <= most] > changed.rounding).any():
-            # Triangles without a change matter as well.
+            # If other triangles changed, triangles without a change (0) matter as well.
             still, _ = self._leaves_meeting(changed.triangles, np.flatnonzero(changed.change == 0))
             take(still, np.zeros(len(still)))
         # 3. All changes must be one number (0 if there are none), and equal the change of the leaf's own source.

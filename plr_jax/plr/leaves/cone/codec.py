@@ -130,7 +130,7 @@ def store_sources(
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
     """Return which lattices (multiples of ``1 / n``, of those that a file can state) do not contain each point."""
-    # A little more than workspaces round the corners that they are given.
+    # The tolerance is a little more than the rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     is_off = np.zeros((len(points), len(_LATTICES)), bool)
     for along in points.T:

@@ -61,7 +61,7 @@ class Cone(LeafModel):
             )
         domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
         if not len(visible.cell):
-            sampler.root()  # raises the error for this
+            sampler.root()  # raises the error that nothing is reachable
         run = partial(grow, limits=limits)
         found = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
         sampler.memory.remember(found.boxes.cells, found.boxes.visible)  # which a proof needs

@@ -35,9 +35,10 @@ from plr_jax.plr.leaves.cone.search import (
 from plr_jax.plr.sampling import Pattern, sample_pattern
 from plr_jax.plr.tree import MAX_DEPTH, Tree, grown_domain, tree_of_axes
 
-_ASKED, _SPARE = 128, 1e-6  # leaves tested for the right oracle; tolerance in units of the largest distance
+_ASKED, _SPARE = 128, 1e-6  # leaves at which the old oracle is tested; tolerance in units of the largest distance
 _MARGIN = 1.0  # pruning margin of expand
-# Used share of the limits: enough; aimed at; below which the worst leaves are reopened; below which all are rebuilt.
+# Share of the limits that a tree uses: _FULL is enough, and prices aim at _AIM. Below _LEFT the worst leaves are
+# reopened, below _FAR all leaves are rebuilt.
 _FULL, _AIM, _LEFT, _FAR = 0.99, 0.995, 0.97, 0.8
 _ATTEMPTS = 12  # number of prices to try
 _MOST_SOUGHT = 512  # largest number of leaves to reopen
@@ -128,7 +129,7 @@ def updated_cones(
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
     stays, rebuilt = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
     old = old[stays]
-    # A kept cone moved with its offset, and slightly if its source is rounded differently.
+    # A kept cone rose with its offset, and moved slightly if its source is rounded differently.
     rises = change[old] - (new.sources.offsets[new.source[stays]] - leaves.offset[old])
     beside = np.linalg.norm(new.sources.points[new.source[stays]] - leaves.apex[old], axis=1)
     lower, upper = np.zeros((2, len(best.leaves)))
