@@ -163,11 +163,7 @@ def _files(
 def _certified(
     contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
 ) -> list[DecodedFile]:
-    """Prove error bounds of PLRs of one family of oracles; ``sources`` has the source of each leaf of each PLR.
-
-    A source, the point to which paths from the leaf go straight, is an index in its oracle's sources. It is a hint
-    where to find the other sources of the leaf's cell.
-    """
+    """Prove error bounds of PLRs of one family; ``sources`` are points to which paths from leaves may go first."""
     for oracle in oracles:
         require_certifiable(oracle, contents[0].domain)
     # Cells that several members have as leaves are cut into free pieces once.

@@ -499,13 +499,10 @@ def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) ->
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class LowerBound:
-    """A distance function that is proven never to exceed the true distance; see :attr:`plr_jax.PLR.lower`.
-
-    ``is_lower_bound``, always true, tells planners that the function is an admissible heuristic.
-    """
+    """A distance function that is proven never to exceed the true distance; see :attr:`plr_jax.PLR.lower`."""
 
     plr: PLR
-    is_lower_bound = True
+    is_lower_bound = True  # tells planners that the function is an admissible heuristic
 
     @property
     def dim(self) -> int:

@@ -27,10 +27,7 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
 
 
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    """Prove error bounds of PLRs of one leaf model and domain.
-
-    ``visible`` has the sources of the cells of all their leaves, one PLR after another.
-    """
+    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` has their leaves' cells, PLR by PLR."""
     domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(

@@ -64,10 +64,7 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """Build the trie of several PLRs, given each leaf's row of parameters; ``ValueError`` if it is too large.
-
-    ``levels`` is the result of :func:`trie_levels`.
-    """
+    """Build the trie with given :func:`trie_levels` of several PLRs, which leads to each leaf's row of parameters."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)

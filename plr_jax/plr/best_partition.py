@@ -170,10 +170,7 @@ class PricedTree:
 
 
 def peak_share(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of peaks (largest errors) in costs, in proportion to the volume of an average leaf.
-
-    Without a proof, peaks are already multiplied by the sides of boxes, about ``num_leaves**-0.5``.
-    """
+    """Return the weight of peaks (largest errors; without a proof, these times the sides of boxes) in costs."""
     return LEAST_SHARE_PROVEN / num_leaves if is_proven else LEAST_SHARE / float(np.sqrt(num_leaves))
 
 

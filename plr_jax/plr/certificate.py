@@ -435,10 +435,7 @@ class Certificate:
         most: Float[np.ndarray, "leaves"],
         rounding: Float[np.ndarray, "leaves"],
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
-        """Return bounds that need not be tightened, given the smallest and largest attained error of each leaf.
-
-        They exceed these errors slightly, or are those of the narrowest class of leaves that contains the errors.
-        """
+        """Return bounds that are tight enough: slightly beyond attained errors, or their narrowest class's bounds."""
         if self.proof is not Proof.CLASSES:
             return tight_bounds(least, most)
         spare = _SPARE_OF_CLASS * self.scale

@@ -62,10 +62,7 @@ ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples 
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Return the matrix that computes all values from the free ones.
-
-    Row ``i`` of ``step`` has the weights of the values on which value ``i`` depends directly, none if it is free.
-    """
+    """Return the matrix from free values to all values, given the direct dependencies (rows) of the other values."""
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -76,10 +73,9 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """Return a square matrix ``m`` for which ``rows @ m @ values`` is 0 for any ``values`` of groups (tied corners).
+    """Return a square matrix ``m`` for which ``rows @ m`` is 0, by solving each row for one group (tied corners).
 
-    Each row is solved for its group of the highest ``level``. Raises ``ValueError`` if that takes more than ``most``
-    weights.
+    This is its group of the highest ``level``. Raises ``ValueError`` if that takes more than ``most`` weights.
     """
     from scipy.sparse import csr_array
 
@@ -179,10 +175,7 @@ def _contacts(
     b: Int[np.ndarray, "n"],
     is_periodic: Bool[np.ndarray, "dim"],
 ) -> Float[np.ndarray, "n"]:
-    """Return the size of each pair's contact, a product over the axes: largest for faces, then edges, then corners.
-
-    It is 0 for cells that do not touch. ``finest`` is the largest number of halvings along each axis.
-    """
+    """Return the size of each pair's contact: largest for faces, then edges, then corners; 0 if there is none."""
     contact = np.ones(len(a))
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
@@ -240,10 +233,7 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
-    """Return points of faces in fractions of the domain.
-
-    ``w`` has their places in a face, from 0 to 1 along each axis; along the face's axis it is ignored.
-    """
+    """Return points of faces in fractions of the domain; ``w`` has their places in a face, from 0 to 1 by axis."""
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])

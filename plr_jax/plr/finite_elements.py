@@ -74,10 +74,7 @@ class NodalSpace:
 
 
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
-    """Build the space of functions that are continuous across the tied faces, all between reachable leaves.
-
-    Raises ``ValueError`` if the constraints have so many weights that resolving them would take too long.
-    """
+    """Build the space of functions that are continuous across tied faces; ``ValueError`` if that takes too long."""
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
 

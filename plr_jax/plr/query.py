@@ -23,10 +23,7 @@ _ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables,
 
 
 def evaluate_tables(tables: Tables, x: AnyArray, outside: Outside = "inf") -> Float[AnyArray, "*batch"]:
-    """Return the PLR's distance at each point, NaN for NaN; ``outside`` selects the answer outside the closed domain.
-
-    Raises ``ValueError`` for points of a wrong shape or type, whatever their values.
-    """
+    """Return the PLR's distance at each point, NaN for NaN; ``outside`` is the answer outside the closed domain."""
     x = _as_float_points(tables, x)
     xp = x.__array_namespace__()
     if outside == "clamp":
@@ -103,10 +100,7 @@ def waypoints_in_tables(tables: Tables, x: AnyArray) -> Float[AnyArray, "*batch 
 
 
 def lookup(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray, "*batch"]:
-    """Return the number of each point's leaf; an arbitrary leaf outside the domain and for NaN.
-
-    For a point within rounding of a border of leaves, it may be the leaf on the other side.
-    """
+    """Return the number of each point's leaf, within rounding; an arbitrary leaf outside the domain and for NaN."""
     if tables.folding is not None:
         nowhere = x.__array_namespace__().zeros(x.shape[:-1], bool)
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, nowhere))
@@ -220,16 +214,14 @@ def length_of(along: list[Float[AnyArray, "*batch"]]) -> Float[AnyArray, "*#batc
 
 
 def _wrap(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> Float[AnyArray, "*batch dim"]:
-    """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower one.
-
-    The product is kept from fusing with the difference, so that all parts of a query see the same point.
-    """
+    """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower one."""
     xp, columns = x.__array_namespace__(), [x[..., axis] for axis in range(tables.dim)]
     for axis in tables.periodic:
         along, frame = _constant(columns[axis]), tables.frame[:, axis].astype(x.dtype)
         lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
         turns = xp.floor((along - lo) * frame[Frame.SCALE])
         is_end = xp.abs(along - hi) <= _ENDS_IN_DOUBLE * xp.maximum(xp.abs(lo), xp.abs(hi))
+        # Without fusion, all parts of a query see the same point.
         inside = xp.where(is_end, lo, xp.clip(along - without_fusion(turns * (hi - lo)), lo, hi))
         columns[axis] = straight_through(columns[axis], xp.where(xp.isfinite(along), inside, along))
     return xp.stack(columns, axis=-1)
@@ -313,11 +305,7 @@ def _join_bits(
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray, "*batch"]:
-    """Return each point's row of leaf parameters, found in a trie (tables of several PLRs) level by level.
-
-    XLA should compile each level to a loop of its own, so that reads of many points overlap. A condition that always
-    holds, which XLA cannot know, keeps XLA from fusing these loops.
-    """
+    """Return each point's row of leaf parameters, found in a trie (tables of several PLRs) level by level."""
 
     def descend(entry: UInt32[AnyArray, "*batch"], bits: UInt32[AnyArray, "2 dim"]) -> UInt32[AnyArray, "*batch"]:
         fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
@@ -329,6 +317,8 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[AnyArray, "*batch dim"]) -
         if isinstance(entry, np.ndarray):
             entry = descend(entry, trie.bits[level]) if trie.bits[level].any() else np.zeros_like(entry)
             continue
+        # XLA should compile each level to a loop of its own, so that reads of many points overlap. This condition
+        # always holds, but XLA cannot know that, and does not fuse the loops.
         entry = jax.lax.cond(
             trie.bits[level].any(), lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
         )

@@ -279,7 +279,7 @@ class Sampler:
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Give planes to cells whose samples do not reach the goal, but some free space does.
+    """Give planes to cells in which some free space reaches the goal, but no sample does.
 
     The plane is tangent to the distance at the center of the cell's largest piece of such free space.
     """

@@ -21,13 +21,10 @@ _LEAST_POINT, _LEAST_IN_TABLES = 2.0**-39, 2.0**-63
 
 
 class SmallBatches:
-    """A caller of the compiled functions of one object, such as a PLR; NumPy answers until compiling pays off.
-
-    ``work`` counts, for each function and shape of points, the coordinates that NumPy answered, plus 4,096 a call.
-    """
+    """A caller of the compiled functions of one object, such as a PLR; NumPy answers until compiling pays off."""
 
     def __init__(self) -> None:
-        self.work: dict[Hashable, int] = {}
+        self.work: dict[Hashable, int] = {}  # coordinates that NumPy answered, plus 4,096 per call, by call and shape
 
     def __call__(self, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any) -> Any:
         """Return ``compiled(*tables, x, *static)``."""
@@ -41,11 +38,7 @@ class SmallBatches:
     def _by_numpy(
         self, key: Hashable, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any
     ) -> Any:
-        """Compute the answer in NumPy and return it as JAX arrays, or return None to leave it to compiled code.
-
-        Compiled code answers after enough calls, on other devices, for points committed to a device, and if numbers
-        are so small that XLA takes them for 0.
-        """
+        """Compute the answer in NumPy and return it as JAX arrays, or return None to leave it to compiled code."""
         before, arrays = self.work.get(key, 0), jax.tree.leaves(tables)
         self.work[key] = before + x.size + _WORK_OF_CALL
         if before == 0 and not (

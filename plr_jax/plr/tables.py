@@ -74,9 +74,9 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """A stand-in for one array per point, all of one ``shape``: indexing with integers gives one value per point.
+    """A stand-in for one array per point: indexing with integers gives one value per point.
 
-    Each point's array begins at ``start`` in ``flat``; values are cast to ``dtype`` when read.
+    Each point's array has this ``shape`` and begins at ``start`` in ``flat``; values are read as ``dtype``.
     """
 
     flat: AnyArray
@@ -156,10 +156,7 @@ class Blocks:
 def pack_blocks(
     shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"], shift: Int[np.ndarray, "dim"]
 ) -> Blocks:
-    """Pack the tables of blocks into words; ``shape`` has log2 of their entries by axis, ``offset`` their starts.
-
-    ``shift`` is the number of a point's fraction bits along each axis below those that identify its block.
-    """
+    """Pack the tables of blocks into words; ``shape`` has log2 of their entries by axis, ``offset`` their starts."""
     width = max(1, int(shape.max()).bit_length())
     room = (WORD_BITS - int(offset[-1]).bit_length()) // width
     first, words, axes = offset[:-1], [], []
@@ -175,10 +172,7 @@ def pack_blocks(
 
 
 def choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: int) -> Int[np.ndarray, "dim"]:
-    """Return how often to halve the domain along each axis into blocks, so that a two-level table is smallest.
-
-    ``bits`` is the number of halvings that the leaves need. Raises ``ValueError`` if no table is small enough.
-    """
+    """Return how often to halve the domain by axis into blocks of the smallest table; ``ValueError`` if too large."""
     best, fewest = None, np.inf
     block_bits = np.zeros_like(bits)
     while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
@@ -247,8 +241,7 @@ def build_pages(
 ) -> tuple[Pages, Int[np.ndarray, "dim"], Int[np.ndarray, "slots"]] | None:
     """Build a table with pages of at most ``most_slots`` entries, on the coarsest blocks possible; else return None.
 
-    Returns:
-        The pages, how often the domain is halved along each axis into blocks, and the leaf of every slot (entry).
+    Return the pages, how often the domain is halved along each axis into blocks, and the leaf of every slot (entry).
     """
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:

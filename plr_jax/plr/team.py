@@ -15,10 +15,7 @@ from plr_jax.plr.tables import AnyArray, Tables
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A function that wraps 64-bit points around the periodic axes of ``domain``, then subtracts ``corner``.
-
-    If ``domain`` or ``corner`` is None, the function leaves out that step.
-    """
+    """A function that wraps 64-bit points around periodic axes, then subtracts ``corner``; None skips a step."""
 
     domain: Box | None
     corner: Float[np.ndarray, "dim"] | None

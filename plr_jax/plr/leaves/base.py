@@ -94,11 +94,9 @@ class LeafModel(ABC):
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """Return a leaf's value at a point; the order of operations is part of the format (see ``plr/portable``).
 
-        Args:
-            parameters: Parameters of the leaf, without the numbers of its cell: arrays, scalars or generated code.
-            place: Coordinates of the point: from 0 to 1 in the leaf's cell if the model ``is_cell_relative``, else
-                relative to the domain's rounded lower corner.
-            root: The square root function.
+        Arguments are arrays, scalars or generated code: the leaf's ``parameters`` without the numbers of its cell,
+        and the coordinates (``place``) of the point, in the leaf's cell from 0 to 1 if the model
+        ``is_cell_relative``, else relative to the domain's rounded lower corner. ``root`` is the square root.
         """
         ...
 

@@ -71,11 +71,8 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int)
 
 
 def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
-    """Solve a symmetric positive definite system; return None if ``_MOST_STEPS`` steps do not suffice.
-
-    SciPy's ``cg`` computes inner products with BLAS, whose threads wait busily and so take several times the CPU time
-    of the solve. ``np.einsum`` starts no threads.
-    """
+    """Solve a symmetric positive definite system; return None if ``_MOST_STEPS`` steps do not suffice."""
+    # SciPy's ``cg`` calls BLAS, whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
     values, residual, direction = np.zeros_like(right), right, right
     square = first = np.einsum("i,i", right, right)
     for _ in range(_MOST_STEPS):

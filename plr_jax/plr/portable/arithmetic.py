@@ -74,10 +74,7 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Return a coordinate in units of ``2**-23`` of the domain's width, as an integer, from its offset from ``LO``.
-
-    ``frame`` is the axis's column of :class:`Frame`.
-    """
+    """Return a point's fraction bits (``frame.py``) along an axis, from its offset and the frame of this axis."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start

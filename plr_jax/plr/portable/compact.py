@@ -340,10 +340,7 @@ class _Middles:
                 self.corners[halves], self.corners[halves + 1] = lower, upper
 
     def best_widths(self) -> Int[np.ndarray, "records"]:
-        """Return the width of each record for which its fields take the fewest bits.
-
-        Change marks from 1 to 2 where a value does not fit into this width.
-        """
+        """Return each record's width for the fewest bits; change marks from 1 to 2 where a value needs more bits."""
         narrow = 1 + np.frexp(np.abs(self.narrow))[1]
         wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
         sizes = []

@@ -22,7 +22,7 @@ from plr_jax.plr.tree import Tree
 
 _FINE = 2.0**-24  # rounding of stored sources, in units of the domain's width
 
-Leaf = Int[np.ndarray, "pairs"]
+Indices = Int[np.ndarray, "pairs"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +50,9 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Return the number by which all distances in each leaf changed, and the leaf's source as index in ``after``.
+        """Return the number by which all distances in each leaf changed, NaN if changes may differ within the leaf.
 
-        The number is NaN if changes may differ within the leaf. The index is -1 if the source, the apex of the leaf's
-        cone, is gone.
+        Also return the index in ``after`` of each leaf's source (the apex of its cone), -1 if it is gone.
         """
         from scipy.spatial import KDTree  # which no query needs
 
@@ -63,7 +62,7 @@ class ConeLeaves:
         least, most = np.full(len(source), np.inf), np.full(len(source), -np.inf)
         (lo, hi), differ, is_uniform = self._boxes, np.zeros(len(source), bool), ~np.isnan(changed.change)
 
-        def take(leaf: Leaf, change: Float[np.ndarray, "pairs"]) -> None:
+        def take(leaf: Indices, change: Float[np.ndarray, "pairs"]) -> None:
             np.minimum.at(least, leaf, change)
             np.maximum.at(most, leaf, change)
 
@@ -96,8 +95,8 @@ class ConeLeaves:
     def _competing_sources(
         self,
         differ: Bool[np.ndarray, "leaves"],
-        leaf: Leaf,
-        triangle: Leaf,
+        leaf: Indices,
+        triangle: Indices,
         pairs: TriangleSources,
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
@@ -126,7 +125,7 @@ class ConeLeaves:
         return of[low], pairs[rows[low]]
 
     def _may_cross_changes(
-        self, leaf: Leaf, pairs: TriangleSources, sources: Sources, changed: ChangedDistances
+        self, leaf: Indices, pairs: TriangleSources, sources: Sources, changed: ChangedDistances
     ) -> Bool[np.ndarray, "n"]:
         """Return, for pairs of a leaf and a source, whether a segment between them may cross a changed wall."""
         (lo, hi), rows = self._boxes, np.flatnonzero(pairs.is_doubted)
@@ -137,7 +136,7 @@ class ConeLeaves:
 
     def _leaves_meeting(
         self, triangles: Float[np.ndarray, "n 3 2"], which: Int[np.ndarray, "some"]
-    ) -> tuple[Leaf, Leaf]:
+    ) -> tuple[Indices, Indices]:
         """Return all pairs of a leaf and one of the triangles ``which`` that intersect, by descending the tree."""
         tree, (lo, hi) = self.tree, self.tree.cells.grown_boxes(self.domain)
         sides = np.roll(triangles, -1, axis=1) - triangles

@@ -98,12 +98,9 @@ def store_sources(
     offsets: Float[np.ndarray, "sources"],
     parents: Int[np.ndarray, "sources"],
     domain: Box,
-    is_off: Bool[np.ndarray, "sources fractions"] | None = None,
+    is_off: Bool[np.ndarray, "sources fractions"] | None = None,  # result of off_lattices, if known
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Return sources in their file form, without duplicates, and the new index of each given source.
-
-    ``is_off`` is the result of :func:`off_lattices` for the points, if it is known.
-    """
+    """Return sources in their file form, without duplicates, and the new index of each given source."""
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
@@ -271,7 +268,7 @@ class ConeFiles:
         self._cache: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
 
     def of_goal(self, sources: Sources) -> "ConeFiles":
-        """Return the encoder for another goal, which is source 0, and the same corners."""
+        """Return the encoder for the same corners and another goal, which is source 0."""
         files = copy(self)
         files._sources, files._cache, files._is_off = sources, {}, self._is_off.copy()
         files._is_off[:1] = off_lattices(sources.points[:1], self._domain)

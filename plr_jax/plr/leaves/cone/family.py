@@ -88,10 +88,7 @@ class Lattice:
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
-        """For each shape, the first sample of each box, and index offsets from there to at most 64 of its samples.
-
-        If there are more, a Hammersley set is chosen, which covers all rows and columns of a box about evenly.
-        """
+        """For each shape, the first sample of each box, and index offsets to at most 64 samples, spread evenly."""
         found, row = {}, 1 << self.halvings
         for shape in self.first:
             size = np.array([1 << (self.halvings - along) for along in shape])
@@ -106,10 +103,7 @@ class Lattice:
         return found
 
     def by_shape(self, box: Int[np.ndarray, "some"]) -> Iterator[tuple[Shape, Int[np.ndarray, "alike"], Any, Any]]:
-        """Group given boxes by shape: yield the shape, and which of the boxes have it.
-
-        Also yield the first sample of each of these boxes, and the index offsets from there to all its samples.
-        """
+        """Yield each shape, the indices in ``box`` of its boxes, their first samples, and index offsets to all."""
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
         for number in np.unique(of_shape):
@@ -120,10 +114,7 @@ class Lattice:
 
 
 class GoalSamples(NamedTuple):
-    """The samples of a family for one goal: coordinates, distance (0 without a path), weight, and source.
-
-    A source is the point (corner or goal) to which the path from a sample goes straight; -1 if there is no path.
-    """
+    """Samples for one goal: a ``table`` of coordinates, distance and weight, and ``source`` (-1 without a path)."""
 
     table: Float[np.ndarray, "samples 4"]
     source: Int[np.ndarray, "samples"]

@@ -161,10 +161,7 @@ _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visib
 
 @dataclass(frozen=True, eq=False)
 class LeafBoxes:
-    """The leaves of a tree, in tree order: level (``depth``) of each leaf's box, its index in that level, its source.
-
-    A source (apex of the leaf's cone) is an index in ``CellSources.sources``, or -1 if there is none.
-    """
+    """The leaves of a tree in order: each leaf's ``box``, an index in the level ``depth``, and source (-1: none)."""
 
     source: Int[np.ndarray, "leaves"]
     depth: Int[np.ndarray, "leaves"]
@@ -239,9 +236,9 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 def prefer_visible_sources(
     boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Return the source of each leaf box, preferably one that the leaf sees; ``fits`` tests the limits of the file.
+    """Return each leaf's source; prefer sources that it sees, if proven errors stay below the largest of all leaves.
 
-    No proven error rises above the largest one of all leaves.
+    ``fits`` tests whether the file stays within its limits.
     """
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
@@ -306,10 +303,7 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
 
 
 def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
-    """Find the best cone leaves for one goal, and change their sources to visible ones.
-
-    ``visible`` has the sources of the slightly enlarged domain; ``run`` is :func:`grow` or :func:`run_quietly`.
-    """
+    """Find the best cone leaves for one goal, whose sources in the slightly enlarged domain are ``visible``."""
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
     levels = [BoxLevel.of(box, box.cells.hashes())]

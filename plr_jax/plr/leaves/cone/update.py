@@ -69,7 +69,7 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     for nodes, visible in sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain):
         boxes = fit_boxes(domain, negligible, tree.cells[nodes], visible)
         integral[nodes], peak[nodes], source[nodes] = boxes.integral, boxes.peak, boxes.source
-    costs = integral + _share(tree, limits) * peak
+    costs = integral + _peak_share(tree, limits) * peak
     total, count = costs.copy(), np.ones(len(costs))
     for split in tree.splits[::-1]:
         total[split], count[split] = (
@@ -82,8 +82,7 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     return NodeCosts(integral, peak, source, price)
 
 
-def _share(tree: Tree, limits: Limits) -> float:
-    """Return the weight of a leaf's peak (largest error) in costs."""
+def _peak_share(tree: Tree, limits: Limits) -> float:
     most = min(limits.max_bytes, limits.max_leaves)
     return peak_share(float(max(len(tree.node_of_leaf), most if np.isfinite(most) else 0)), True)
 
@@ -228,8 +227,8 @@ class ConeSearch:
         return search
 
     @property
-    def share(self) -> float:
-        return _share(self.leaves.tree, self.limits)
+    def peak_share(self) -> float:
+        return _peak_share(self.leaves.tree, self.limits)
 
     @property
     def num_boxes(self) -> int:
@@ -257,11 +256,11 @@ class ConeSearch:
     def expand_boxes(self, price: float) -> None:
         """Compute the boxes that may be leaves at a price per leaf."""
         each = np.full(len(self.levels[0].key), price)
-        expand(self.levels, each, self.share, self.limits, _MARGIN)
+        expand(self.levels, each, self.peak_share, self.limits, _MARGIN)
 
     def needs_no_refinement(self, price: float) -> bool:
         """Return whether most leaves are kept and few cost more than the price, so that more leaves would not pay."""
-        cost = (self.nodes.integral + self.share * self.nodes.peak)[self.leaves.tree.node_of_leaf]
+        cost = (self.nodes.integral + self.peak_share * self.nodes.peak)[self.leaves.tree.node_of_leaf]
         known = cost[~self.is_reopened & np.isfinite(cost)]
         return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
 
@@ -269,7 +268,7 @@ class ConeSearch:
         """Mark the kept leaves of the highest costs above the price, at most ``count``, to be searched again."""
         tree = self.leaves.tree
         integral = self.nodes.integral
-        cost = (integral + self.share * self.nodes.peak)[tree.node_of_leaf]
+        cost = (integral + self.peak_share * self.nodes.peak)[tree.node_of_leaf]
         cost[self.is_reopened | np.isinf(cost)] = 0.0
         leaf = np.argsort(-cost, kind="stable")[:count]
         leaf = np.sort(leaf[cost[leaf] > price])
@@ -286,7 +285,7 @@ class ConeSearch:
 
     def best(self, price: float) -> FoundTree:
         tree, (num, first) = self.leaves.tree, (len(self.leaves.tree.child), len(self.leaves.tree.child))
-        cost = self.nodes.integral + self.share * self.nodes.peak + price
+        cost = self.nodes.integral + self.peak_share * self.nodes.peak + price
         total = np.where(np.isfinite(cost), cost, 0.0)
         axes, children = [np.where(tree.child >= 0, tree.axis, -1)], [np.stack([tree.child, tree.child + 1], axis=1)]
         for split in tree.splits[::-1]:
@@ -294,7 +293,7 @@ class ConeSearch:
             total[split] = np.minimum(cost[split], both)
             axes[0][split[cost[split] <= both]] = -1
         own = [SelectedBoxes(np.arange(len(level.key)), level.child) for level in self.levels]
-        for (box, child), axis in zip(own, best_axes(self.levels, own, price, self.share), strict=True):
+        for (box, child), axis in zip(own, best_axes(self.levels, own, price, self.peak_share), strict=True):
             first += len(box)
             axes.append(axis)
             children.append(np.where(axis[:, None] >= 0, first + child[axis, :, box], -1))
