@@ -163,7 +163,7 @@ def _files(
 def _certified(
     contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
 ) -> list[DecodedFile]:
-    """Prove error bounds of PLRs of one family; ``sources`` are points to which paths from leaves may go first."""
+    """Prove error bounds of PLRs of one family; ``sources`` has each leaf's index in its oracle's sources."""
     for oracle in oracles:
         require_certifiable(oracle, contents[0].domain)
     # Cells that several members have as leaves are cut into free pieces once.

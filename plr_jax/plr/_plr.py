@@ -452,7 +452,7 @@ class PLR(FileBacked):
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` if the leaf's value is."""
+        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` if the leaf answers ``inf``."""
         return self._planes[0]
 
     def __repr__(self) -> str:

@@ -64,7 +64,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 class _Targets:
     """A function that tells which bounds of one PLR's leaves are tight enough, from the errors attained so far.
 
-    It encodes these errors as a certificate: bounds within the codes of this certificate cannot improve the file.
+    It encodes these errors as a certificate: bounds within those of this certificate need not be tightened.
     """
 
     leaves: slice

@@ -71,8 +71,8 @@ def expand(
     (largest errors) have the weight ``share``.
 
     A box that is halved has at least two leaves, so it pays two prices where a leaf pays one. ``most`` is the largest
-    cost of each box, without one price, with which the box can be part of a better tree. Boxes are halved only if
-    their cost as a leaf and ``most`` both exceed one price.
+    cost, one price not counted, with which a box can be part of a better tree. Boxes are halved only if their cost as
+    a leaf and ``most`` both exceed one price.
     """
     most = np.full(len(price), np.inf)
     for depth in range(limits.max_depth):

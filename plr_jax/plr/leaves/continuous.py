@@ -51,10 +51,8 @@ _RESIDUAL, _MOST_STEPS = 1e-10, 200
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
     """Solve normal equations with a sparse symmetric positive definite matrix.
 
-    In up to 2 dimensions, the matrix is factorized. In more dimensions, factors have far more entries than the
-    matrix, so conjugate gradients with Jacobi scaling are tried first, and factorization only if they do not
-    converge. Scaled by its diagonal, the matrix is well conditioned whatever the sizes of the leaves, if samples
-    determine all values.
+    In more than 2 dimensions, factors have far more entries than the matrix, so conjugate gradients are tried first.
+    Scaled by its diagonal, the matrix is well conditioned for leaves of all sizes, if samples determine all values.
     """
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu

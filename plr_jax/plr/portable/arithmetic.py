@@ -129,7 +129,7 @@ class Program:
             self.folding_arrays = center, rest, axes, mirrored_axes(folding), ends
 
     def contains(self, do: Operations, x: Point) -> Value:
-        """Return whether points of at least :attr:`precision` are inside the domain."""
+        """Return whether points, given in at least :attr:`precision`, are inside the domain."""
         tests = []
         for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
             along = x[axis] if self.domain.periodic[axis] else self._relative(do, x, axis)

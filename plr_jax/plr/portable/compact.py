@@ -353,7 +353,7 @@ class _Middles:
         return widths
 
     def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return the stored integers and their widths, two for each middle; ``unit`` is the width by split."""
+        """Return stored integers and their widths, two for each middle; ``unit`` is the record's width by split."""
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
@@ -401,7 +401,7 @@ class _SmoothCorners:
         self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return value and three derivatives, and the length of the chain of hanging corners they follow from."""
+        """Return the value and three derivatives at a point, and how many hanging corners in a row they depend on."""
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)
             self.known[point, value] = numbers if chain <= _LONGEST_CHAIN else [np.nan] * 4, chain

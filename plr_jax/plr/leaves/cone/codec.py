@@ -275,7 +275,7 @@ class ConeFiles:
         return files
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """Encode the leaves, in tree order; a leaf without a source (-1) gets the source of the leaf before."""
+        """Encode leaves in tree order; leaves without a source (-1) get that of the leaf before, else of the next."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:

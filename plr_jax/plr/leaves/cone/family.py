@@ -353,7 +353,7 @@ class FamilyTask:
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:
-    """Make the builder for the family of the oracle ``first``; None if the limits allow too many leaves for it."""
+    """Make the builder for the family of the oracle ``first``; None if limits allow too many leaves for samples."""
     # Estimate the number of leaves that the limits allow.
     bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
     of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)

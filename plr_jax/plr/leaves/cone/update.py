@@ -201,7 +201,7 @@ class ConeSearch:
         oracle: ChangingFn,
         limits: Limits,
     ) -> "ConeSearch":
-        """Start from each leaf's change of all its distances (NaN if changes may differ) and its new source."""
+        """Start from the one change of all distances in each leaf (NaN if they may differ) and its new source."""
         tree = leaves.tree
         least, most = np.empty((2, len(tree.child)))
         least[tree.node_of_leaf], most[tree.node_of_leaf] = change, change
