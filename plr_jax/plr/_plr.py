@@ -452,7 +452,7 @@ class PLR(FileBacked):
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` if the leaf answers ``inf``."""
+        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` where the value is ``inf``."""
         return self._planes[0]
 
     def __repr__(self) -> str:
