@@ -50,7 +50,6 @@ def body_of_leaves(contents: DecodedFile) -> BitWriter:
 
 
 def decode(data: bytes) -> DecodedFile:
-    """Decode a file; raises ``ValueError`` if it is invalid."""
     container = Container.from_bytes(data)
     layer, dim = container.last, container.domain.dim
     leaf = leaf_of_code(layer.leaf_code)

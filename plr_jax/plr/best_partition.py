@@ -4,7 +4,7 @@ The price is the Lagrange multiplier of the limits of a file: a lower price give
 
 Dynamic programming works upward from the smallest boxes: a box is a leaf, or is halved along the axis of lower cost.
 Very narrow boxes are excluded. The price is lowered, and more boxes are computed, until the best tree exceeds the
-limits. Then interpolation finds the lowest price at which the tree is within the limits.
+limits. Then interpolation approaches the lowest price at which the tree is within the limits.
 
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.

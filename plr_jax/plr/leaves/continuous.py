@@ -195,7 +195,6 @@ class StoredValues:
 
 
 def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
-    """Read what :meth:`StoredValues.write` appended; ``ValueError`` describes damaged data."""
     offset, step = body.read_floats(2).tolist()
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")

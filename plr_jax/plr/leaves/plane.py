@@ -122,7 +122,6 @@ def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: 
 
 
 def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> StoredPlanes:
-    """Read what :func:`write_planes` appended; ``ValueError`` describes damaged data."""
     bits, offset, step = int(body.read_fixed_width(1, _BITS_BITS)[0]), 0.0, 1.0
     if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
         raise ValueError(f"it states {bits}-bit values")

@@ -197,7 +197,6 @@ def _write_codes(body: BitWriter, code: Int[np.ndarray, "sources dim"], origin: 
 
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
-    """Read what :func:`write_cones` appended; ``ValueError`` describes damaged data."""
     exponent, fraction, parts = 0, 1, []
     num_fine = int(body.read_fixed_width(1, _COUNT_BITS)[0])
     if num_fine:

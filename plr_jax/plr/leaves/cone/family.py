@@ -88,7 +88,7 @@ class Lattice:
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
-        """For each shape, the first sample of each box, and index offsets to at most 64 samples, spread evenly."""
+        """For each shape, the first sample of each box, and offsets from there to at most 64 of its samples."""
         found, row = {}, 1 << self.halvings
         for shape in self.first:
             size = np.array([1 << (self.halvings - along) for along in shape])
@@ -103,7 +103,7 @@ class Lattice:
         return found
 
     def by_shape(self, box: Int[np.ndarray, "some"]) -> Iterator[tuple[Shape, Int[np.ndarray, "alike"], Any, Any]]:
-        """Yield each shape, the indices in ``box`` of its boxes, their first samples, and index offsets to all."""
+        """Yield each shape, the indices in ``box`` of its boxes, their first samples, and offsets to all samples."""
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
         for number in np.unique(of_shape):

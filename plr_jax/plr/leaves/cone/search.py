@@ -67,7 +67,7 @@ class ConeBoxes(Rows):
         """The largest error; if ``by_side``, times the side of the box (the root of its share of the domain's area).
 
         With this factor, a wall through boxes costs the same however often they are halved, so boxes beside it are
-        halved until slivers are thin. A proof has no factor, as its classes of bounds need few leaves of large error.
+        halved until slivers are thin. Certified cones go without it: their classes need few leaves of large error.
         """
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
 
@@ -134,7 +134,7 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
 def option_errors(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Bound the largest error of the cone of a source in a box, and the integral of its error over free space."""
+    """Bound the error of each option, the cone of a source in a box: the largest, and its integral over free space."""
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
