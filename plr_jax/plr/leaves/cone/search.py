@@ -134,7 +134,7 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
 def option_errors(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Bound the error of each option, the cone of a source in a box: the largest, and its integral over free space."""
+    """Bound the error of each option, the cone of a source in a box: largest, and integral over free space."""
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
