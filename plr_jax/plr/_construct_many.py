@@ -144,7 +144,7 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build files of members of a family; without a task, or if no shared sample reaches a goal, build them alone."""
+    """Build the files of oracles of one family by its ``task``; build oracles for which it finds no tree alone."""
     trees = [None if task is None else task(oracle) for oracle in oracles]
     if task is None or all(tree is None for tree in trees):
         return [alone(oracle).to_bytes() for oracle in oracles]
@@ -163,7 +163,7 @@ def _files(
 def _certified(
     contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
 ) -> list[DecodedFile]:
-    """Prove error bounds of members of a family; the oracles' ``sources`` of all leaves hint at those of cells."""
+    """Prove error bounds of PLRs of one family; ``sources`` has each leaf's index in its oracle's sources."""
     for oracle in oracles:
         require_certifiable(oracle, contents[0].domain)
     # Cells that several members have as leaves are cut into free pieces once.

@@ -50,7 +50,6 @@ def body_of_leaves(contents: DecodedFile) -> BitWriter:
 
 
 def decode(data: bytes) -> DecodedFile:
-    """Decode a file; raises ``ValueError`` if it is invalid."""
     container = Container.from_bytes(data)
     layer, dim = container.last, container.domain.dim
     leaf = leaf_of_code(layer.leaf_code)
@@ -100,7 +99,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
     """Return the coefficients of all leaves, with planes of neighbors in unreachable leaves.
 
     An unreachable leaf continues the (mean) plane of the reachable leaf with which it shares the largest face, edge
-    or corner, so that free points in it have a finite answer. Without such a neighbor, its first coefficient is
+    or corner, so that free points in it have a finite answer. If it has no such neighbor, its first coefficient is
     ``inf`` and the others are 0.
     """
     leaf, cells = contents.leaf, contents.tree.leaves
@@ -115,7 +114,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
         )
         borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
         center, half = leaf.mean_planes(*cells[donor].boxes(contents.domain), coefficients[donor])
-        widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of the borrower, in units of the donor's
+        widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of borrowers' cells, in units of donors'
         place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
         apart = place[borrower] - place[donor]
         apart -= np.where(periodic, np.rint(apart), 0.0)  # the short way around periodic axes
@@ -127,7 +126,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
 def planes_of_leaves(
     contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-    """Return intercepts and slopes of the leaves' (mean) planes; the intercept is ``inf`` if the leaf's value is."""
+    """Return intercepts and slopes of the leaves' (mean) planes; a leaf of value ``inf`` has intercept ``inf``."""
     is_inf = np.isinf(coefficients[:, 0])
     lo, hi = contents.tree.leaves.boxes(contents.domain)
     center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))

@@ -83,7 +83,7 @@ class PLR(FileBacked):
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven lower and upper bounds (rows) of distance minus answer, for each leaf or for all; None: no proof."""
+        """Proven lower and upper bounds (rows) of (distance - answer), for each leaf or for all; None if unproven."""
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -152,7 +152,7 @@ class PLR(FileBacked):
 
     @property
     def _tables_and_placement(self) -> tuple[Tables, PointPlacement | None]:
-        """Lookup tables for NumPy's 64-bit points, and a function that first wraps or shifts the points, or None."""
+        """Lookup tables for NumPy's 64-bit points, and a function that must first wrap or shift them, or None."""
         if isinstance(self.file, Tracer):
             return self.tables, None
         has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
@@ -452,7 +452,7 @@ class PLR(FileBacked):
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` if the leaf's value is."""
+        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` where the value is ``inf``."""
         return self._planes[0]
 
     def __repr__(self) -> str:
@@ -499,13 +499,10 @@ def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) ->
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class LowerBound:
-    """A distance function that is proven never to exceed the true distance; see :attr:`plr_jax.PLR.lower`.
-
-    ``is_lower_bound``, always true, tells planners that the function is an admissible heuristic.
-    """
+    """A distance function that is proven never to exceed the true distance; see :attr:`plr_jax.PLR.lower`."""
 
     plr: PLR
-    is_lower_bound = True
+    is_lower_bound = True  # tells planners that the function is an admissible heuristic
 
     @property
     def dim(self) -> int:
@@ -568,7 +565,7 @@ def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*b
 
 
 def goal_of_leaves(plr: PLR, goals: Float[np.ndarray, "goals dim"]) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the function for :meth:`PLR.with_nearest_goal` of a PLR of cones: the goal to which each leaf leads."""
+    """Return a function for :meth:`PLR.with_nearest_goal`: the goal to which the cone leaf of each point leads."""
     sources, root = as_sourced(plr.leaf).sources(plr.stored)
     while (sources.parents[root] != root).any():
         root = sources.parents[root]

@@ -22,12 +22,12 @@ _COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of t
 
 
 def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
-    """Prove error bounds of all leaves; ``visible`` has the sources of the leaves' slightly enlarged cells."""
+    """Prove error bounds of all leaves from the sources (``visible``) of the leaves' slightly enlarged cells."""
     return certificates_of([contents], visible, proof)[0]
 
 
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` has the cells of their leaves in turn."""
+    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` has their leaves' cells, PLR by PLR."""
     domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
@@ -62,7 +62,10 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """Bounds that are tight enough for one PLR's leaves, from the certificate that attained errors would have."""
+    """A function that tells which bounds of one PLR's leaves are tight enough, from the errors attained so far.
+
+    It encodes these errors as a certificate: bounds within those of this certificate need not be tightened.
+    """
 
     leaves: slice
     rounding: Errors
@@ -74,7 +77,7 @@ class _Targets:
         return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
 
     def __call__(self, least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
-        # Attained errors of most PLRs stay as they are while others of the same proof are improved.
+        # Encode again only if attained errors changed: late in a proof, few of its PLRs still improve.
         attained, last = np.stack([least, most, np.full(len(least), anew)]), self.last
         if last is None or self.attained is None or not np.array_equal(self.attained, attained):
             self.attained = attained
@@ -94,7 +97,7 @@ class BuildInputs:
     """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store.
 
     Attributes:
-        bounds: Proven bounds of each leaf; None: use the bounds that the file stores.
+        bounds: Proven bounds of each leaf; None to use the bounds that the file stores.
         node_costs: The errors that nodes of the tree would have as leaves; None if unknown.
     """
 

@@ -53,7 +53,7 @@ _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
-    """Return how many of the fraction ``bits`` of each axis are used before a trie's first level and after each."""
+    """Return how many of the fraction ``bits`` of each axis a trie has used before its first level and after each."""
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
         rest = bits - ends[-1]
@@ -64,7 +64,7 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
 def build_trie(
     partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
 ) -> Trie:
-    """Build the trie of several PLRs, given the row of each leaf's parameters; ``ValueError`` if it is too large."""
+    """Build the trie with given :func:`trie_levels` of several PLRs, which leads to each leaf's row of parameters."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
@@ -100,7 +100,7 @@ def build_trie(
 def _pages(
     cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[Int[np.ndarray, "dim"]], next_start: int
 ) -> Iterator[UInt32[np.ndarray, "entries"]]:
-    """Yield a trie's entries for one partition, level by level; the second level starts at entry ``next_start``."""
+    """Yield the entries of a trie for one partition, level by level; those of level 2 start at ``next_start``."""
     page = np.zeros(1, np.int64)  # numbers of the cells of the level above that have a page in this level
     for number, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)

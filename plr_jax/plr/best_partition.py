@@ -1,8 +1,10 @@
 """Find the best partition of the plane for cones: a tree of halved boxes that minimizes error plus a price per leaf.
 
+The price is the Lagrange multiplier of the limits of a file: a lower price gives a larger tree with a smaller error.
+
 Dynamic programming works upward from the smallest boxes: a box is a leaf, or is halved along the axis of lower cost.
 Very narrow boxes are excluded. The price is lowered, and more boxes are computed, until the best tree exceeds the
-limits. Then interpolation finds the lowest price at which the tree is within the limits.
+limits. Then interpolation approaches the lowest price at which the tree is within the limits.
 
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
@@ -46,7 +48,7 @@ class BoxLevel:
         return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
     def costs(self, share: float) -> Float[np.ndarray, "boxes"]:
-        """Return each box's cost as a leaf: integral of its error plus ``share`` times its peak."""
+        """Return each box's cost as a leaf: integral of its error plus ``share`` times its peak (largest error)."""
         return self.boxes.integral + share * self.boxes.peak
 
     def append(self, boxes: Any, key: UInt64[np.ndarray, "new"]) -> None:
@@ -65,12 +67,12 @@ def expand(
     """Compute the halves of all boxes that may be split at a price, level by level, and add them to ``levels``.
 
     ``price`` has a price per leaf for each box of the first level, which its halves inherit; ``inf`` excludes a box.
-    Halves are pruned if they cost more than ``margin`` times the halves along the other axis. In costs, peaks have
-    the weight ``share``.
+    Halves are pruned if they cost more than ``margin`` times the halves along the other axis. In costs, peaks
+    (largest errors) have the weight ``share``.
 
     A box that is halved has at least two leaves, so it pays two prices where a leaf pays one. ``most`` is the largest
-    cost of each box, without one price, with which the box can be part of a better tree. Boxes are halved only if
-    their cost as a leaf and ``most`` both exceed one price.
+    cost, one price not counted, with which a box can be part of a better tree. Boxes are halved only if their cost as
+    a leaf and ``most`` both exceed one price.
     """
     most = np.full(len(price), np.inf)
     for depth in range(limits.max_depth):
@@ -168,7 +170,7 @@ class PricedTree:
 
 
 def peak_share(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of peaks in costs; without a proof, peaks are errors times sides, ``num_leaves**-0.5``."""
+    """Return the weight of peaks (largest errors; without a proof, these times the sides of boxes) in costs."""
     return LEAST_SHARE_PROVEN / num_leaves if is_proven else LEAST_SHARE / float(np.sqrt(num_leaves))
 
 
@@ -180,10 +182,10 @@ class SelectedBoxes(NamedTuple):
 
 
 class PriceSearch:
-    """A search for the largest optimal tree within the limits, whose root is the only box of the first level.
+    """A search for the largest tree within the limits that has the least error plus price per leaf, at some price.
 
-    ``size(tree)`` returns the bytes of a tree's file. ``num_sources`` is the number of points that may be the apex of
-    a leaf's cone; it only affects the choice of the first price.
+    The root is the only box of the first level. ``size(tree)`` returns the bytes of a tree's file. ``num_sources`` is
+    the number of points that may be the apex of a leaf's cone; it only affects the choice of the first price.
     """
 
     def __init__(
@@ -195,7 +197,7 @@ class PriceSearch:
         self._selected: list[SelectedBoxes] = []
 
     def first(self) -> PricedTree:
-        """Return the smallest tree; :class:`BudgetTooSmall` if it exceeds the byte budget."""
+        """Return the tree of fewest leaves; raise :class:`BudgetTooSmall` if its file is too large."""
         self._select_boxes(_HIGH, 1.0)
         tree = self._tree(_HIGH, 1.0)
         self._limits.require_room(tree.num_bytes)
@@ -212,7 +214,7 @@ class PriceSearch:
         return larger if self._share(larger) <= 1 else self._largest(now, larger, share)
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
-        """Return the next price, for a larger tree, and the weight of peaks in costs."""
+        """Return the next price, for a larger tree, and the weight of peaks (largest errors) in costs."""
         # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
@@ -255,7 +257,7 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, share: float) -> bool:
-        """Select the boxes that result from the first box if every box that costs more than ``price`` is halved.
+        """Select the boxes that result from the root if every box that costs more than ``price`` is halved.
 
         Return whether the selection is complete: no lower price would halve more of the selected boxes.
         """
@@ -283,7 +285,7 @@ class PriceSearch:
         return is_all
 
     def _best_tree(self, price: float, share: float) -> PricedTree:
-        """Return the tree of least total cost, with a price per leaf, among the selected boxes."""
+        """Return the tree of selected boxes that has the least total cost plus price per leaf."""
         own = self._selected
         axes = best_axes(self.levels, own, price, share)
         leaves, walked, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)

@@ -74,7 +74,7 @@ class CellMemory:
 def sources_by_level(
     tree: Tree, root: CellSources, domain: Box
 ) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
-    """Yield the nodes of each level of a tree, and the sources of their cells; ``root`` has those of the domain."""
+    """Yield the nodes of each level of a tree with the sources of their cells; ``root`` has the domain's sources."""
     nodes, visible = np.zeros(1, np.int64), root
     while len(nodes):
         yield nodes, visible

@@ -1,8 +1,9 @@
-"""Certificates: proven bounds of the distance minus the function that each leaf stores, and their file format.
+"""Certificates: proven bounds of (distance - leaf function) in each leaf of a PLR, and their file format.
 
-Bounds come from branch and bound over convex pieces of the leaves' free space. Bounds of a piece hold for all of it,
-and the error at its center is attained. Pieces whose bounds are close to attained errors are finished; the others are
-halved, which tightens bounds. Where only a bound of the distance at a center is known, bounds may be less tight.
+Bounds come from branch and bound over convex pieces of the leaves' free space. Bounds of a piece hold for all of it.
+The error at its center is *attained*, so bounds of the leaf must include it. Pieces whose bounds are close to
+attained errors are finished; the others are halved, which tightens bounds. Where only a bound of the distance at a
+center is known, bounds may be less tight.
 
 A file stores a certificate as bits, after the leaves:
 
@@ -39,7 +40,7 @@ from plr_jax.plr.frame import LARGEST
 # of the piece's center plus the straight path to it, which is free.
 
 ConeBoundsFn: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
-"""Function from convex pieces, apexes, offsets and rows to bounds of cone minus leaf function over each piece.
+"""Function of convex pieces, apexes, offsets and rows that bounds (cone - leaf function) over each piece.
 
 Each piece has one cone, ``offset + |x - apex|``; its row identifies the leaf function.
 """
@@ -48,7 +49,7 @@ Each piece has one cone, ``offset + |x - apex|``; its row identifies the leaf fu
 def bounds_of_pieces(
     visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return lower and upper bounds of distance minus leaf function over convex pieces, before ``slack`` is added."""
+    """Return lower and upper bounds of (distance - leaf function) over convex pieces, without ``visible.slack``."""
     if not len(piece):
         return np.zeros(0), np.zeros(0)
     pairs, row = take_ragged(visible.first_pair, piece)
@@ -68,7 +69,7 @@ def bounds_of_pieces(
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
-    """The functions of leaves: their model (a :class:`LeafModel`), boxes and finite coefficients."""
+    """The functions of leaves, given by their model (a :class:`LeafModel`), boxes and finite coefficients."""
 
     model: Any
     lo: Float[np.ndarray, "leaves dim"]
@@ -76,7 +77,7 @@ class LeafFunctions:
     coefficients: Float[np.ndarray, "leaves terms"]
 
     def cone_minus_leaf_bounds(self, leaf: Int[np.ndarray, "n"]) -> ConeBoundsFn:
-        """Return a function that bounds cones minus leaf functions; its rows are indices into ``leaf``."""
+        """Return a function that bounds (cone - leaf function); its rows are indices into ``leaf``."""
 
         def of_rows(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
@@ -94,30 +95,30 @@ class LeafFunctions:
         return errors
 
 
-# Rounds in which pieces of a leaf are halved, and pieces halved in a round. Beyond these limits bounds are valid, but
-# not tight.
+# Most rounds in which pieces of a leaf are halved, and most pieces in a round. If they do not suffice, bounds are
+# valid, but not tight.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
 # Bounds of leaves are tight enough if they exceed attained errors by at most this share of the range of a leaf's
 # errors, clipped to these shares of the largest error of all leaves.
 _OF_RANGE = 0.04
 _LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
-_SPARE_OF_CLASS = 1e-5  # the same if classes share bounds, since few leaves determine these
+_SPARE_OF_CLASS = 1e-5  # this share of the scale for classes of leaves, whose bounds few leaves determine
 
 
 @dataclass(frozen=True, eq=False)
 class LeafBounds:
-    """Bounds of the distance minus each leaf's function, over all its points that reach the goal."""
+    """Bounds of (distance - leaf function) for each leaf, over all its points that reach the goal."""
 
     lower: Float[np.ndarray, "leaves"]
     upper: Float[np.ndarray, "leaves"]
 
 
 Errors: TypeAlias = Float[np.ndarray, "leaves"]
-"""Distance minus the leaf's function, one value a leaf."""
+"""Values or bounds of (distance - leaf function), one for each leaf."""
 
 
 def tight_bounds(least: Errors, most: Errors, anew: bool = True) -> tuple[Errors, Errors]:
-    """Return bounds that are tight enough if each leaf has its own, given the leaf's attained errors."""
+    """Return bounds that are tight enough, a little beyond the smallest and largest attained error of each leaf."""
     largest = max(most.max(initial=0.0), -least.min(initial=0.0))
     spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
     return least - spare, most + spare
@@ -128,11 +129,12 @@ def prove_bounds(
     visible: CellSources,
     sufficient: Callable[[Errors, Errors, bool], tuple[Errors, Errors]] = tight_bounds,
 ) -> LeafBounds:
-    """Prove bounds of the distance minus each leaf's function, from the sources of the leaves' cells (``visible``).
+    """Prove bounds of (distance - leaf function) for each leaf, from the sources of the leaves' cells (``visible``).
 
-    ``sufficient`` maps each leaf's smallest and largest attained error to bounds that are tight enough. Its third
-    argument is True if it must choose these anew, and False if bounds near the last ones will do. Rounding in double
-    precision is far below the ``slack`` of the sources, which the bounds include.
+    A source is the goal or a corner where paths may turn. ``sufficient`` maps the smallest and largest error attained
+    in each leaf to bounds that are tight enough. Its third argument is True if it must choose these bounds anew,
+    False if bounds near its last ones will do. Rounding in double precision is far below ``visible.slack``, which the
+    bounds include.
     """
     num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -196,7 +198,7 @@ def prove_bounds(
 
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
-    """Halve convex pieces across their longer side; the halves become cells ``2 * i`` and ``2 * i + 1``."""
+    """Halve convex pieces across their longer side; halves of piece ``i`` become cells ``2 i`` and ``2 i + 1``."""
     alone = visible.pieces_as_cells(piece)
     lo, hi = visible.pieces[:, piece].min(axis=2).T, visible.pieces[:, piece].max(axis=2).T
     each = np.arange(len(piece))
@@ -215,7 +217,7 @@ def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellS
 _COUNT_BITS = 4
 _BITS_OF_SET = 37  # the least bits of a set; of the last class, none is written
 _BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # bounds of a class, and its set
-_PRICES = np.ldexp(1.0, -np.arange(60))  # prices of a bit to try, in units of the width of one class of all leaves
+_PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
 
 
 def classify_bounds(
@@ -224,11 +226,11 @@ def classify_bounds(
     volume: Float[np.ndarray, "leaves"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"]:
-    """Group leaves into classes with common bounds of small mean width; return each leaf's new codes.
+    """Group leaves into classes that share bounds of small mean width, weighted by volume; return all new codes.
 
-    A class holds the leaves whose larger code is in a range. Dynamic programming finds the best ranges at a price of
-    a bit; bisection finds the lowest price at which the classes fit into ``max_bits``. ``code_factor`` maps codes to
-    multiples of the scale.
+    A class has the leaves whose larger code (of lower and upper bound) is in one range. Dynamic programming finds the
+    best ranges at a price per bit; bisection finds the lowest price at which the classes fit into ``max_bits``.
+    ``code_factor`` has the bound for each code, in units of the scale.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
@@ -276,7 +278,10 @@ def requantize_bounds(
     code_factor: Float[np.ndarray, "codes"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"] | None:
-    """Return codes of the narrowest of ``classes`` around each leaf's bounds; None if there is none or no room."""
+    """Return each leaf's codes in the narrowest of given ``classes`` that contains its bounds.
+
+    Return None if a leaf has no such class, or if the classes do not fit into ``max_bits``.
+    """
     classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
@@ -354,14 +359,15 @@ def _room_for_classes(num_bytes: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """Proven bounds of the distance minus the values of a PLR.
+    """Proven bounds of (distance - value of a PLR), as a file stores them.
 
     Attributes:
         scale: At least the largest finite bound, exact in 32 bits; codes stand for fractions of it.
-        codes: Codes of lower and upper bounds; None if only the scale is stored.
-        proof: Kind of proof.
-        straight: Lower bound ``rate * |x - goal| - margin``, capped at the PLR's own answer: the goal relative to the
-            lower corner of the domain, rate and margin, as 32-bit floats. None without; only for ``OPEN_LEAVES``.
+        codes: Codes of each leaf's lower and upper bound; None if only the scale is stored.
+        proof: Whether leaves share bounds, and whether upper bounds may be missing.
+        straight: Goal (relative to the domain's lower corner), rate and margin of the lower bound ``rate * |x - goal|
+            - margin`` of the distance, capped at the PLR's value; 32-bit floats. None if there is no such bound, as
+            for all proofs but ``Proof.OPEN_LEAVES``.
     """
 
     scale: float
@@ -378,10 +384,11 @@ class Certificate:
         num_bytes: int = 0,
         before: "Certificate | None" = None,
     ) -> "Certificate":
-        """Make a certificate of bounds (upper ones may be ``inf``), widened by the ``rounding`` of queries.
+        """Encode bounds, of which upper ones may be ``inf``, widened by the ``rounding`` of queries.
 
-        Classes (pairs of bounds that leaves share) of ``before`` are used again if all bounds and bytes fit and the
-        largest bound hardly changed. Otherwise new classes have a small mean width, weighted by ``volume``.
+        Classes (pairs of bounds that leaves share) of ``before`` are used again if they contain all bounds, fit into
+        a share of ``num_bytes``, and the largest bound hardly changed. Otherwise new classes have a small mean width,
+        weighted by ``volume``.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
@@ -409,7 +416,7 @@ class Certificate:
         return float("inf") if np.isinf(self.bounds()).any() else self.scale
 
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
-        """Return offsets from values to lower and upper bounds, exact in 32 bits; one column if leaves share them."""
+        """Return the bounds (rows) to add to leaf values, exact in 32 bits; one column if all leaves share them."""
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
         lower, upper = _decode_bounds(self.codes, self.scale)
@@ -428,10 +435,7 @@ class Certificate:
         most: Float[np.ndarray, "leaves"],
         rounding: Float[np.ndarray, "leaves"],
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
-        """Return bounds that need not be tightened, given the smallest and largest attained error of each leaf.
-
-        These bounds exceed the errors slightly, or belong to the narrowest class that contains the errors.
-        """
+        """Return bounds that are tight enough: slightly beyond attained errors, or their narrowest class's bounds."""
         if self.proof is not Proof.CLASSES:
             return tight_bounds(least, most)
         spare = _SPARE_OF_CLASS * self.scale
@@ -455,7 +459,7 @@ class Certificate:
 
 
 def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -> Certificate | None:
-    """Read a certificate (None without a proof); ``ValueError`` describes damaged data."""
+    """Read a certificate, or return None for ``Proof.NONE``; ``ValueError`` describes damaged data."""
     if proof is Proof.NONE:
         return None
     scale, codes, straight = float(body.read_floats(1)[0]), None, None
@@ -473,7 +477,7 @@ def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -
 
 
 def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
-    """Return the sizes of bounds that codes stand for, rounded up to 32-bit floats."""
+    """Return the absolute bounds that codes stand for, rounded up to 32-bit floats."""
     exact = scale * 2.0 ** ((code.astype(np.float64) - _MOST) / _CODES_A_DOUBLING)
     return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
 

@@ -155,7 +155,7 @@ class BitReader:
         return member
 
     def read_members(self, size: int) -> Int[np.ndarray, "members"]:
-        """Read a subset of ``range(size)`` as sorted members, which need no memory for the rest of the range."""
+        """Read a subset of ``range(size)`` as sorted members, without memory for the rest of the range."""
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Function of node pairs, side, half and axes: which pairs to keep after a half replaced the node of one side."""
+"""Function ``keep(pairs, side, half, axis)``: which node pairs to keep after halves along ``axis`` replaced a row."""
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
@@ -62,7 +62,7 @@ ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples 
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Return the matrix that computes all values from the free ones, given the matrix of direct dependencies."""
+    """Return the matrix from free values to all values, given the direct dependencies (rows) of the other values."""
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -73,9 +73,9 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """Return a square matrix ``m`` for which ``rows @ m @ values`` is 0 for any ``values`` of the groups.
+    """Return a square matrix ``m`` for which ``rows @ m`` is 0, by solving each row for one group (tied corners).
 
-    Each row is solved for its group of the highest ``level``. Raises ``ValueError`` beyond ``most`` weights.
+    This is its group of the highest ``level``. Raises ``ValueError`` if that takes more than ``most`` weights.
     """
     from scipy.sparse import csr_array
 
@@ -135,7 +135,7 @@ def neighbor_of_largest_contact(
     reachable: Int[np.ndarray, "reachable"],
     periodic: tuple[bool, ...] = (),
 ) -> Int[np.ndarray, "unreachable"]:
-    """Return, for each unreachable leaf, the first reachable leaf that it touches most; -1 if it touches none."""
+    """Return, for each unreachable leaf, the first reachable leaf of largest contact; -1 if it touches none."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
     mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
@@ -175,7 +175,7 @@ def _contacts(
     b: Int[np.ndarray, "n"],
     is_periodic: Bool[np.ndarray, "dim"],
 ) -> Float[np.ndarray, "n"]:
-    """Return the size of each pair's contact: larger for faces than for edges or corners, 0 without contact."""
+    """Return the size of each pair's contact: largest for faces, then edges, then corners; 0 if there is none."""
     contact = np.ones(len(a))
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
@@ -244,9 +244,9 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return, for each corner of each leaf, the ends of the edge whose middle it is, and whether a split made it.
+    """Return the ends of the edge that a split halved at each leaf corner, and whether there is such a split.
 
-    The ends are corners ``leaf * 2**dim + corner``; they mean nothing for corners of the domain, which no split made.
+    The ends are corners ``leaf * 2**dim + corner``. Corners of the domain have no such split, and arbitrary ends.
     """
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]

@@ -74,10 +74,7 @@ class NodalSpace:
 
 
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
-    """Build the space of functions that are continuous across the tied faces, all between reachable leaves.
-
-    Raises ``ValueError`` if the constraints have so many weights that resolving them would take too long.
-    """
+    """Build the space of functions that are continuous across tied faces; ``ValueError`` if that takes too long."""
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -158,7 +155,7 @@ def _interpolation(
     row: Int[np.ndarray, "n"],
     shape: tuple[int, int],
 ) -> "csr_array":
-    """Return a matrix whose rows ``row`` interpolate group values multilinearly at points ``t`` of leaves."""
+    """Return a matrix whose rows ``row`` interpolate values of groups (tied corners) at points ``t`` of leaves."""
     from scipy.sparse import csr_array
 
     point, corner, weight = np.arange(len(t)), np.zeros(len(t), np.int64), np.ones(len(t))

@@ -107,7 +107,7 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
-        """Return corners of leaf boxes and their mirror images, and each box's leaf; not for rotated axes."""
+        """Return corners of leaves and their mirror images, and each box's leaf; ``ValueError`` for rotated axes."""
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "

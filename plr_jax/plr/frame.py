@@ -24,12 +24,12 @@ MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
 _DEEP_BITS = 28  # most halvings, summed over the axes, for more leaves than MOST_ROWS or more than two axes
 _PAGED_DEPTH = 14  # most halvings along an axis of tables with pages, so that blocks and pages stay small
-# Most entries of lookup tables, as log2: per byte of the file, but at least and at most.
+# Log2 of the largest number of entries of lookup tables, per byte of the file, and least and largest value of it.
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """Return how often each block must be halved along each axis to separate its leaves."""
+    """Return how often to halve each block (one of ``2**block_bits`` by axis) by axis to separate its leaves."""
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
@@ -38,7 +38,7 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nda
 
 
 def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
-    """Return the number of pairs of a leaf and a block that overlap."""
+    """Return the number of pairs of a leaf and a block, one of ``2**block_bits`` per axis, that overlap."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
@@ -47,7 +47,10 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return, for each leaf and block that overlap, both indices, and the overlap's first slot and extent."""
+    """Return, for each leaf and block that overlap, both indices, and the overlap's first slot and size by axis.
+
+    ``shape`` has log2 of the slots of each block's grid by axis.
+    """
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
     below = np.maximum(cells.depth[leaf] - block_bits, 0)
@@ -112,7 +115,10 @@ def slot_bits_of_rows(rows: int) -> int:
 
 
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
-    """Return how often a cell may be halved along one axis in files of a size class; None: of any size."""
+    """Return how often a cell may be halved along one axis in files of a size class, or of any size for None.
+
+    ``is_deep`` allows more halvings in small files of the plane, as tables with pages do.
+    """
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
         return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
@@ -120,7 +126,7 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
 
 
 def max_entries(num_bytes: int) -> int:
-    """Return the most lookup-table entries for a file of this size, which limits the memory of loading."""
+    """Return the largest number of lookup-table entries for a file of this size; it limits the memory of loading."""
     bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
@@ -224,10 +230,10 @@ def corner_if_far(domain: Box) -> Corner | None:
 def folding_numbers(
     folding: Folding, origin: Corner
 ) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
-    """Return a folding's center and the corners of its box of folded points, in 32-bit floats.
+    """Return a folding's center relative to ``origin``, and the corners of its box of points, as 32-bit floats.
 
-    The center, relative to ``origin``, is the sum of two rows. Corners are rounded inward, so that points clipped to
-    them are inside the box, and infinite along periodic axes.
+    The center is the sum of two rows. Corners are infinite along periodic axes, else rounded inward, so that points
+    clipped to them are inside the box.
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)

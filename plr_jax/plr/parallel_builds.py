@@ -33,10 +33,7 @@ _NUM_POINTS = 256  # test points whose distances identify a distance function
 
 
 class Checkpoint:
-    """A checkpoint file, which is opened or created; ``records`` has the finished results by key.
-
-    Raises ``ValueError`` if the file exists and is no checkpoint of the computation with this ``digest``.
-    """
+    """A checkpoint file with finished ``records`` by key; ``ValueError`` for a file without this ``digest``."""
 
     def __init__(self, path: str | os.PathLike, digest: bytes):
         if not isinstance(path, str | os.PathLike):
@@ -158,7 +155,7 @@ Chunk: TypeAlias = tuple[list[int], Callable[[], list[bytes]]]
 
 
 class BuildResults:
-    """The results of a computation of many independent parts, such as PLRs, as bytes; None for missing results."""
+    """The ``results`` of many independent computations, such as PLRs, as bytes; None for missing results."""
 
     def __init__(self, total: int, checkpoint: Checkpoint | None) -> None:
         records = {} if checkpoint is None else checkpoint.records
@@ -171,8 +168,7 @@ class BuildResults:
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
         """Compute chunks on the executor; threads of this process do so if it is None, or if a worker dies.
 
-        After an interrupt (Ctrl-C), ``results`` has what is finished. Once all results are finished, the checkpoint
-        file is sorted, so that it does not depend on the order of the work.
+        After an interrupt (Ctrl-C), ``results`` has what is finished.
         """
         threads = ThreadPoolExecutor(num_cores())
         try:

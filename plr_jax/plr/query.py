@@ -23,10 +23,7 @@ _ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables,
 
 
 def evaluate_tables(tables: Tables, x: AnyArray, outside: Outside = "inf") -> Float[AnyArray, "*batch"]:
-    """Return the PLR's distance at each point; NaN for NaN, and outside the closed domain as ``outside`` says.
-
-    Raises ``ValueError`` for points of a wrong shape or type; the check does not depend on their values.
-    """
+    """Return the PLR's distance at each point, NaN for NaN; ``outside`` is the answer outside the closed domain."""
     x = _as_float_points(tables, x)
     xp = x.__array_namespace__()
     if outside == "clamp":
@@ -57,9 +54,11 @@ def _as_float_points(tables: Tables, x: AnyArray) -> Float[AnyArray, "*batch dim
 def bounds_of_tables(
     tables: Tables, band: Float[AnyArray, "2 rows"], straight: Float[AnyArray, "_"] | None, x: AnyArray
 ) -> tuple[Float[AnyArray, "*batch"], Float[AnyArray, "*batch"]]:
-    """Return proven lower (at least 0) and upper bounds: answer plus bounds of its error (``band``), rounded outward.
+    """Return proven lower bounds (at least 0) and upper bounds of the distance at each point, rounded outward.
 
-    ``straight`` holds goal, rate and margin of a second lower bound, ``rate * |x - goal| - margin``.
+    ``band`` has lower and upper bounds of (distance - PLR's value), a column for each leaf or one for all leaves.
+    ``straight`` has goal, rate and margin of another lower bound, ``rate * |x - goal| - margin``; None if there is
+    none.
     """
     value = evaluate_tables(tables, x)
     xp = value.__array_namespace__()
@@ -90,7 +89,7 @@ def bounds_of_tables(
 
 
 def waypoints_in_tables(tables: Tables, x: AnyArray) -> Float[AnyArray, "*batch dim"]:
-    """Return the next waypoint that each point's leaf stores; NaN outside the closed domain and for NaN."""
+    """Return each point's next waypoint, the apex of its leaf's cone; NaN outside the closed domain and for NaN."""
     x = _constant(_as_float_points(tables, x))
     xp = x.__array_namespace__()
     outside, answer = outside_domain(tables, x)
@@ -101,10 +100,7 @@ def waypoints_in_tables(tables: Tables, x: AnyArray) -> Float[AnyArray, "*batch 
 
 
 def lookup(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray, "*batch"]:
-    """Return the number of the leaf at each point; outside and for NaN, an arbitrary one.
-
-    Within rounding of a border, it may be the leaf on the other side.
-    """
+    """Return the number of each point's leaf, within rounding; an arbitrary leaf outside the domain and for NaN."""
     if tables.folding is not None:
         nowhere = x.__array_namespace__().zeros(x.shape[:-1], bool)
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, nowhere))
@@ -113,7 +109,7 @@ def lookup(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray,
 
 
 def find_row(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray, "*batch"]:
-    """Return each wrapped point's row of ``Tables.leaf_parameters``: the leaf's number or, with pages, the slot's."""
+    """Return each wrapped point's row of ``Tables.leaf_parameters``: its leaf's number or, with pages, its slot's."""
     if tables.trie is not None:
         return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
@@ -130,7 +126,7 @@ def find_row(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArra
 def _index_in_block(
     blocks: Blocks, fractions: list[UInt32[AnyArray, "*batch"]], block: UInt32[AnyArray, "*batch"]
 ) -> UInt32[AnyArray, "*batch"]:
-    """Return the index into ``Tables.leaf_of_slot`` for points with given fraction bits in given blocks."""
+    """Return each point's index into ``Tables.leaf_of_slot``, from its block (coarse cell) and its fraction bits."""
     index = start = block.__array_namespace__().zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
@@ -148,7 +144,7 @@ def _index_in_block(
 def _fold(
     window: FoldedDomain, x: Float[AnyArray, "*batch dim"], outside: Bool[AnyArray, "*batch"]
 ) -> Float[AnyArray, "*batch dim"]:
-    """Shift, rotate and mirror points; points ``outside`` the domain are sent to the center, without gradient."""
+    """Shift, rotate and mirror points; points ``outside`` the domain become the center, with gradient 0."""
     xp, axes, (center, rest) = x.__array_namespace__(), range(window.dim), window.center.astype(x.dtype)
     z = [xp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
     if window.axes is not None:
@@ -169,7 +165,7 @@ def _fold(
 def outside_domain(
     tables: Tables | FoldedDomain, x: Float[AnyArray, "*batch dim"]
 ) -> tuple[Bool[AnyArray, "*batch"], Float[AnyArray, "*batch"]]:
-    """Return whether wrapped points are outside the closed domain, and the answer there: ``inf``, or NaN for NaN."""
+    """Return whether wrapped points are outside the closed domain, and the answer for such points: ``inf`` or NaN."""
     x, frame, xp = _constant(x), tables.frame.astype(x.dtype), x.__array_namespace__()
     outside, answer = xp.zeros(x.shape[:-1], bool), xp.full(x.shape[:-1], np.inf, x.dtype)
     for axis in range(tables.dim):
@@ -188,7 +184,7 @@ def outside_domain(
 def _clamp(
     window: Tables | FoldedDomain, x: Float[AnyArray, "*batch dim"]
 ) -> tuple[Float[AnyArray, "*batch dim"], Float[AnyArray, "*#batch"]]:
-    """Return the nearest point of the domain and the distance to it; points that are not finite are unchanged."""
+    """Return the nearest point of the domain and the distance to it; a point that is not finite does not move."""
     xp = x.__array_namespace__()
     is_finite = xp.isfinite(x).all(axis=-1)
     nearest, beyond = [x[..., axis] for axis in range(window.dim)], []
@@ -218,16 +214,14 @@ def length_of(along: list[Float[AnyArray, "*batch"]]) -> Float[AnyArray, "*#batc
 
 
 def _wrap(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> Float[AnyArray, "*batch dim"]:
-    """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower one.
-
-    The product is kept from fusing with the difference, so that all parts of a query see the same point.
-    """
+    """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower one."""
     xp, columns = x.__array_namespace__(), [x[..., axis] for axis in range(tables.dim)]
     for axis in tables.periodic:
         along, frame = _constant(columns[axis]), tables.frame[:, axis].astype(x.dtype)
         lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
         turns = xp.floor((along - lo) * frame[Frame.SCALE])
         is_end = xp.abs(along - hi) <= _ENDS_IN_DOUBLE * xp.maximum(xp.abs(lo), xp.abs(hi))
+        # Without fusion, all parts of a query see the same point.
         inside = xp.where(is_end, lo, xp.clip(along - without_fusion(turns * (hi - lo)), lo, hi))
         columns[axis] = straight_through(columns[axis], xp.where(xp.isfinite(along), inside, along))
     return xp.stack(columns, axis=-1)
@@ -239,7 +233,7 @@ def _value(
     x: Float[AnyArray, "*batch dim"],
     outside: Bool[AnyArray, "*batch"],
 ) -> Float[AnyArray, "*batch"]:
-    """Evaluate the leaf in each ``row`` at the point; points ``outside`` the domain get an arbitrary number."""
+    """Evaluate each point's leaf, whose parameters are in ``row``; points ``outside`` get an arbitrary number."""
     numbers, frame, place = _leaf_parameters(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
@@ -295,8 +289,8 @@ def _fraction_bits(tables: Tables, x: Float[AnyArray, "*batch dim"], axis: int) 
         tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
     )
     share = (x[..., axis] - lo) * scale
-    # The bound separates product and sum. If a compiler fused them in only one part of a query, a point near a border
-    # could get the block (coarse cell) of one leaf and the entry of another.
+    # The minimum (``where``) separates product and sum. If a compiler fused them in only one part of a query, a point
+    # near a border could get the block (coarse cell) of one leaf and the entry of another.
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
     xp = x.__array_namespace__()
     placed = xp.maximum(xp.where(share < top, share, top) + start, 1)
@@ -306,17 +300,12 @@ def _fraction_bits(tables: Tables, x: Float[AnyArray, "*batch dim"], axis: int) 
 def _join_bits(
     fractions: list[UInt32[AnyArray, "*batch"]], mask: UInt32[AnyArray, "dim"], right: UInt32[AnyArray, "dim"]
 ) -> UInt32[AnyArray, "*batch"]:
-    """Concatenate the fraction bits that ``mask`` selects on each axis, shifted ``right``, to one index."""
+    """Combine fraction bits of all axes to one index: ``mask`` selects bits of an axis, ``right`` shifts them."""
     return reduce(or_, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)])
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray, "*batch"]:
-    """Return each point's row of leaf parameters, found in a trie (tables of several PLRs) level by level.
-
-    XLA should compile each level to a loop of its own, so that reads of many points overlap; in one fused loop the
-    reads of a point wait for one another. A condition keeps XLA from fusing. It always holds, but XLA cannot know
-    that.
-    """
+    """Return each point's row of leaf parameters, found in a trie (tables of several PLRs) level by level."""
 
     def descend(entry: UInt32[AnyArray, "*batch"], bits: UInt32[AnyArray, "2 dim"]) -> UInt32[AnyArray, "*batch"]:
         fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
@@ -328,6 +317,8 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[AnyArray, "*batch dim"]) -
         if isinstance(entry, np.ndarray):
             entry = descend(entry, trie.bits[level]) if trie.bits[level].any() else np.zeros_like(entry)
             continue
+        # XLA should compile each level to a loop of its own, so that reads of many points overlap. This condition
+        # always holds, but XLA cannot know that, and does not fuse the loops.
         entry = jax.lax.cond(
             trie.bits[level].any(), lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
         )
@@ -338,7 +329,7 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Float[AnyArray, "*batch dim"]) -
 
 
 def _constant(x: Shaped[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
-    """Return ``x``, whose derivative counts as 0."""
+    """Return ``x``, but differentiate as if it were constant."""
     return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
 
 

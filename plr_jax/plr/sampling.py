@@ -108,7 +108,7 @@ FitRule: TypeAlias = Callable[
     [Pattern, Float[np.ndarray, "cells k"], Float[np.ndarray, "cells k"]],
     tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]],
 ]
-"""COMPUTECOEFFICIENTS: function that fits planes, with arguments and results as :func:`least_squares`."""
+"""COMPUTECOEFFICIENTS of Algorithm 1: a function that fits planes, called like :func:`least_squares`."""
 
 
 def least_squares(
@@ -155,7 +155,7 @@ def normal_matrices(
 def solve_planes(
     normal: Float[np.ndarray, "cells terms terms"], projection: Float[np.ndarray, "cells terms"]
 ) -> Float[np.ndarray, "cells terms"]:
-    """Solve normal equations of planes (overwritten); slopes are zero along directions in which no sample varies."""
+    """Solve normal equations of planes, overwriting ``normal``; slopes are 0 along directions without variation."""
     terms, total = normal.shape[-1], normal[:, 0, 0].copy()
     ridge = np.where(total > 0, _RIDGE * total, 1.0)
     normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
@@ -221,10 +221,10 @@ class CellFit(Rows):
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """A function that samples the distance in cells and fits planes.
+    """A function that samples the distance in cells and fits a plane to the samples of each cell.
 
-    ``dense_pattern`` is for cells in which few samples reach the goal. If there is a ``memory``, it computes
-    the distances inside of cells, instead of ``distance_fn``.
+    ``dense_pattern`` places the samples of cells where few samples reach the goal. ``memory``, a cache of the cells'
+    sources, computes distances in cells if there is one; ``distance_fn`` computes all others.
     """
 
     distance_fn: DistanceFn
@@ -265,7 +265,7 @@ class Sampler:
     def root(self, pieces_suffice: bool = False) -> CellFit:
         """Sample the domain as one cell; ``ValueError`` if no sample reaches the goal.
 
-        With ``pieces_suffice``, it is enough if ``memory`` knows free space that reaches the goal.
+        With ``pieces_suffice``, there is no error either if ``memory`` knows free space that reaches the goal.
         """
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
@@ -279,7 +279,7 @@ class Sampler:
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Give planes to cells whose samples do not reach the goal, but some free space does.
+    """Give planes to cells in which some free space reaches the goal, but no sample does.
 
     The plane is tangent to the distance at the center of the cell's largest piece of such free space.
     """
@@ -326,7 +326,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
 def weights_of_fit(
     reachable: Bool[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
 ) -> Float[np.ndarray, "cells k"]:
-    """Return the given weights, except in cells whose weights are all 0: there 1 for samples that reach the goal."""
+    """Return the given weights, but 1 for samples that reach the goal in cells whose weights are all 0."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 
 

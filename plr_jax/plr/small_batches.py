@@ -15,20 +15,16 @@ from plr_jax._compiled import is_on_one_host
 # So NumPy answers the first 31 calls for few points, or the first call for up to 60,000 points of the plane.
 _MOST_WORK = 2**17  # in coordinates
 _WORK_OF_CALL = 2**12  # in coordinates
-# XLA takes numbers below 2**-126 for 0, NumPy does not. Differences of larger points are 0 or at least 2**-63, and
-# products of these with numbers in tables are 0 or at least 2**-126.
+# XLA takes numbers below 2**-126 for 0, NumPy does not. Differences of coordinates above _LEAST_POINT are 0 or at
+# least 2**-63, and their products with numbers above _LEAST_IN_TABLES are 0 or at least 2**-126.
 _LEAST_POINT, _LEAST_IN_TABLES = 2.0**-39, 2.0**-63
 
 
 class SmallBatches:
-    """A caller of the compiled functions of one object, such as a PLR; NumPy answers until compiling pays off.
-
-    Attributes:
-        work: For each function and shape of points, the coordinates that NumPy answered, plus 4,096 for each call.
-    """
+    """A caller of the compiled functions of one object, such as a PLR; NumPy answers until compiling pays off."""
 
     def __init__(self) -> None:
-        self.work: dict[Hashable, int] = {}
+        self.work: dict[Hashable, int] = {}  # coordinates that NumPy answered, plus 4,096 per call, by call and shape
 
     def __call__(self, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any) -> Any:
         """Return ``compiled(*tables, x, *static)``."""
@@ -42,11 +38,7 @@ class SmallBatches:
     def _by_numpy(
         self, key: Hashable, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any
     ) -> Any:
-        """Compute the answer in NumPy and return it as JAX arrays, or return None to leave it to compiled code.
-
-        Compiled code answers after enough calls, on other devices, for points committed to a device, and if numbers
-        are so small that XLA takes them for 0.
-        """
+        """Compute the answer in NumPy and return it as JAX arrays, or return None to leave it to compiled code."""
         before, arrays = self.work.get(key, 0), jax.tree.leaves(tables)
         self.work[key] = before + x.size + _WORK_OF_CALL
         if before == 0 and not (

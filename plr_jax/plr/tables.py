@@ -61,10 +61,10 @@ def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> S
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Trie:
-    """A lookup table of several PLRs in one array, ``entries``, read level by level; see ``_stack.py``.
+    """A lookup table of several PLRs in one array of ``entries``, read level by level; see ``_stack.py``.
 
-    ``bits`` are, for each level, a mask of a point's fraction bits and their right shift in an index. ``start`` is
-    the index of the first page of one PLR, or of each point's PLR.
+    For each level and axis, ``bits`` has a mask of a point's fraction bits and their right shift in the index of an
+    entry. ``start`` is the first entry of one PLR's table, or of the table of each point's PLR.
     """
 
     entries: UInt32[AnyArray, "entries"]
@@ -74,10 +74,9 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """A stand-in for an array that each point has of its own: indexing with integers gives one value per point.
+    """A stand-in for one array per point: indexing with integers gives one value per point.
 
-    Each point's array has the same ``shape`` and begins at ``start`` in ``flat``; values are cast to ``dtype`` when
-    read.
+    Each point's array has this ``shape`` and begins at ``start`` in ``flat``; values are read as ``dtype``.
     """
 
     flat: AnyArray
@@ -157,7 +156,7 @@ class Blocks:
 def pack_blocks(
     shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"], shift: Int[np.ndarray, "dim"]
 ) -> Blocks:
-    """Pack the index bits along each axis (``shape``) and starts (``offset``) of all blocks' tables into words."""
+    """Pack the tables of blocks into words; ``shape`` has log2 of their entries by axis, ``offset`` their starts."""
     width = max(1, int(shape.max()).bit_length())
     room = (WORD_BITS - int(offset[-1]).bit_length()) // width
     first, words, axes = offset[:-1], [], []
@@ -173,7 +172,7 @@ def pack_blocks(
 
 
 def choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: int) -> Int[np.ndarray, "dim"]:
-    """Return how often to halve the domain along each axis into blocks, so that a two-level table is smallest."""
+    """Return how often to halve the domain by axis into blocks of the smallest table; ``ValueError`` if too large."""
     best, fewest = None, np.inf
     block_bits = np.zeros_like(bits)
     while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
@@ -199,7 +198,8 @@ def leaves_of_slots(
 ) -> UInt32[np.ndarray, "slots"]:
     """Return the leaf number in each entry (slot) of the lookup tables of all blocks, one after another.
 
-    A leaf is written at the first slot of each of its runs along the last axis, and repeated up to the next run.
+    ``shape`` has log2 of the slots of each block's table by axis, ``offset`` the starts of the tables. A leaf is
+    written at the first slot of each of its runs along the last axis, and repeated up to the next run.
     """
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     count[:, -1] = 1
@@ -239,10 +239,9 @@ class Pages:
 def build_pages(
     cells: Cells, most_slots: int
 ) -> tuple[Pages, Int[np.ndarray, "dim"], Int[np.ndarray, "slots"]] | None:
-    """Build a table with pages on the coarsest blocks for which ``most_slots`` entries suffice; None if none do.
+    """Build a table with pages of at most ``most_slots`` entries, on the coarsest blocks possible; else return None.
 
-    Returns:
-        The pages, how often the domain is halved along each axis into blocks, and the leaf of every slot (entry).
+    Return the pages, how often the domain is halved along each axis into blocks, and the leaf of every slot (entry).
     """
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:
@@ -281,11 +280,13 @@ def build_pages(
 def _place_pages(
     shape: Int[np.ndarray, "blocks dim"], page_bits: Int[np.ndarray, "dim"], below: Int[np.ndarray, "dim"], first: int
 ) -> tuple[Int[np.ndarray, "blocks"], int]:
-    """Return where the page (table) of every block starts, 0 if it has none, and the end of the last page.
+    """Return the first slot of the page (table) of every block, 0 if it has none, and the end of all slots.
 
-    A buddy allocator, interleaved: pages are placed by decreasing size, equal shapes together. Each takes the
-    smallest free room that holds it, else a new room of the finest grid. A room that is too large is halved along one
-    axis after another, each half taking every other slot, until it has the page's shape.
+    ``shape`` has log2 of each page's slots by axis, ``page_bits`` of the largest possible page. ``below`` is the
+    number of index bits of all later axes, ``first`` the first slot that pages may use. A buddy allocator places
+    pages by decreasing size. Each takes the smallest free *room* that holds it, else a new room of the largest page.
+    A room that is too large is halved along one axis after another until it has the page's shape; each half takes
+    every other slot along that axis.
     """
     finest = tuple(page_bits.tolist())
     rooms: dict[tuple[int, ...], list[int]] = {}
@@ -300,7 +301,7 @@ def _place_pages(
             if room is None:
                 room, end = finest, end + (1 << sum(finest))
                 rooms.setdefault(room, []).append(end - (1 << sum(finest)))
-            # Offsets of all pages that fit into one room.
+            # Offsets from the start of a room to all pages of this shape that it holds.
             beside = np.zeros(1, np.int64)
             for axis, wanted in enumerate(page):
                 step = 1 << int(below[axis] + page_bits[axis] - room[axis])
@@ -340,7 +341,7 @@ class Tables:
         leaf_parameters: Numbers that the leaf model evaluates, for each leaf or, with pages, for each slot. Small
             tables have one row per number, which takes the least arithmetic; large ones concatenate each leaf's
             numbers, which takes fewer cache lines.
-        trie: Replaces all lookup tables in stacks of many PLRs.
+        trie: The lookup table in stacks of many PLRs, used instead of all others.
         unresolved: Float types that are too coarse for the domain; see :func:`unresolved_types`.
     """
 
@@ -379,7 +380,7 @@ class Tables:
 def build_tables(
     domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
-    """Build lookup tables from leaf parameters; ``ValueError`` if leaves are too deep for a file of that size."""
+    """Build lookup tables of leaf parameters (``numbers``); ``ValueError`` if leaves are too deep for the file."""
     of_class = byte_class(max(num_bytes, math.ceil(leaf.least_bytes * len(cells))))
     rows_of_file = rows_of_class(of_class, leaf.least_bytes)
     # Large tables are padded for their own number of leaves, not for the most leaves of the class.

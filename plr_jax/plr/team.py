@@ -15,10 +15,7 @@ from plr_jax.plr.tables import AnyArray, Tables
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A function that wraps 64-bit points around the periodic axes of ``domain``, then subtracts ``corner``.
-
-    If ``domain`` or ``corner`` is None, the function leaves out that step.
-    """
+    """A function that wraps 64-bit points around periodic axes, then subtracts ``corner``; None skips a step."""
 
     domain: Box | None
     corner: Float[np.ndarray, "dim"] | None
@@ -83,7 +80,7 @@ def _evaluate(
     bands: tuple[tuple[Float[AnyArray, "2 _"], Float[AnyArray, "_"] | None] | None, ...],
     q: Float[AnyArray, "n robots dof"],
 ) -> tuple[Float[AnyArray, "n"], ...]:
-    """Return one array per robot: for a single array, XLA would compute all robots in one slower loop."""
+    """Evaluate each robot's PLR; return one array per robot, as XLA would compute one array in one slower loop."""
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
     return tuple(
         evaluate_tables(table, part) if band is None else bounds_of_tables(table, *band, part)[0]

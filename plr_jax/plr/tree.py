@@ -15,7 +15,7 @@ PLACING = 2.0**-21  # largest distance of a point to the cell in which a 32-bit 
 
 
 class Rows:
-    """A base of dataclasses whose array fields have one row per item; indexing takes the same rows of all arrays."""
+    """A base of dataclasses whose arrays have one row per item; indexing takes the same rows of all arrays."""
 
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
@@ -87,7 +87,7 @@ class Cells(Rows):
         return total
 
     def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":
-        """Halve each cell along its axis; the two children of a cell are adjacent, the lower one first."""
+        """Halve each cell along its axis; the lower half of a cell comes directly before its upper half."""
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         depth = np.repeat(self.depth + halved, 2, axis=0)
         position = np.repeat(self.position << halved, 2, axis=0)
@@ -144,7 +144,7 @@ class Tree:
 
 
 def tree_of(cells: Cells) -> Tree:
-    """Build the tree with given leaves; a node is split along the first axis on which all its leaves are narrower."""
+    """Build the tree of given leaves; a node is split along the first axis on which all its leaves are narrower."""
     node = np.zeros(len(cells), np.int64)
     active = np.arange(len(cells))
     node_depth = np.zeros((1, cells.dim), np.int64)

@@ -27,7 +27,7 @@ UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
 
 class LeafModel(ABC):
-    """A kind of leaf; immutable and hashable, because the cache of compiled queries uses it as a key.
+    """A kind of leaf, such as planes; immutable and hashable, because the cache of compiled queries uses it as a key.
 
     The same leaf data has three forms. *Stored* data is the form in a file, for all leaves together; only the model
     interprets it. The *coefficients* of a leaf determine its function in its box; if the first coefficient is
@@ -94,11 +94,9 @@ class LeafModel(ABC):
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """Return a leaf's value at a point; the order of operations is part of the format (see ``plr/portable``).
 
-        Args:
-            parameters: Parameters of the leaf, without the numbers of its cell: arrays, scalars or generated code.
-            place: Coordinates of the point: from 0 to 1 in the leaf's cell if the model ``is_cell_relative``, else
-                relative to the domain's rounded lower corner.
-            root: The square root function.
+        Arguments are arrays, scalars or generated code: the leaf's ``parameters`` without the numbers of its cell,
+        and the coordinates (``place``) of the point, in the leaf's cell from 0 to 1 if the model
+        ``is_cell_relative``, else relative to the domain's rounded lower corner. ``root`` is the square root.
         """
         ...
 
@@ -112,7 +110,7 @@ class LeafModel(ABC):
         apex: Float[np.ndarray, "n 2"],
         offset: Float[np.ndarray, "n"],
     ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return lower and upper bounds of cones ``offset + |x - apex|`` minus leaf functions, over convex pieces."""
+        """Return lower and upper bounds of ``(offset + |x - apex|) - leaf function`` over convex pieces of leaves."""
         ...
 
     @abstractmethod
@@ -142,7 +140,7 @@ class LeafModel(ABC):
         hi: Float[np.ndarray, "leaves dim"],
         coefficients: Float[np.ndarray, "leaves terms"],
     ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Return a mean plane of each leaf: the value at the center, and half of the rise between face centers."""
+        """Return a mean plane of each leaf: its value at the center, and half of its rise between face centers."""
         center, half = (lo + hi) / 2, np.empty_like(lo)
         for axis in range(lo.shape[1]):
             step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)

@@ -51,10 +51,8 @@ _RESIDUAL, _MOST_STEPS = 1e-10, 200
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
     """Solve normal equations with a sparse symmetric positive definite matrix.
 
-    In up to 2 dimensions, the matrix is factorized. In more dimensions, factors have far more entries than the
-    matrix, so conjugate gradients with Jacobi scaling are tried first, and factorization only if they do not
-    converge. Scaled by its diagonal, the matrix is well conditioned whatever the sizes of the leaves, if samples
-    determine all values.
+    In more than 2 dimensions, factors have far more entries than the matrix, so conjugate gradients are tried first.
+    Scaled by its diagonal, the matrix is well conditioned for leaves of all sizes, if samples determine all values.
     """
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
@@ -71,11 +69,8 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int)
 
 
 def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
-    """Solve a symmetric positive definite system; return None if ``_MOST_STEPS`` steps do not suffice.
-
-    SciPy's ``cg`` computes inner products with BLAS, whose threads wait busily and so take several times the CPU time
-    of the solve. ``np.einsum`` starts no threads.
-    """
+    """Solve a symmetric positive definite system; return None if ``_MOST_STEPS`` steps do not suffice."""
+    # SciPy's ``cg`` calls BLAS, whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
     values, residual, direction = np.zeros_like(right), right, right
     square = first = np.einsum("i,i", right, right)
     for _ in range(_MOST_STEPS):
@@ -142,7 +137,7 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """A partition whose leaves are tied: functions are continuous across ``tied`` faces, all of reachable leaves."""
+    """A partition with functions that are continuous across ``tied`` faces, which lie between reachable leaves."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
@@ -178,7 +173,7 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round values >= 0 at the corners of leaves to values >= 0; values at hanging corners are ignored."""
+        """Round values >= 0 at leaf corners to values >= 0; ignore corners inside another leaf's face (hanging)."""
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
@@ -200,7 +195,6 @@ class StoredValues:
 
 
 def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
-    """Read what :meth:`StoredValues.write` appended; ``ValueError`` describes damaged data."""
     offset, step = body.read_floats(2).tolist()
     if not (np.isfinite(offset) and 0 < step < np.inf):
         raise ValueError(f"it states a step of {step} from {offset}")
@@ -260,7 +254,7 @@ def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> Sto
 
 
 class _Rounds:
-    """A construction in rounds, each of which splits at most ``_most`` leaves and fits all leaves again."""
+    """A construction in rounds, each of which splits up to ``_most`` leaves and fits all leaves again."""
 
     def __init__(self, order: int, sampler: Sampler, rules: Rules, limits: Limits) -> None:
         self._order, self._sampler, self._rules, self._limits = order, sampler, rules, limits
@@ -268,7 +262,7 @@ class _Rounds:
         self._most = limits.max_leaves
 
     def next(self, now: _FittedPartition) -> _FittedPartition | None:
-        """Split some leaves and fit again; None if no more leaves fit into the limits."""
+        """Split some leaves and fit again; return None if no more leaves fit into the limits."""
         while True:
             leaf, axis = self._next_splits(now)
             if len(leaf) == 0:

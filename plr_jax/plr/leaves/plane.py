@@ -58,7 +58,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
-        """Return the bit width of half-differences for each axis and depth; 0 if all of them are 0."""
+        """Return the bit width of half-differences for each axis and depth: 0 if all are 0, but 32 for floats."""
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)
@@ -122,7 +122,6 @@ def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: 
 
 
 def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> StoredPlanes:
-    """Read what :func:`write_planes` appended; ``ValueError`` describes damaged data."""
     bits, offset, step = int(body.read_fixed_width(1, _BITS_BITS)[0]), 0.0, 1.0
     if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
         raise ValueError(f"it states {bits}-bit values")

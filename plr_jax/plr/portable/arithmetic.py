@@ -61,7 +61,7 @@ ARRAYS = Operations()
 
 
 def wrap(do: Operations, x: Value, lo: Value, hi: Value, scale: Value, tolerance: Value) -> Value:
-    """Move a finite coordinate by whole periods to between ``lo`` and ``hi``; the upper end becomes the lower one."""
+    """Move a finite coordinate by whole periods into ``[lo, hi]``; return ``lo`` within ``tolerance`` of ``hi``."""
     turns = do.floor((x - lo) * scale)
     moved = clamp(do, do.let("moved", x - turns * (hi - lo)), lo, hi)
     from_end = x - hi
@@ -74,7 +74,7 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Return a position along an axis in ``2**-23`` of the domain's width, from its offset and the frame's column."""
+    """Return a point's fraction bits (``frame.py``) along an axis, from its offset and the frame of this axis."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
@@ -84,7 +84,7 @@ def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
     return do.fraction(placed)
 
 
-_TOLERANCE = 2.0**-44  # of wrapping, relative to the ends of the domain
+_TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the domain
 
 
 class Program:
@@ -129,7 +129,7 @@ class Program:
             self.folding_arrays = center, rest, axes, mirrored_axes(folding), ends
 
     def contains(self, do: Operations, x: Point) -> Value:
-        """Return whether points of at least :attr:`precision` are inside the domain."""
+        """Return whether points, given in at least :attr:`precision`, are inside the domain."""
         tests = []
         for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
             along = x[axis] if self.domain.periodic[axis] else self._relative(do, x, axis)
@@ -151,7 +151,7 @@ class Program:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
     def fold_and_wrap(self, do: Operations, x: Point) -> Point:
-        """Mirror points of the domain (relative to :attr:`corner`) if the file does, and wrap them around axes."""
+        """Mirror points of the domain (relative to :attr:`corner`) if the file has mirrors; wrap periodic axes."""
         x = list(x)
         if self.folding_arrays is not None:
             center, rest, axes, mirrors, ends = self.folding_arrays
@@ -170,7 +170,7 @@ class Program:
         return x
 
     def offsets(self, do: Operations, x: Point) -> Point:
-        """Return the offsets of mirrored and wrapped points from the lower corner of :attr:`frame`."""
+        """Return the offsets of mirrored and wrapped points from the lower corner ``LO`` of :attr:`frame`."""
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
@@ -178,7 +178,7 @@ class Program:
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Evaluate a leaf; with local coordinates, ``numbers`` begins with ``2**depth`` and position per axis."""
+        """Evaluate a leaf; for cell-relative models, ``numbers`` begins with ``2**depth`` and position by axis."""
         if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, offsets, do.root)
         in_cell = []
@@ -190,7 +190,7 @@ class Program:
         return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
     def straight_bound(self, do: Operations, above: Point) -> Value | None:
-        """Return the lower bound ``rate * |x - goal| - margin`` for offsets ``above``; None if the file has none."""
+        """Return the file's lower bound ``rate * |x - goal| - margin`` at offsets ``above``; None if it has none."""
         certificate = self.contents.certificate
         if certificate is None or certificate.straight is None:
             return None

@@ -37,11 +37,10 @@ class CEmitter(Emitter):
         return self.atom(f"{self.name}_floor_of_{x.type}({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 mantissa bits of a value in [1, 2) in a word's upper bits; the descent shifts them out."""
         return self.atom(f"(uint32_t)({x * np.float32(1 << 23)}) << 9", "uint32_t")
 
 
-# Type, integer type, bound beyond which all numbers are whole, and one.
+# For each floor function: type, integer type, bound beyond which all numbers are whole, and the number 1.
 _FLOORS = (("float", "int32_t", "8388608.0f", "1.0f"), ("double", "int64_t", "4503599627370496.0", "1.0"))
 _WHY = {
     "float": "only domains farther from 0 than 4 times their width need double",

@@ -7,9 +7,9 @@ are sequences of bits, lowest first:
     frame         nine 32-bit floats for each axis: the domain and constants of a query (see ``FORMAT.md``)
     exact         five 64-bit floats for each axis; only for planes, and in domains far from the origin
     folding       mirror symmetries: center, its rounding error, axes if turned, mirrors, corners of the folded box
-    corners       only for values: the values at the corners of the domain
+    corners       only with values: the values at the corners of the domain
     tree          a record for every 16 splits
-    levels        only for planes: for each level of the tree, the position and widths of the fields of its leaves
+    levels        only with planes: for each level of the tree, the position and widths of the fields of its leaves
     fields        integers of leaves or splits
     planes        leaves whose plane is stored as floats, sorted: leaf number, value and slopes
     exceptions    other parameters that do not follow from the fields, sorted: leaf number, index, float
@@ -19,16 +19,16 @@ are sequences of bits, lowest first:
 Nodes, splits and leaves are numbered in level order. So the children of split ``s`` are the nodes ``2 s + 1`` and
 ``2 s + 2``. The number of a split or leaf follows from the number of splits before it. A record of the tree holds a
 bit for each child of its 16 splits (1 if the child is split), the axis of each split, and the number of splits among
-the children of all earlier records. With values, the record begins with marks, and ends with the width and the
-position of its fields.
+the children of all earlier records. With values, a record begins with marks, and ends with the width and the position
+of its fields. There are three encodings of leaves:
 
-- Cones, and leaves of other models if that takes fewer bytes, store the index of a row.
-- Planes store the integers of the file.
-- Continuous leaves follow from the values at the corners of the domain. Each split halves edges of its cell, and
-  stores the values in the *middles* of these edges. A query computes the corner values of one half from them. A mark
-  of two bits says how a middle is stored (see :class:`_Middles`).
-- Smooth leaves have such values too. A query computes the derivatives at the corners of its leaf from the leaves
-  around them. It takes leaves as continuous where their values agree; where that is wrong, there are exceptions.
+- Rows, for cones, and for other leaves if that takes the fewest bytes: each leaf stores the index of a row.
+- Planes: each leaf stores the integers of the file.
+- Values, for continuous and smooth leaves. Each split halves edges of its cell, and stores the values in the
+  *middles* of these edges. A query computes the corner values of one half from them, starting from the values at the
+  corners of the domain. A mark of two bits says how a middle is stored (see :class:`_Middles`). For smooth leaves, a
+  query computes the derivatives at the corners of its leaf from the leaves around them. It takes leaves as continuous
+  where their values agree; where that is wrong, there are exceptions.
 
 Planes and exceptions make all answers equal to those of the file, bit for bit. This module computes leaf parameters
 as a query does, and stores those that differ, if only by rounding. It leaves out those too small to change an answer.
@@ -58,7 +58,7 @@ _RECORD = 16  # splits in a record of the tree
 _FAR, _FOLDED, _TURNED, _CODED, _VALUES = 1, 2, 4, 8, 16  # flags
 _UNITS = np.array([0, 1, 2, 4])  # width of a middle's fields by its mark, in multiples of the width of its record
 _FLOAT_BITS = 32  # files whose planes have so many bits store floats
-# Of a polynomial close to a plane, Horner's rule adds all other coefficients to a slope. If their sum is smaller than
+# In a polynomial close to a plane, Horner's rule adds all other coefficients to a slope. If their sum is less than
 # this share of each slope, rounding removes them (a slope has 24 bits; two more cover rounding and ``t`` beyond 1).
 _NEGLIGIBLE = 2.0**-27
 _MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 28
@@ -134,7 +134,11 @@ class _Image:
     def _write_tree(
         self, marks: list[tuple[Int[np.ndarray, "records fields"], int]], places: list[tuple[Any, int]]
     ) -> None:
-        """Append a record for every 16 splits; with values, ``marks`` come first, and ``places`` of fields last."""
+        """Append a record for every 16 splits; ``marks`` are more columns at its start, ``places`` at its end.
+
+        Both are lists of columns and their width in bits, empty unless the file has values in the middles of edges:
+        then marks say how these are stored, and places have the width and position of the record's fields.
+        """
         splits = np.flatnonzero(self.tree.child >= 0)
         is_split = self.tree.child[self.tree.child[splits][:, None] + np.arange(2)] >= 0
         children = _by_record(is_split.astype(np.int64))
@@ -170,7 +174,7 @@ class _Image:
         is_odd: Bool[np.ndarray, "leaves terms"],
         rows: Float[np.ndarray, "..."],
     ) -> bytes:
-        """Append planes, exceptions and rows of floats; return all bytes."""
+        """Append leaves stored as planes, exceptions (where ``is_odd``) and rows of floats; return all bytes."""
         program, folding = self.program, self.program.folding_arrays
         at_planes = self._at
         fields = np.column_stack([planes, _float_bits(of_planes)])
@@ -224,7 +228,7 @@ class _Image:
         is_signed = np.arange(1 + self.dim) > 0
         np.maximum.at(widths, self.level_of_leaf, np.frexp(np.abs(codes))[1] + (is_signed & (codes != 0)))
         self._write_tree([], [])
-        # For each level: where the fields of leaf 0 would be if all leaves had the widths of this level; the widths.
+        # For each level: the position that leaf 0 would have if all leaves had this level's widths; these widths.
         self.at_levels, size = self._at, widths.sum(axis=1)
         self.at_fields = self._at + self.num_levels * (40 + 8 * self.dim)
         count = np.bincount(self.level_of_leaf, minlength=self.num_levels)
@@ -270,7 +274,7 @@ def _float_bits(numbers: Float[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape
 
 
 def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndarray, "records fields_of_record"]:
-    """Concatenate the fields of all splits of a record; zeros pad the last record."""
+    """Concatenate the fields of the 16 splits of each record; zeros pad the last record."""
     padded = np.pad(of_splits, ((0, -len(of_splits) % _RECORD), (0, 0)))
     return padded.reshape(-1, _RECORD * of_splits.shape[1])
 
@@ -336,7 +340,7 @@ class _Middles:
                 self.corners[halves], self.corners[halves + 1] = lower, upper
 
     def best_widths(self) -> Int[np.ndarray, "records"]:
-        """Choose the width of each record for which its fields take the fewest bits, and set marks 1 and 2."""
+        """Return each record's width for the fewest bits; change marks from 1 to 2 where a value needs more bits."""
         narrow = 1 + np.frexp(np.abs(self.narrow))[1]
         wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
         sizes = []
@@ -349,20 +353,20 @@ class _Middles:
         return widths
 
     def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return the stored integers and their widths, two for each middle; ``unit`` is the width of each split."""
+        """Return stored integers and their widths, two for each middle; ``unit`` is the record's width by split."""
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
 
 
-_LONGEST_CHAIN = 8  # of hanging corners of smooth leaves, each inside an edge that ends at the next
+_LONGEST_CHAIN = 8  # most hanging corners of smooth leaves, each inside an edge that ends at the next
 _EXACT = 2**53  # doubles hold all integers up to here
 
 
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of smooth leaves, in level order, in units of a stored integer; NaN if uncertain."""
+    """Return the coefficients of smooth leaves, in level order and units of ``corners``; NaN if uncertain."""
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
@@ -385,9 +389,9 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """Value and derivatives of smooth leaves at corners, by the operations of ``plr_jax_smooth``.
+    """A function that computes value and derivatives of smooth leaves at a corner as ``decoder.h`` does.
 
-    A query meets the leaves around a corner in any order, so the result is NaN where it depends on the order.
+    The decoder meets the leaves around a corner in any order, so the result is NaN where it depends on the order.
     """
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
@@ -397,7 +401,7 @@ class _SmoothCorners:
         self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return four numbers, and the length of the chain of hanging corners from which they follow."""
+        """Return the value and three derivatives at a point, and how many hanging corners in a row they depend on."""
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)
             self.known[point, value] = numbers if chain <= _LONGEST_CHAIN else [np.nan] * 4, chain
@@ -442,7 +446,7 @@ class _SmoothCorners:
     def _on_edge(
         self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
     ) -> tuple[list[float], int]:
-        """Return the numbers of a corner inside the edge of a larger leaf, from its cubic along the edge."""
+        """Return value, derivatives and chain length at a corner inside a larger leaf's edge, from its cubic."""
         across, t, scale = 2 >> edge, (point[edge] - start) / size, float((1 << FRACTION_BITS) // size)
         places = [tuple(at if axis == edge else x for axis, x in enumerate(point)) for at in (start, start + size)]
         (p, first), (q, second) = map(self, places, ends)

@@ -130,7 +130,7 @@ static inline int32_t plr_jax_signed(const struct plr_jax *f, uint32_t at, uint3
     return (int32_t)((plr_jax_bits(f, at, width) ^ sign) - sign);
 }
 
-/* If the bytes are constants, this is one too, and compilers leave out code that the bytes do not need. */
+/* If the bytes are constants, so is the word, and compilers leave out code that the bytes do not need. */
 PLR_JAX_INLINE uint32_t plr_jax_word(const struct plr_jax *f, uint32_t index)
 {
     return plr_jax_load(f->bytes + 4u * index);
@@ -747,7 +747,7 @@ static inline float plr_jax_answer(const struct plr_jax *f, float *z, uint32_t m
     return INFINITY;
 }
 
-/* As plr_jax_distance, for a set of features. */
+/* Returns what plr_jax_distance does, by code for a set of features alone. */
 static inline float plr_jax_distance_of(const struct plr_jax *f, const float *x, uint32_t models)
 {
     const uint32_t dim = plr_jax_dim(f);
@@ -796,7 +796,7 @@ static inline void plr_jax_place_far(const struct plr_jax *f, const double *x, f
     }
 }
 
-/* As plr_jax_distance_of and plr_jax_distance, for domains far from the origin. */
+/* Return what plr_jax_distance_of and plr_jax_distance do, for domains far from the origin. */
 static inline float plr_jax_distance_far_of(const struct plr_jax *f, const double *x, uint32_t models)
 {
     float z[PLR_JAX_MAX_DIM];
@@ -809,7 +809,7 @@ static inline float plr_jax_distance_far(const struct plr_jax *f, const double *
     return plr_jax_distance_far_of(f, x, PLR_JAX_ANY);
 }
 
-/* As plr_jax_waypoint, for domains far from the origin. */
+/* Does what plr_jax_waypoint does, for domains far from the origin. */
 static inline void plr_jax_waypoint_far(const struct plr_jax *f, const double *x, double *waypoint)
 {
     const uint32_t dim = plr_jax_dim(f);

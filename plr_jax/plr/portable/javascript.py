@@ -37,7 +37,6 @@ class JavaScriptEmitter(Emitter):
         return self.atom(f"Math.floor({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 mantissa bits of a value in [1, 2) in a word's upper bits; the descent shifts them out."""
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
 
 
@@ -71,7 +70,7 @@ def js_file_reader() -> str:
 
 
 def js_cone_reader() -> str:
-    """Return JavaScript of ``coneReader``, from the tables of ``readCones`` to distance, waypoint and bounds."""
+    """Return JavaScript's ``coneReader``, which makes distance, waypoint and bounds from tables of ``readCones``."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program, rows = _ConesFromTables(), np.zeros((2, 5), np.float32)
     tree = CodedTree(program.contents.tree, np.zeros(2, int))
@@ -130,7 +129,7 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    """Generate the query functions; if ``is_proven``, the last two of a leaf's ``width`` numbers bound its error."""
+    """Generate the query functions; if ``is_proven``, the last two of a leaf's ``width`` numbers are error bounds."""
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
@@ -176,7 +175,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the search of a point's leaf in the tree; if its cell is not needed, a grid lookup comes first."""
+    """Generate the search of a point's leaf in the tree; a grid lookup comes first unless the cell is needed."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),

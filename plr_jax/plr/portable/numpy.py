@@ -50,11 +50,11 @@ _MOST_BITS = 16  # the table then fits a core's second-level cache
 
 
 class LeafTable:
-    """A lookup table over a regular grid, and the tree by which leaves smaller than the grid's cells are found.
+    """A lookup table over a regular grid, and a tree that leads to leaves smaller than the grid's cells.
 
     Attributes:
         bits: How often the domain is halved along each axis into the grid's cells.
-        table: For each cell of the grid, the deepest node that contains it; see :class:`CodedTree`.
+        table: For each cell of the grid, the code of the deepest node that contains it; see :class:`CodedTree`.
         is_flat: Whether every cell of the grid lies in a single leaf.
     """
 
@@ -78,7 +78,7 @@ class LeafTable:
         self.table, self.children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
 
     def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
-        """Return each point's row of leaf parameters, given its position on each axis in ``2**-23`` of the width."""
+        """Return each point's row of leaf parameters, from its coordinates in ``2**-23`` of the domain's width."""
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
@@ -115,8 +115,8 @@ def point_query(
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
     The function returns the distance: ``inf`` outside the domain, NaN for NaN. If ``of_leaf``, it returns the row of
-    the point's leaf instead, and -1 outside and for NaN. For a point so close to the boundary that rounding decides
-    whether it is inside, the function returns None. A call takes a few microseconds.
+    the point's leaf instead, or -1 outside and for NaN. It returns None for a point so close to the boundary that
+    rounding decides whether it is inside.
     """
     do, domain, tree = PythonEmitter(), program.domain, table.tree
     children, depth = table.children.data, tree.depth.data  # memoryviews, which return Python integers
@@ -227,7 +227,7 @@ class NumpyPLR:
         self.num_leaves = len(cells)
         self._table = LeafTable(CodedTree(program.contents.tree, np.arange(self.num_leaves)))
         numbers = program.leaf_parameters
-        if program.leaf.is_cell_relative:  # number of cells along each axis, position of the leaf's
+        if program.leaf.is_cell_relative:  # add the number of cells along each axis, and the leaf's position
             of_cells = np.stack([np.ldexp(1.0, cells.depth), cells.position], axis=2).astype(np.float32)
             numbers = np.concatenate([of_cells.reshape(self.num_leaves, -1), numbers], axis=1)
         self._columns = np.ascontiguousarray(numbers.T)
@@ -310,7 +310,7 @@ class NumpyPLR:
         return np.pad(waypoints, ((0, 1), (0, 0)), constant_values=np.nan)
 
     def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
-        """Return a query's answer at a point, or a list of answers for an array of few; None if any is undecided."""
+        """Return the query's answer at one point, or a list for up to 8; None for other input or if one is None."""
         if type(x) is np.ndarray:
             if x.ndim == 2 and 0 < len(x) <= _FEW:
                 answers = [self._at_few_points(point, query) for point in x.tolist()]
@@ -330,7 +330,7 @@ class NumpyPLR:
     def _evaluate(
         self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
     ) -> Any:
-        """Apply ``answer``, whose result at a point has the given shape, to all points, a chunk after the other."""
+        """Apply ``answer``, whose result at one point has the given ``shape``, to all points in chunks."""
         x, program = as_queries(x, self.dim), self._program
         flat = x.reshape(-1, self.dim)
         of_type = np.float64 if answer == self._waypoints and program.corner is not None else np.float32
@@ -365,7 +365,7 @@ class NumpyPLR:
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        """Return the value at the nearest point of the domain plus the distance to it; ``inf`` if not finite."""
+        """Return the value at the domain's nearest point plus the distance to it; ``inf`` for points not finite."""
         is_finite = np.isfinite(relative).all(axis=0)
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
         ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)

@@ -24,8 +24,8 @@ _ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # precedence o
 class Expression:
     """Source text of an expression; Python's operators combine texts, with parentheses where precedence needs them.
 
-    ``level`` is the precedence of the outermost operator, ``type`` is ``float``, ``double``, ``int`` (conditions) or
-    ``uint32_t``.
+    ``level`` is the precedence of the outermost operator. ``type`` is ``float``, ``double``, ``uint32_t`` or, for
+    conditions, ``int``.
     """
 
     text: str
@@ -113,7 +113,7 @@ class Emitter(Operations, ABC):
         return Expression(text, _ATOM, of_type, self)
 
     def constant(self, value: Any) -> Expression:
-        """Return a number as an expression, its literal; return expressions unchanged."""
+        """Return the literal of a number as an expression; return expressions unchanged."""
         if isinstance(value, Expression):
             return value
         number = value if isinstance(value, np.floating) else np.float32(value)
@@ -147,7 +147,7 @@ class Emitter(Operations, ABC):
 
     @abstractmethod
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 mantissa bits of a value in [1, 2): in Python as an integer, else in a word's upper bits."""
+        """Return the 23 mantissa bits of a value in [1, 2): an integer in Python, else the upper bits of a word."""
 
     def used_statements(self) -> list[str]:
         """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
@@ -166,11 +166,11 @@ def write_lookup(
     read_leaf: Callable[[Any, list[Expression]], list[Expression]],
     outside: list[str],
 ) -> tuple[list[Expression], list[Expression]]:
-    """Generate the statements of a C or JavaScript function of a point ``x`` up to the search of its leaf.
+    """Generate the first statements of a C or JavaScript function of a point ``x``: those that find its leaf.
 
-    ``read_leaf`` generates that search, given the position bits on each axis, and returns the leaf parameters.
-    ``outside`` are the statements for points outside the domain. Returns expressions of the offsets from the domain's
-    lower corner, and of the leaf parameters.
+    ``read_leaf`` generates the search, from expressions of the point's fraction bits, and returns those of the leaf
+    parameters. ``outside`` are the statements for points outside the domain. Returns expressions of the offsets from
+    the domain's lower corner, and of the leaf parameters.
     """
     x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
     if of_type == "double":
@@ -199,7 +199,7 @@ def format_domain(domain: Box) -> str:
     )
 
 
-_WIDTH = 100  # of a line of generated code
+_WIDTH = 100  # width of a line of generated code
 
 
 def indent(lines: Iterable[str]) -> list[str]:

@@ -22,12 +22,12 @@ from plr_jax.plr.tree import Tree
 
 _FINE = 2.0**-24  # rounding of stored sources, in units of the domain's width
 
-Leaf = Int[np.ndarray, "pairs"]
+Indices = Int[np.ndarray, "pairs"]
 
 
 @dataclass(frozen=True, eq=False)
 class ConeLeaves:
-    """A tree of cone leaves, with proven bounds of distance minus cone; ``slack`` is the uncertainty of distances."""
+    """A tree of cone leaves, with proven bounds of (distance - cone); ``slack`` is the uncertainty of distances."""
 
     domain: Box
     tree: Tree
@@ -50,9 +50,9 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Return the change of the distances in each leaf, if all changed by one number, and each leaf's new source.
+        """Return the number by which all distances in each leaf changed, NaN if changes may differ within the leaf.
 
-        The change is NaN if it may differ within the leaf. A source is an index in ``after``, -1 if it is gone.
+        Also return the index in ``after`` of each leaf's source (the apex of its cone), -1 if it is gone.
         """
         from scipy.spatial import KDTree  # which no query needs
 
@@ -62,7 +62,7 @@ class ConeLeaves:
         least, most = np.full(len(source), np.inf), np.full(len(source), -np.inf)
         (lo, hi), differ, is_uniform = self._boxes, np.zeros(len(source), bool), ~np.isnan(changed.change)
 
-        def take(leaf: Leaf, change: Float[np.ndarray, "pairs"]) -> None:
+        def take(leaf: Indices, change: Float[np.ndarray, "pairs"]) -> None:
             np.minimum.at(least, leaf, change)
             np.maximum.at(most, leaf, change)
 
@@ -79,7 +79,7 @@ class ConeLeaves:
         differ[of[self._may_cross_changes(of, pairs, before, changed) | np.isnan(pairs.change)]] = True
         take(of, np.where(np.isnan(pairs.change), 0.0, pairs.change))
         if (np.maximum(np.abs(least), np.abs(most))[least <= most] > changed.rounding).any():
-            # Triangles without a change matter as well.
+            # If other triangles changed, triangles without a change (0) matter as well.
             still, _ = self._leaves_meeting(changed.triangles, np.flatnonzero(changed.change == 0))
             take(still, np.zeros(len(still)))
         # 3. All changes must be one number (0 if there are none), and equal the change of the leaf's own source.
@@ -95,13 +95,17 @@ class ConeLeaves:
     def _competing_sources(
         self,
         differ: Bool[np.ndarray, "leaves"],
-        leaf: Leaf,
-        triangle: Leaf,
+        leaf: Indices,
+        triangle: Indices,
         pairs: TriangleSources,
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Find pairs of a leaf and a source whose cone comes as low as distances in the leaf may be."""
+        """Find pairs of a leaf and a source whose cone comes as low in the leaf as distances there may be.
+
+        ``leaf`` and ``triangle`` are pairs that intersect; leaves that ``differ`` are skipped. ``pairs`` has the
+        sources of each triangle. Upper bounds of distances in a leaf have risen by ``grown``.
+        """
         first = np.searchsorted(
             pairs.triangle, np.arange(triangle.max(initial=-1) + 2)
         )  # first pair of each triangle
@@ -121,9 +125,9 @@ class ConeLeaves:
         return of[low], pairs[rows[low]]
 
     def _may_cross_changes(
-        self, leaf: Leaf, pairs: TriangleSources, sources: Sources, changed: ChangedDistances
+        self, leaf: Indices, pairs: TriangleSources, sources: Sources, changed: ChangedDistances
     ) -> Bool[np.ndarray, "n"]:
-        """Return whether straight lines from each leaf to its source may cross a changed part of the map."""
+        """Return, for pairs of a leaf and a source, whether a segment between them may cross a changed wall."""
         (lo, hi), rows = self._boxes, np.flatnonzero(pairs.is_doubted)
         corners = [np.stack([x[leaf[rows], 0], y[leaf[rows], 1]], axis=1) for x in (lo, hi) for y in (lo, hi)]
         cut = np.zeros(len(leaf), bool)
@@ -132,7 +136,7 @@ class ConeLeaves:
 
     def _leaves_meeting(
         self, triangles: Float[np.ndarray, "n 3 2"], which: Int[np.ndarray, "some"]
-    ) -> tuple[Leaf, Leaf]:
+    ) -> tuple[Indices, Indices]:
         """Return all pairs of a leaf and one of the triangles ``which`` that intersect, by descending the tree."""
         tree, (lo, hi) = self.tree, self.tree.cells.grown_boxes(self.domain)
         sides = np.roll(triangles, -1, axis=1) - triangles

@@ -98,12 +98,9 @@ def store_sources(
     offsets: Float[np.ndarray, "sources"],
     parents: Int[np.ndarray, "sources"],
     domain: Box,
-    is_off: Bool[np.ndarray, "sources fractions"] | None = None,
+    is_off: Bool[np.ndarray, "sources fractions"] | None = None,  # result of off_lattices, if known
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Return sources in their file form, without duplicates, and the new index of each given source.
-
-    ``is_off`` may give the result of :func:`off_lattices` for the points.
-    """
+    """Return sources in their file form, without duplicates, and the new index of each given source."""
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
@@ -129,8 +126,8 @@ def store_sources(
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
-    """Return, for each point, which of the lattices ``1 / n`` that files can state do not contain it."""
-    # A little more than workspaces round the corners that they are given.
+    """Return which lattices (multiples of ``1 / n``, of those that a file can state) do not contain each point."""
+    # The tolerance is a little more than the rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     is_off = np.zeros((len(points), len(_LATTICES)), bool)
     for along in points.T:
@@ -140,7 +137,7 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
 
 
 def _lattice(is_off: Bool[np.ndarray, "sources fractions"], exponent: int) -> tuple[int, Bool[np.ndarray, "sources"]]:
-    """Return ``n`` of the lattice ``1 / n`` that takes the fewest bits, and which sources do not lie on it."""
+    """Return ``n`` of the lattice of multiples of ``1 / n`` with the fewest bits, and which sources are not on it."""
     fractions = _LATTICES[2.0**-exponent > _LATTICES]
     if not len(fractions):  # in a very wide domain, integers are too fine
         return 1, np.ones(len(is_off), bool)
@@ -200,7 +197,6 @@ def _write_codes(body: BitWriter, code: Int[np.ndarray, "sources dim"], origin: 
 
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
-    """Read what :func:`write_cones` appended; ``ValueError`` describes damaged data."""
     exponent, fraction, parts = 0, 1, []
     num_fine = int(body.read_fixed_width(1, _COUNT_BITS)[0])
     if num_fine:
@@ -271,14 +267,14 @@ class ConeFiles:
         self._cache: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
 
     def of_goal(self, sources: Sources) -> "ConeFiles":
-        """Return the encoder for another goal, source 0, of the same corners."""
+        """Return the encoder for the same corners and another goal, which is source 0."""
         files = copy(self)
         files._sources, files._cache, files._is_off = sources, {}, self._is_off.copy()
         files._is_off[:1] = off_lattices(sources.points[:1], self._domain)
         return files
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """Encode the leaves, in tree order; a leaf without a source (-1) gets the source of the leaf before."""
+        """Encode leaves in tree order; leaves without a source (-1) get that of the leaf before, else of the next."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:

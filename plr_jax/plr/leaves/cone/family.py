@@ -43,7 +43,7 @@ Shape: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class Lattice:
-    """A lattice of all dyadic boxes with up to ``halvings`` halvings along each axis, without narrow ones.
+    """A lattice of the dyadic boxes of a domain with up to ``halvings`` halvings by axis, except narrow boxes.
 
     Large boxes come first. Boxes of one shape have successive numbers, row by row. Box 0 is the whole domain.
     """
@@ -64,12 +64,12 @@ class Lattice:
         return first[last] + (1 << sum(last))
 
     def of_shape(self, values: Any, shape: Shape) -> Any:
-        """Return a view of the values of all boxes of one shape, with one axis for each axis of the domain."""
+        """Return a view of the ``values`` of boxes for one shape, as an array with the axes of the domain."""
         begin = self.first[shape]
         return values[begin : begin + (1 << sum(shape))].reshape(1 << shape[0], 1 << shape[1])
 
     def halves(self, values: Any, shape: Shape, axis: int) -> Any:
-        """Return the values of the lower and upper halves of all boxes of one shape; None if these are not boxes."""
+        """Return the values of the lower and upper halves of all boxes of one shape; None if these are too narrow."""
         half = shape[0] + (axis == 0), shape[1] + (axis == 1)
         if half not in self.first:
             return None
@@ -78,7 +78,7 @@ class Lattice:
 
     @cached_property
     def child(self) -> Int[np.ndarray, "2 boxes 2"]:
-        """The lower and upper half of each box along each axis, -1 if these are not boxes of the lattice."""
+        """The lower and upper half of each box along each axis; -1 if the lattice does not have them."""
         found, number = np.full((2, self.num_boxes, 2), -1, np.int32), np.arange(self.num_boxes, dtype=np.int32)
         for shape, axis in product(self.first, range(2)):
             if halves := self.halves(number, shape, axis):
@@ -88,10 +88,7 @@ class Lattice:
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
-        """For each shape, the first sample of each box, and index offsets from there to some of its samples.
-
-        Of many samples these are a Hammersley set, which covers all rows and columns of a box about evenly.
-        """
+        """For each shape, the first sample of each box, and offsets from there to at most 64 of its samples."""
         found, row = {}, 1 << self.halvings
         for shape in self.first:
             size = np.array([1 << (self.halvings - along) for along in shape])
@@ -106,7 +103,7 @@ class Lattice:
         return found
 
     def by_shape(self, box: Int[np.ndarray, "some"]) -> Iterator[tuple[Shape, Int[np.ndarray, "alike"], Any, Any]]:
-        """Yield each shape of given boxes, the places of its boxes, their first samples, and index offsets to all."""
+        """Yield each shape, the indices in ``box`` of its boxes, their first samples, and offsets to all samples."""
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
         for number in np.unique(of_shape):
@@ -117,7 +114,7 @@ class Lattice:
 
 
 class GoalSamples(NamedTuple):
-    """The samples of a family as one goal sees them: places, distance (0 if there is no path), weight and source."""
+    """Samples for one goal: a ``table`` of coordinates, distance and weight, and ``source`` (-1 without a path)."""
 
     table: Float[np.ndarray, "samples 4"]
     source: Int[np.ndarray, "samples"]
@@ -125,7 +122,7 @@ class GoalSamples(NamedTuple):
 
 
 def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
-    """Return the samples that a family shares as one of its oracles sees them."""
+    """Return the samples for the goal of ``oracle``; ``shared`` are the samples of its family."""
     distance, source = oracle.first_turns(shared)
     reached = source >= 0
     columns = [np.nan_to_num(shared.x), np.where(reached, distance, 0.0), np.where(reached, shared.weight, 0.0)]
@@ -134,10 +131,14 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
 
 @dataclass(frozen=True, eq=False)
 class BoxFits:
-    """The best source of every box of a lattice, -1 without a path; its integral of the error, and largest error.
+    """The cone of least error for every box of a lattice, with its largest error and the integral of its error.
 
-    In boxes that are ``is_mixed``, samples use several sources. Errors that are ``is_estimated`` come from some of
-    the samples of a box.
+    Attributes:
+        negligible: Error up to which errors count as 0.
+        source: Apex of each box's cone, a corner or the goal; -1 if no sample has a path.
+        integral: Integral of the error over the box, as a share of the domain.
+        is_mixed: Whether the samples of a box use several sources.
+        is_estimated: Whether errors come from only some of the samples of a box.
     """
 
     goal: GoalSamples
@@ -166,10 +167,10 @@ def option_errors(
     source: Int[np.ndarray, "options"],
     shortfall: float = np.inf,
 ) -> Float[np.ndarray, "3 options"]:
-    """Compare distances with the cones of sources at samples ``first[i] + offset[j]``.
+    """Compare distances with the cone of a source at the samples of a box; each option is such a pair.
 
-    Return, for each option, the weighted sum of errors, the largest error, and the weight of the samples that are
-    more than ``shortfall`` above the cone, which do not see the source.
+    Option ``i`` has the samples ``first[i] + offset[j]``. Return its weighted sum of errors, its largest error, and
+    the weight of samples more than ``shortfall`` above the cone, which do not see the source.
     """
     result, at_once = np.zeros((3, len(first))), max(1, _AT_ONCE // len(offset))
     for begin in range(0, len(first), at_once):
@@ -186,7 +187,7 @@ def option_errors(
 
 
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
-    """Find each box's best source, of those that are best in its halves; errors up to ``negligible`` count as 0."""
+    """Find each box's best source among the best of its halves; errors up to ``negligible`` count as 0."""
     num = lattice.num_boxes
     source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
     integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)
@@ -220,7 +221,7 @@ def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits
 
 
 class SampledTree(NamedTuple):
-    """The best tree at a price: split axes of nodes by level (-1: leaf), and the boxes of leaves in tree order."""
+    """A tree: the split axes of its nodes by level (-1 for a leaf), and the boxes of its leaves in tree order."""
 
     axes: list[Int[np.ndarray, "_"]]
     box: Int[np.ndarray, "leaves"]
@@ -258,7 +259,7 @@ _BEYOND, _LARGEST_STEP = 0.1, 8.0  # an extrapolated price aims beyond the limit
 def _largest_tree(
     lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float
 ) -> SampledTree:
-    """Return the largest tree found within the limits at some price; about ``num_leaves`` are expected."""
+    """Return the largest tree within the limits that is best at some price; about ``num_leaves`` are expected."""
     least_share = (LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN) / num_leaves
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     limits.require_room(files.num_bytes(fits.source[:1], limits))
@@ -293,7 +294,7 @@ def _largest_tree(
 
 
 def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], shortfall: float) -> LeafOptions:
-    """Return the most frequent sources of leaves that use several sources, and their errors at all samples."""
+    """Return the most frequent sources in each leaf that uses several, with their errors at all samples."""
     goal, options, mixed = fits.goal, [], np.flatnonzero(fits.is_mixed[box])
     count = len(goal.sources.points)
     for shape, place, first, offset in lattice.by_shape(box[mixed]):
@@ -313,7 +314,7 @@ def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], sh
 
 
 class FamilyTree(NamedTuple):
-    """A tree, the file form of its leaves, and each leaf's source in the oracle's ``sources``; -1 without a path."""
+    """A tree, the file form of its leaves, and each leaf's index in the oracle's ``sources``; -1 without a path."""
 
     tree: Tree
     stored: StoredCones
@@ -332,7 +333,7 @@ class FamilyTask:
     num_leaves: float
 
     def __call__(self, oracle: FamilyFn) -> FamilyTree | None:
-        """Return the best cones for one goal; None if no sample reaches it."""
+        """Return the best tree of cones for the oracle's goal; None if no sample reaches the goal."""
         goal = goal_samples(oracle, self.shared)
         if (goal.source < 0).all():
             return None
@@ -352,7 +353,7 @@ class FamilyTask:
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:
-    """Make the builder for the family of the oracle ``first``; None if samples are too few for such large trees."""
+    """Make the builder for the family of the oracle ``first``; None if limits allow too many leaves for samples."""
     # Estimate the number of leaves that the limits allow.
     bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
     of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)

@@ -1,4 +1,4 @@
-"""Cone leaves: a function ``offset + |x - source|`` in every leaf, with sources that many leaves share."""
+"""Cone leaves: functions ``offset + |x - source|``, whose sources (corners or the goal) are shared by many leaves."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ class Cone(LeafModel):
             )
         domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
         if not len(visible.cell):
-            sampler.root()  # raises the error for this
+            sampler.root()  # raises the error that nothing is reachable
         run = partial(grow, limits=limits)
         found = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
         sampler.memory.remember(found.boxes.cells, found.boxes.visible)  # which a proof needs

@@ -37,7 +37,7 @@ _MOST_TRIED = 4
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes, and the best cone ``distance of source + |x - source|`` for each.
+    """Boxes, each with its best cone ``distance of source + |x - source|``.
 
     Attributes:
         negligible: Error up to which a box counts as exact.
@@ -64,10 +64,10 @@ class ConeBoxes(Rows):
 
     @property
     def peak(self) -> Float[np.ndarray, "boxes"]:
-        """The largest error, times the side of the box (the root of its share of the domain's area) if ``by_side``.
+        """The largest error; if ``by_side``, times the side of the box (the root of its share of the domain's area).
 
-        Times the side, a wall through boxes costs the same however often they are halved, so boxes beside it are
-        halved until slivers are thin. But classes of proven bounds need few leaves with large errors.
+        With this factor, a wall through boxes costs the same however often they are halved, so boxes beside it are
+        halved until slivers are thin. Certified cones go without it: their classes need few leaves of large error.
         """
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
 
@@ -94,7 +94,7 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
 
 
 def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources, by_side: bool = False) -> ConeBoxes:
-    """Find each box's best cone, of at most 4 tried, by the integral of its proven error (0 if ``negligible``)."""
+    """Find each box's best cone, of at most 4, by the integral of its proven error (0 for ``negligible`` errors)."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
@@ -134,7 +134,7 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
 def option_errors(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Bound the largest error of 'distance by way of the source' in a box, and its integral over free space."""
+    """Bound the error of each option, the cone of a source in a box: largest, and integral over free space."""
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
@@ -161,10 +161,7 @@ _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visib
 
 @dataclass(frozen=True, eq=False)
 class LeafBoxes:
-    """The leaves of a tree, in tree order, as boxes: the level (``depth``) of each, its index there, and its source.
-
-    Sources are numbered as in ``CellSources.sources``; -1 stands for none.
-    """
+    """The leaves of a tree in order: each leaf's ``box``, an index in the level ``depth``, and source (-1: none)."""
 
     source: Int[np.ndarray, "leaves"]
     depth: Int[np.ndarray, "leaves"]
@@ -181,11 +178,11 @@ def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> tuple[Tree, Leaf
 
 
 class LeafOptions(NamedTuple):
-    """Pairs of a leaf, of which some of its best source is hidden, and a source that it may have.
+    """The sources to choose from for leaves that do not entirely see their best source: pairs of leaf and source.
 
     Attributes:
-        leaf, source: The leaf, and the source; ``is_own`` if it is the leaf's best source, ``by_all`` if all of the
-            leaf sees it.
+        is_own: Whether the source is the leaf's best.
+        by_all: Whether all of the leaf sees the source.
         error: Mean error over the leaf, at samples.
         hidden: Share of the leaf from which a wall hides the source.
         largest, integral: Proven largest error, and proven integral of the error over the leaf's free space.
@@ -204,13 +201,12 @@ class LeafOptions(NamedTuple):
 
 
 def boxes_of_leaves(levels: list[BoxLevel], leaves: LeafBoxes) -> ConeBoxes:
-    """Return the boxes of leaves, in the order of the leaves."""
     first, *others = (level.boxes[leaves.box[leaves.depth == depth]] for depth, level in enumerate(levels))
     return first.append(*others)[np.argsort(np.argsort(leaves.depth, kind="stable"))]
 
 
 def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
-    """Find alternative sources for leaf boxes that do not entirely see theirs; boxes of over 64 sources get none."""
+    """Find other sources for leaf boxes that do not entirely see their source; boxes of over 64 sources get none."""
     # Pairs of a box and a source that some of its points use, and whether all of the box sees the source.
     visible, count = boxes.visible, len(boxes.visible.sources.points)
     pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
@@ -240,9 +236,9 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 def prefer_visible_sources(
     boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Return the source of each leaf box; prefer sources that the leaf sees.
+    """Return each leaf's source; prefer sources that it sees, if proven errors stay below the largest of all leaves.
 
-    No proven error rises above the largest one of all leaves.
+    ``fits`` tests whether the file stays within its limits.
     """
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
@@ -255,7 +251,7 @@ def change_sources(
     most: float,
     fits: Callable[[Int[np.ndarray, "leaves"]], bool],
 ) -> Int[np.ndarray, "leaves"]:
-    """Change leaves to sources that they see; the most useful changes come first, as many as fit.
+    """Change leaves to sources that they see: the most useful changes first, as many as the limits (``fits``) allow.
 
     A hidden source costs ``total``, the mean error of all leaves, times a constant. No error rises above ``most``.
     """
@@ -307,10 +303,7 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
 
 
 def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
-    """Find the best cone leaves for one goal, and change their sources to visible ones.
-
-    ``visible`` are the sources of the domain, slightly enlarged; ``run`` is :func:`grow` or :func:`run_quietly`.
-    """
+    """Find the best cone leaves for one goal, whose sources in the slightly enlarged domain are ``visible``."""
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
     levels = [BoxLevel.of(box, box.cells.hashes())]

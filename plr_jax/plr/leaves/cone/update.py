@@ -35,9 +35,10 @@ from plr_jax.plr.leaves.cone.search import (
 from plr_jax.plr.sampling import Pattern, sample_pattern
 from plr_jax.plr.tree import MAX_DEPTH, Tree, grown_domain, tree_of_axes
 
-_ASKED, _SPARE = 128, 1e-6  # leaves tested for the right oracle; tolerance in units of the largest distance
+_ASKED, _SPARE = 128, 1e-6  # leaves at which the old oracle is tested; tolerance in units of the largest distance
 _MARGIN = 1.0  # pruning margin of expand
-# Used share of the limits: enough; aimed at; below which the worst leaves are reopened; below which all are rebuilt.
+# Share of the limits that a tree uses: _FULL is enough, and prices aim at _AIM. Below _LEFT the worst leaves are
+# reopened, below _FAR all leaves are rebuilt.
 _FULL, _AIM, _LEFT, _FAR = 0.99, 0.995, 0.97, 0.8
 _ATTEMPTS = 12  # number of prices to try
 _MOST_SOUGHT = 512  # largest number of leaves to reopen
@@ -49,9 +50,9 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 @dataclass(frozen=True, eq=False)
 class NodeCosts:
-    """Errors of a tree's nodes if they were leaves, as in ``ConeBoxes``; ``integral`` is ``inf`` if unknown.
+    """Errors that each node of a tree would have as a leaf, as in ``ConeBoxes``; ``integral`` is ``inf`` if unknown.
 
-    ``price`` is a price per leaf at which the tree is optimal.
+    ``price`` is a price per leaf at which the tree has about the least sum of errors and prices.
     """
 
     integral: Float[np.ndarray, "nodes"]
@@ -61,14 +62,14 @@ class NodeCosts:
 
 
 def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> NodeCosts:
-    """Compute the errors of nodes as leaves, and estimate a price per leaf at which few leaves should be merged."""
+    """Compute the errors that nodes would have as leaves, and a price per leaf at which few leaves would merge."""
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
     (integral, peak), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
     for nodes, visible in sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain):
         boxes = fit_boxes(domain, negligible, tree.cells[nodes], visible)
         integral[nodes], peak[nodes], source[nodes] = boxes.integral, boxes.peak, boxes.source
-    costs = integral + _share(tree, limits) * peak
+    costs = integral + _peak_share(tree, limits) * peak
     total, count = costs.copy(), np.ones(len(costs))
     for split in tree.splits[::-1]:
         total[split], count[split] = (
@@ -81,16 +82,15 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     return NodeCosts(integral, peak, source, price)
 
 
-def _share(tree: Tree, limits: Limits) -> float:
-    """Return the weight of a leaf's peak in costs, from the number of leaves."""
+def _peak_share(tree: Tree, limits: Limits) -> float:
     most = min(limits.max_bytes, limits.max_leaves)
     return peak_share(float(max(len(tree.node_of_leaf), most if np.isfinite(most) else 0)), True)
 
 
 class UpdatedCones(NamedTuple):
-    """Leaves after a change of the map, in tree order; ``rebuilt`` has the indices of new leaves.
+    """Cone leaves after a change of the map, in tree order; ``rebuilt`` has the indices of new leaves.
 
-    ``bounds`` are valid for kept leaves only. ``visible`` has the sources of the new leaves' cells.
+    ``bounds`` are valid for other leaves only. ``visible`` has the sources of the cells of new leaves.
     """
 
     tree: Tree
@@ -128,7 +128,7 @@ def updated_cones(
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
     stays, rebuilt = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
     old = old[stays]
-    # A kept cone moved with its offset, and slightly if its source is rounded differently.
+    # A kept cone rose with its offset, and moved slightly if its source is rounded differently.
     rises = change[old] - (new.sources.offsets[new.source[stays]] - leaves.offset[old])
     beside = np.linalg.norm(new.sources.points[new.source[stays]] - leaves.apex[old], axis=1)
     lower, upper = np.zeros((2, len(best.leaves)))
@@ -155,11 +155,11 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The best tree at a price, among the computed boxes, level by level; leaves are in tree order.
+    """The tree of least error plus price per leaf whose leaves are nodes of the old tree or boxes of a search.
 
     Attributes:
-        axes: Split axis of each node; -1 for a leaf.
-        nodes, leaves: Indices into the nodes of the old tree, followed by all boxes.
+        axes: Split axis of each node, level by level; -1 for a leaf.
+        nodes, leaves: Nodes level by level, leaves in tree order: indices of nodes of the old tree, then of boxes.
         share: Share of the limits that the tree uses.
     """
 
@@ -173,12 +173,12 @@ class FoundTree:
 
 @dataclass(frozen=True, eq=False)
 class ConeSearch:
-    """The search for the best leaves of a changed map.
+    """A search for the best leaves after a change of the map.
 
     Attributes:
         nodes: Costs of the nodes of the old tree; ``inf`` where distances did not change by one number.
-        is_reopened: Which of the old leaves are searched again.
-        roots: Nodes of the old tree that boxes replace.
+        is_reopened: Which old leaves are searched again.
+        roots: Nodes of the old tree that are replaced by boxes, which the search halves.
         levels: Levels of boxes; the first level begins with the roots, in their order.
     """
 
@@ -201,7 +201,7 @@ class ConeSearch:
         oracle: ChangingFn,
         limits: Limits,
     ) -> "ConeSearch":
-        """Start the search from each leaf's change of distances (NaN if they may differ) and its new source."""
+        """Start from the one change of all distances in each leaf (NaN if they may differ) and its new source."""
         tree = leaves.tree
         least, most = np.empty((2, len(tree.child)))
         least[tree.node_of_leaf], most[tree.node_of_leaf] = change, change
@@ -227,8 +227,8 @@ class ConeSearch:
         return search
 
     @property
-    def share(self) -> float:
-        return _share(self.leaves.tree, self.limits)
+    def peak_share(self) -> float:
+        return _peak_share(self.leaves.tree, self.limits)
 
     @property
     def num_boxes(self) -> int:
@@ -256,11 +256,11 @@ class ConeSearch:
     def expand_boxes(self, price: float) -> None:
         """Compute the boxes that may be leaves at a price per leaf."""
         each = np.full(len(self.levels[0].key), price)
-        expand(self.levels, each, self.share, self.limits, _MARGIN)
+        expand(self.levels, each, self.peak_share, self.limits, _MARGIN)
 
     def needs_no_refinement(self, price: float) -> bool:
         """Return whether most leaves are kept and few cost more than the price, so that more leaves would not pay."""
-        cost = (self.nodes.integral + self.share * self.nodes.peak)[self.leaves.tree.node_of_leaf]
+        cost = (self.nodes.integral + self.peak_share * self.nodes.peak)[self.leaves.tree.node_of_leaf]
         known = cost[~self.is_reopened & np.isfinite(cost)]
         return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
 
@@ -268,7 +268,7 @@ class ConeSearch:
         """Mark the kept leaves of the highest costs above the price, at most ``count``, to be searched again."""
         tree = self.leaves.tree
         integral = self.nodes.integral
-        cost = (integral + self.share * self.nodes.peak)[tree.node_of_leaf]
+        cost = (integral + self.peak_share * self.nodes.peak)[tree.node_of_leaf]
         cost[self.is_reopened | np.isinf(cost)] = 0.0
         leaf = np.argsort(-cost, kind="stable")[:count]
         leaf = np.sort(leaf[cost[leaf] > price])
@@ -285,7 +285,7 @@ class ConeSearch:
 
     def best(self, price: float) -> FoundTree:
         tree, (num, first) = self.leaves.tree, (len(self.leaves.tree.child), len(self.leaves.tree.child))
-        cost = self.nodes.integral + self.share * self.nodes.peak + price
+        cost = self.nodes.integral + self.peak_share * self.nodes.peak + price
         total = np.where(np.isfinite(cost), cost, 0.0)
         axes, children = [np.where(tree.child >= 0, tree.axis, -1)], [np.stack([tree.child, tree.child + 1], axis=1)]
         for split in tree.splits[::-1]:
@@ -293,7 +293,7 @@ class ConeSearch:
             total[split] = np.minimum(cost[split], both)
             axes[0][split[cost[split] <= both]] = -1
         own = [SelectedBoxes(np.arange(len(level.key)), level.child) for level in self.levels]
-        for (box, child), axis in zip(own, best_axes(self.levels, own, price, self.share), strict=True):
+        for (box, child), axis in zip(own, best_axes(self.levels, own, price, self.peak_share), strict=True):
             first += len(box)
             axes.append(axis)
             children.append(np.where(axis[:, None] >= 0, first + child[axis, :, box], -1))
@@ -315,7 +315,7 @@ class ConeSearch:
         return FoundTree(price, walked, node, leaf, num_bytes, share)
 
     def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
-        """Return each leaf's source (a corner or the goal); new leaves get one that they see, where possible."""
+        """Return each leaf's source (a corner or the goal); new leaves get a source that they see, where possible."""
         first = np.cumsum([len(self.leaves.tree.child), *(len(level.key) for level in self.levels)])
         place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
         leaf = found.leaves[place]
@@ -344,7 +344,7 @@ class ConeSearch:
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
-    """Return the best tree found that fits; None if none does, or if the limits allow far more leaves."""
+    """Return the largest tree found within the limits; None if none is, or if the limits allow far more leaves."""
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
