@@ -225,8 +225,9 @@ def construct(
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
         return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
     plr = plr_of_leaves(contents)
-    has_which = isinstance(distance_fn, NearestFn) and not isinstance(contents.leaf, Cone)
-    return plr.with_nearest_goal(distance_fn.which) if has_which else plr
+    if isinstance(distance_fn, NearestFn) and not isinstance(contents.leaf, Cone):  # files of cones name goals
+        return plr.with_nearest_goal(distance_fn.which)
+    return plr
 
 
 def _build_leaves(

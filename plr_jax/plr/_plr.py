@@ -259,12 +259,14 @@ class PLR(FileBacked):
         Raises:
             ValueError: If the PLR does not know its goals, or points have another shape.
         """
-        of_leaf = self._goal_of_leaf if self.nearest_goal is None else None
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
-        goal, x = np.full(len(x), -1), x[is_finite]
-        goal[is_finite] = self.nearest_goal(x) if of_leaf is None else of_leaf[leaf_of(self, x)]
+        goal = np.full(len(x), -1)
+        goal[is_finite] = (self.nearest_goal or self._stored_goal)(x[is_finite])
         return goal
+
+    def _stored_goal(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
+        return self._goal_of_leaf[leaf_of(self, x)]
 
     @cached_property
     def _goal_of_leaf(self) -> Int[np.ndarray, "leaves"]:
