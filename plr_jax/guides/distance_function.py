@@ -96,8 +96,9 @@ plr_jax.plot.plot_contours(plr, workspace=workspace, goal=(9, 1))
 # Several exits
 
 `plr_jax.NearestGoal` is the distance to the nearest of several goals; `which(x)` is the index of that goal. Cones of
-`VisibilityGraph`s of one workspace can be certified, and their file stores `which`; other PLRs lose it in files. A wide
-door is a row of goals. Routes: `plr_jax.guides.follow_the_field`; a PLR per goal: `plr_jax.guides.any_two_points`.
+`VisibilityGraph`s of one workspace can be certified, and their file stores the index, which other files do not. A
+wide door is a row of goals. Routes: `plr_jax.guides.follow_the_field`; a PLR per goal:
+`plr_jax.guides.any_two_points`.
 
 ```python
 exits = plr_jax.NearestGoal([oracle, oracle.with_goal((1, 5))])

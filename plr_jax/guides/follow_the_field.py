@@ -72,8 +72,8 @@ for i, path in zip(rest, plr_jax.descend(cones, workspace, starts[rest], exits).
     routes[i] = path
 ```
 
-A workspace rounds vertices to a fine grid, and a file of cones rounds points by up to 1e-8 of the map's width. To check
-routes with your own Shapely polygon, allow for this. Plots are drawn on axes of Matplotlib, which also draw routes.
+A workspace rounds vertices to a fine grid, and a file of cones rounds points by up to 1e-8 of the map's width. To
+check routes with your own Shapely polygon, allow for this. Plots are on axes of Matplotlib, which also draw routes.
 
 ```python
 import shapely
@@ -84,8 +84,9 @@ ax = plr_jax.plot.plot_workspace(workspace, unit="m")
 ax.plot(*routes[0].T)
 ```
 
-Agents with a radius follow a field of the inset area, `area.buffer(-radius, join_style="mitre")`. Others may push them
-nearer to a wall: test their routes in the full area. See `notebooks/6_pedestrians.ipynb`, with JuPedSim.
+Agents with a radius follow a field of the inset area, `area.buffer(-radius, join_style="mitre")`. Other agents may
+push them nearer to a wall, so test their routes in the full area: see `notebooks/6_pedestrians.ipynb`, with JuPedSim,
+which refuses targets on walls.
 
 # Gradient
 
