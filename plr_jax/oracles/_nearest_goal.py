@@ -18,8 +18,8 @@ class NearestGoal:
 
     It is a distance function like others, for example for ``construct`` or for planners. Its PLR needs only a few
     more bytes per additional goal. If all functions are ``VisibilityGraph``s of one workspace, the PLR may have
-    leaves that are cones, can be certified, and answers ``which`` too. A wide exit, such as a door, is several goals:
-    points along it, no farther apart than twice the error that you accept.
+    leaves that are cones, can be certified, and answers ``which`` too; with cones, also from its file. A wide exit,
+    such as a door, is several goals: points along it, no farther apart than twice the error that you accept.
 
     Args:
         distance_fns: One distance function per goal, all of the same dimension. To share preprocessing, use
