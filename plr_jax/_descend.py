@@ -38,11 +38,11 @@ class DescentStatus(enum.StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Paths from many starts to one goal.
+    """Paths from many starts to a goal, or to the nearest of several goals.
 
     Attributes:
         status: A :class:`DescentStatus` for each start, ``(n,)``.
-        vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to the goal, which is repeated up to
+        vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to a goal, which is repeated up to
             the length of the longest path. NaN without a path. Along periodic axes, segments go the shorter way.
         counts: Number of vertices of each path without repetitions, ``(n,)``: 1 if the start is the goal, 0 without a
             path.
@@ -103,7 +103,8 @@ def descend(
             domain of the space, with wrapped periodic coordinates.
         space: Free space. A Workspace is the free space of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
-        goal: Goal point, ``(dim,)``, in closed free space.
+        goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
+            each path ends at the nearest.
         cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:
@@ -144,22 +145,30 @@ _NUM_WAYS = 2  # edges per corner: the best one by the field, and another one in
 
 def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Chains:
     starts, goal = map(workspace.bounds.settled, (starts, goal))
-    starts, goal = as_points("starts", starts, 2), as_finite_point("The goal", goal, 2)
-    if not workspace.is_free(goal[None])[0]:
+    starts = as_points("starts", starts, 2)
+    goals = as_points("goal", goal, 2) if np.ndim(goal) == 2 else as_finite_point("The goal", goal, 2)[None]
+    if not len(goals):
+        raise ValueError("goal must be one point (2,) or several (k, 2), got none.")
+    if not (is_fine := workspace.is_free(goals)).all():
         raise ValueError(
-            f"The goal must be in free space, got {goal.tolist()}: move it out of the obstacle or into the bounds."
+            f"The goal must be in free space, got {goals[is_fine.argmin()].tolist()}: move it out of the obstacle or "
+            "into the bounds."
         )
-    places = find_corners(workspace)[0].without(goal).with_goal(goal)
+    places, count = find_corners(workspace)[0], len(goals)
+    for each in goals:
+        places = places.without(each)
+    places = places.with_goal(*goals)
     points = places.points
     field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may modify it
-    field[0] = 0.0  # at the goal, by definition
+    field[:count] = 0.0  # at the goals, by definition
 
     def shortest(edges: Int[np.ndarray, "edges 2"]) -> tuple[Float[np.ndarray, "places"], Next]:
-        length, onward = dijkstra(Graph(points, edges), 0)
-        return length, np.maximum(onward, 0)  # the goal's next place is the goal
+        length, onward = dijkstra(Graph(points, edges), np.arange(count))
+        onward[:count] = np.arange(count)  # a goal's next place is the goal
+        return length, np.maximum(onward, 0)
 
     # 1. Join each corner to its best places by the field. Join corners without a path to all places that they see.
-    edges = _edges(workspace, places, field, np.arange(1, len(points)), _NUM_WAYS)
+    edges = _edges(workspace, places, field, np.arange(count, len(points)), _NUM_WAYS)
     length, onward = shortest(edges)
     lost = np.flatnonzero(~np.isfinite(length))
     if lost.size:
@@ -170,32 +179,40 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     tried = np.full(len(points), -1)
     while True:
         after_next = onward[onward]
-        place = np.flatnonzero((onward > 0) & (after_next != tried))
+        place = np.flatnonzero((onward >= count) & (after_next != tried))
         pairs, tried = _unique_pairs(np.stack([place, after_next[place]], axis=1)), after_next
         joined = _unique_pairs(np.concatenate([edges, pairs[workspace.is_visible(*points[pairs.T])]]))
         if len(joined) == len(edges):
             break
         edges = joined
         length, onward = shortest(edges)
-    # 3. Find the first place of each start: the goal, else a place where the path can turn, else any place.
+    # 3. Find the first place of each start: a goal, else a place where the path can turn, else any place. The path to
+    #    another goal than the nearest visible goal may be shorter.
     is_free = workspace.is_free(starts)
     x = starts[is_free]
-    to_place = np.where(workspace.is_visible(x, np.broadcast_to(goal, x.shape)), 0, -1)
-    reached = 1 + np.flatnonzero(np.isfinite(length[1:]))
+    goal_ways = first_visible_in_parts(
+        lambda rows: distances_between(x[rows], goals),
+        len(x),
+        count,
+        lambda point, goal: workspace.is_visible(x[point], goals[goal]),
+    )
+    to_place, least = (each[:, 0] for each in goal_ways)
+    reached = count + np.flatnonzero(np.isfinite(length[count:]))
     any_side = np.zeros((2, len(reached), 2))
     anywhere = TurnPoints(reached, points[reached], length[reached], any_side, places.slack)
-    for turns in (find_turn_points(places, length, onward), anywhere):
-        pending = np.flatnonzero(to_place < 0)
+    for turns, compares in ((find_turn_points(places, length, onward, count), count > 1), (anywhere, False)):
+        pending = np.flatnonzero((to_place < 0) | compares)
         here = x[pending]
-        to_place[pending] = turns.first_visible(
+        place, by_place = turns.first_visible(
             here, lambda point, place, here=here: workspace.is_visible(here[point], points[place])
-        )[0]
+        )
+        to_place[pending] = np.where(by_place < least[pending], place, to_place[pending])
     first = np.full(len(starts), -1)
     first[is_free] = to_place
     # A start at a corner continues to the corner's next place.
-    at_corner = (first > 0) & (starts == points[first]).all(axis=1)
+    at_corner = (first >= count) & (starts == points[first]).all(axis=1)
     first[at_corner] = onward[first[at_corner]]
-    vertices, counts = chains_of(starts, points, onward, first)
+    vertices, counts = chains_of(starts, points, onward, first, count)
     lengths = np.linalg.norm(np.diff(vertices, axis=1), axis=2).sum(axis=1)
     return vertices, counts, lengths, lengths, is_free
 

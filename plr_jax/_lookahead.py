@@ -44,16 +44,16 @@ Chains: TypeAlias = tuple[
 
 
 def chains_of(
-    starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"]
+    starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"], num_goals: int = 1
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Follow ``first`` and ``onward`` from starts to node 0; return the vertices, and their number, 0 where stuck."""
+    """Follow ``first`` and ``onward`` to goals, the first nodes; return vertices, and their number, 0 where stuck."""
     chain = [first]
-    while (chain[-1] > 0).any():
-        chain.append(np.where(chain[-1] > 0, onward[chain[-1]], chain[-1]))
+    while (chain[-1] >= num_goals).any():
+        chain.append(np.where(chain[-1] >= num_goals, onward[chain[-1]], chain[-1]))
     places = np.stack(chain, axis=1)
     vertices = np.concatenate([starts[:, None], nodes[places]], axis=1)
-    counts = 2 + (places > 0).sum(axis=1) - (starts == nodes[0]).all(axis=1)
-    return vertices, np.where(places[:, -1] == 0, counts, 0)
+    counts = 2 + (places >= num_goals).sum(axis=1) - (starts == vertices[:, -1]).all(axis=1)
+    return vertices, np.where(places[:, -1] >= 0, counts, 0)
 
 
 _CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and per axis in more dimensions

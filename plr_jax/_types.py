@@ -69,11 +69,13 @@ class Sources:
     Attributes:
         distances: Distances of the sources to the goal; ``inf`` where the goal cannot be reached.
         parents: Next source on each source's shortest path; its own index for a goal and for unreachable sources.
+        goals: Index of each of several goals in the user's list; the first index of equal goals. None for one goal.
     """
 
     points: Float[np.ndarray, "sources dim"]
     distances: Float[np.ndarray, "sources"]
     parents: Int[np.ndarray, "sources"]
+    goals: Int[np.ndarray, "goals"] | None = None
 
 
 CellSources: TypeAlias = Any

@@ -109,6 +109,9 @@ def _plr_files() -> list[bytes]:
     plrs = [construct(distance, Box([0.0] * dim, [1.0] * dim), **options) for dim, options in kinds]
     turned = ReedsShepp((0.1, 0.2, 0.4), 1), Box((-2, -2, -np.pi), (2, 2, np.pi), periodic=(False, False, True))
     plrs += [plrs[0].with_label("room"), construct(*turned, max_leaves=6)]
+    first = plr_jax.VisibilityGraph(Workspace(((0, 0), (8, 8)), [_SQUARE]), (6, 1))
+    exits = plr_jax.NearestGoal([first, first.with_goal((1, 7)), first.with_goal((7, 7))])
+    plrs += [construct(exits, first.workspace.bounds, leaf="cone", max_leaves=20, certified=True)]
     return [plr.to_bytes() for plr in plrs]
 
 

@@ -16,6 +16,7 @@ from space_helpers import rectangle as box
 from plr_jax import (
     LipschitzCost,
     MotionCost,
+    NearestGoal,
     PlanarArm,
     PlaneSpace,
     RectangleRobot,
@@ -54,7 +55,8 @@ def descended(field, space, starts, goal, **options):
         if status != REACHED:
             assert path.shape == (0, space.domain.dim) and length == math.inf
             continue
-        np.testing.assert_array_equal(path[[0, -1]], [start, goal])
+        np.testing.assert_array_equal(path[0], start)
+        assert (path[-1] == np.atleast_2d(goal)).all(axis=1).any()
         legs = space.domain.difference(path[1:], path[:-1])
         assert (legs != 0).any(axis=1).all()
         assert length == pytest.approx(space.motion_cost.norm(legs).sum(), abs=1e-12)
@@ -109,6 +111,22 @@ def test_bumps_do_not_trap(seed):
     descent = descended(lambda x: exact(x) + rng.uniform(-0.2, 0.2, len(x)), workspace, starts, goal)
     assert descent.reached.all()
     assert (descent.lengths <= exact(starts) + 2 * 0.2 * 8).all()
+
+
+@pytest.mark.parametrize("scene", [scenes.maze, scenes.floor_plan])
+@pytest.mark.parametrize("is_exact", [True, False])
+def test_paths_end_at_the_nearest_of_several_goals(scene, is_exact):
+    workspace = scene().workspace
+    goals = [*workspace.sample_free(3, 7), find_corners(workspace)[0].points[0]]
+    goals, starts = np.array([*goals, goals[0]]), workspace.sample_free(300, 1)
+    starts[:5] = goals
+    nearest = NearestGoal([VisibilityGraph(workspace, goal) for goal in goals])
+    descent = descended(nearest if is_exact else nothing_known, workspace, starts, goals)
+    least, ends = nearest(starts), descent.vertices[:, -1]
+    assert descent.reached.all() and (descent.lengths >= least * (1 - 1e-12)).all()
+    if is_exact:
+        np.testing.assert_allclose(descent.lengths, least, rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(ends, goals[nearest.which(starts)])
 
 
 def test_statuses():
@@ -180,6 +198,8 @@ def test_no_starts_and_no_corners(space):
         (nothing_known, DOOR, np.zeros((1, 3)), (8, 2), None, "starts must have shape"),
         (nothing_known, DOOR, [(1, 1)], (8, 2, 0), None, "The goal must be one point"),
         (nothing_known, DOOR, [(1, 1)], (5, 2), None, "The goal must be in free space"),
+        (nothing_known, DOOR, [(1, 1)], [(1, 1), (5, 2)], None, r"must be in free space, got \[5.0, 2.0\]"),
+        (nothing_known, DOOR, [(1, 1)], np.empty((0, 2)), None, "one point .* or several .* got none"),
         (lambda x: x, DOOR, [(1, 1)], (8, 2), None, "one number per point"),
         (lambda x: np.full(len(x), -np.inf), DOOR, [(1, 1)], (8, 2), None, "-inf at .*use inf"),
         (lambda x: np.full(len(x), np.nan), DOOR, [(1, 1)], (8, 2), None, "NaN at .*use inf"),

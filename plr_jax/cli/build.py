@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 import plr_jax
 from plr_jax.cli import INTERRUPTED_EXIT
@@ -23,11 +23,13 @@ from plr_jax.cli.inputs import (
     ResolutionOption,
     ThresholdOption,
     choices,
+    joined_goals,
+    oracle_of,
     require_writable,
 )
 
 if TYPE_CHECKING:
-    from plr_jax import PLR, VisibilityGraph
+    from plr_jax import PLR, DistanceFn
 
 _LEAVES = ("best", "plane", "continuous", "smooth", "cone")
 _ERROR_POINTS = 20_000
@@ -38,6 +40,7 @@ _SPECK = 4  # pixels; smaller obstacles and free components are reported as spec
     "plr-jax build maze -o maze.plr --max-bytes 2048",
     "plr-jax build floor_plan --leaf cone --max-bytes 1024 --leaf-bounds",
     "plr-jax build scan.png --goal 10.5,30 --resolution 0.05 --drop-specks 4 --radius 0.3",
+    "plr-jax build area.wkt --goal 1,2 --goal 30,4 --leaf cone",
 )
 def build(
     map: MapArgument,
@@ -71,7 +74,9 @@ def build(
     leaf_bounds: Annotated[
         bool,
         typer.Option(
-            "--leaf-bounds", help="Store proven bounds for every cell, 2 bytes each, instead of one bound for all."
+            "--leaf-bounds",
+            help="Store proven bounds for every cell, 2 bytes each, instead of one bound for all: certified='leaves' "
+            "in Python.",
         ),
     ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
@@ -81,7 +86,7 @@ def build(
     polygons: PolygonsOption = None,
     radius: RadiusOption = None,
 ) -> None:
-    """Compress the exact distance to a goal in a MAP into a small file with a proven error bound."""
+    """Compress the exact distance to the nearest goal in a MAP into a small file with a proven error bound."""
     from plr_jax.plr.container import frame_size, require_label
     from plr_jax.plr.growth import BudgetTooSmall
 
@@ -92,20 +97,20 @@ def build(
         max_bytes = DEFAULT_BYTES
 
     # 1. Read the map, and prepare its exact oracle.
-    named = NamedMap(map, goal, resolution, threshold, drop_specks, polygons, radius)
+    named = NamedMap(map, joined_goals(goal), resolution, threshold, drop_specks, polygons, radius)
     with progress(f"reading {map}"):
-        workspace, goal_point = named.read()
-    if goal_point is None:
+        workspace, goals = named.read()
+    if goals is None:
         raise ValueError(
             f"expected a goal, but {map} has none, or one for each of several robots: give one with --goal X,Y."
         )
     if (free := named.free_pixels()) is not None:
         typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices{_specks(free, drop_specks or 0)}")
     with progress("computing visibility between corners"):
-        oracle = plr_jax.VisibilityGraph(workspace, goal_point)
+        oracle = oracle_of(workspace, goals)
 
     # 2. Construct the PLR, with room for its label in the file.
-    label = str(replace(named, goal=",".join(repr(float(along)) for along in goal_point)))
+    label = str(replace(named, goal=";".join(f"{x!r},{y!r}" for x, y in goals.tolist())))
     require_label(label)
     label_bytes = frame_size(workspace.bounds, label=label) - frame_size(workspace.bounds)
     try:
@@ -134,7 +139,7 @@ def build(
 
     # 3. Report the error at points of another seed than the samples to which leaves were fitted.
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
-    _print_errors(plr, oracle, seed + 1)
+    _print_errors(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed + 1))
     if radius:
         # A total error needs a second oracle, among polygons around the grown obstacles, which may close passages.
         typer.echo("        proven for polygons inside the grown obstacles; the disc's own distances are not smaller")
@@ -152,9 +157,8 @@ def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
     )
 
 
-def _print_errors(plr: "PLR", oracle: "VisibilityGraph", seed: int) -> None:
+def _print_errors(plr: "PLR", oracle: "DistanceFn", points: Float[np.ndarray, "n 2"]) -> None:
     with progress("measuring the error"):
-        points = oracle.workspace.sample_free(_ERROR_POINTS, seed)
         report = plr_jax.metrics.error_map(plr.numpy(), oracle, points)
     typer.echo(f"leaf    {plr.leaf.name}: no error above {plr.max_error:.3g}, proven")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")

@@ -14,7 +14,9 @@ from plr_jax.cli.inputs import (
     PICTURES,
     FileArgument,
     GoalOption,
-    parse_goal,
+    joined_goals,
+    oracle_of,
+    parse_goals,
     read_map_of_file,
     require_writable,
 )
@@ -30,15 +32,16 @@ def _holds_pairs(file: Path) -> bool:
         return False
 
 
-def _distance_to_goal(pairs: Any, file: Path, goal: str | None) -> Any:
-    if goal is None:
+def _distance_to_goal(pairs: Any, file: Path, goal: list[str] | None) -> Any:
+    if goal is None or len(goal) > 1:
         raise ValueError(f"{file} has the distance between any two points: give one of them with --goal X,Y.")
-    return pairs.to(parse_goal(goal))
+    return pairs.to(parse_goals(*goal)[0])
 
 
 @command(
     "plr-jax query maze.plr points.csv",
     "plr-jax query maze.plr points.csv --bounds",
+    "plr-jax query exits.plr points.csv --which",
     "echo 0.93,0.95 | plr-jax query maze.plr",
     "echo 0.93,0.95,0.1,0.1 | plr-jax query maze.pairs",
 )
@@ -57,6 +60,9 @@ def query(
     bounds: Annotated[
         bool, typer.Option("--bounds", help="Print distance,lower,upper: the distance and its proven bounds.")
     ] = False,
+    which: Annotated[
+        bool, typer.Option("--which", help="Add the index of the nearest of several goals: 0, 1, ...; -1 outside.")
+    ] = False,
     strict: Annotated[bool, typer.Option("--strict", help="Stop at the first row that is not a point.")] = False,
 ) -> None:
     """Print the distance of each point, one per line: inf outside the domain, nan for a row that is not a point.
@@ -69,8 +75,8 @@ def query(
     if sys.stdout is None:
         raise ValueError("Standard output is closed: open it to get answers.")
     is_pairs = _holds_pairs(file)
-    if is_pairs and gradient:
-        raise ValueError(f"--gradient needs a file of a PLR, got pairs in {file}: leave it out.")
+    if is_pairs and (gradient or which):
+        raise ValueError(f"--gradient and --which need a file of a PLR, got pairs in {file}: leave them out.")
     reader, gradients = _reader(file, is_pairs), _gradients(file) if gradient else None
     if bounds and not is_pairs and reader.max_error is None:
         raise ValueError(
@@ -82,6 +88,7 @@ def query(
         columns = [reader(*ends)]
         columns += [gradients(x)] if gradients is not None else []
         columns += reader.bounds(*ends) if bounds else []
+        columns += [reader.which(x)] if which else []
         return np.column_stack(columns)
 
     name, table = open_table(points)
@@ -202,7 +209,7 @@ def plot(
     ] = Picture.distance,
 ) -> None:
     """Draw the distance in a file; for pairs, the distance to a goal."""
-    from plr_jax import VisibilityGraph, load, metrics
+    from plr_jax import load, metrics
     from plr_jax import plot as draw
     from plr_jax.plr import PLR
 
@@ -217,9 +224,11 @@ def plot(
         )
     if not isinstance(plr, PLR) and kind is not Picture.distance:
         raise ValueError(f"--kind must be distance for pairs of cells of a grid, got {kind} for {file}.")
-    of_map = None if is_pairs else goal
-    workspace, target = read_map_of_file(file, content, map, of_map, is_needed=kind is Picture.error)
-    target = parse_goal(str(goal)) if is_pairs else target
+    text = joined_goals(goal)
+    workspace, target = read_map_of_file(
+        file, content, map, None if is_pairs else text, is_needed=kind is Picture.error
+    )
+    target = parse_goals(str(text)) if is_pairs else target
     match kind:
         case Picture.distance:
             ax = draw.plot_contours(plr, workspace=workspace, goal=target)
@@ -230,7 +239,7 @@ def plot(
         case Picture.error:
             if workspace is None or target is None:
                 raise ValueError(f"{file} does not name its map and goal: give --map, and --goal X,Y.")
-            ax = draw.plot_error(metrics.error_grid(plr, VisibilityGraph(workspace, target), workspace), workspace)
+            ax = draw.plot_error(metrics.error_grid(plr, oracle_of(workspace, target), workspace), workspace)
     draw.save(ax, output)
     typer.echo(f"wrote {output}")
 

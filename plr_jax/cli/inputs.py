@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 from plr_jax.cli.app import numbers_of, reason_of, warn
 
 if TYPE_CHECKING:
+    from plr_jax import NearestGoal, VisibilityGraph
     from plr_jax.geometry.workspace import Workspace
 
 SCENES = ("maze", "thin_maze", "floor_plan")
@@ -40,12 +41,13 @@ FileArgument = Annotated[
     Path, typer.Argument(metavar="FILE", help="A file of a PLR or of pairs.", show_default=False)
 ]
 GoalOption = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         "--goal",
         "-g",
         metavar="X,Y",
-        help="The goal. Scenes of one robot and files of PLRs have a default goal.",
+        help="The goal; given several times, the nearest of several goals, such as exits. Scenes of one robot and "
+        "files of PLRs have a default goal.",
         show_default=False,
     ),
 ]
@@ -88,12 +90,23 @@ RadiusOption = Annotated[
 ]
 
 
-def parse_goal(text: str) -> Float[np.ndarray, "2"]:
-    """Parse a goal ``X,Y``; ``ValueError`` if it is not two finite numbers."""
-    goal = np.array(numbers_of(text))
-    if goal.shape != (2,) or not np.isfinite(goal).all():
+def parse_goals(text: str) -> Float[np.ndarray, "goals 2"]:
+    """Parse goals ``X,Y;X,Y``; ``ValueError`` if a goal is not two finite numbers."""
+    goals = [numbers_of(goal) for goal in text.split(";")]
+    if {*map(len, goals)} != {2} or not np.isfinite(goals).all():
         raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {text!r}.")
-    return goal
+    return np.array(goals)
+
+
+def joined_goals(goals: list[str] | None) -> str | None:
+    return ";".join(goals) if goals else None
+
+
+def oracle_of(workspace: "Workspace", goals: Float[np.ndarray, "goals 2"]) -> "VisibilityGraph | NearestGoal":
+    from plr_jax import NearestGoal, VisibilityGraph
+
+    first: Any = VisibilityGraph(workspace, goals[0])
+    return first if len(goals) == 1 else NearestGoal([first, *map(first.with_goal, goals[1:])])
 
 
 def option_of(key: str) -> str:
@@ -128,7 +141,7 @@ class NamedMap:
             given = {key.replace("-", "_"): value for key, value in pairs}
             named = cls(name, **{key: _OPTION_TYPES.get(key, str)(value) for key, value in given.items()})  # type: ignore[reportArgumentType]
             if named.goal is not None:
-                parse_goal(named.goal)
+                parse_goals(named.goal)
         except (ValueError, TypeError, IndexError):
             named = None
         if named is None or (named.name not in SCENES and not Path(named.name).suffix):
@@ -147,8 +160,8 @@ class NamedMap:
             return None
         return free_pixels(Path(self.name), *([] if self.threshold is None else [self.threshold]))
 
-    def read(self) -> tuple["Workspace", Float[np.ndarray, "2"] | None]:
-        """Return the workspace, inflated by the radius, and the goal, or None if there is none.
+    def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
+        """Return the workspace, inflated by the radius, and the goals, or None if there is none.
 
         An unknown map, or an option that its reader does not have, raises ``ValueError``.
         """
@@ -159,7 +172,7 @@ class NamedMap:
                 f"MAP must be a map in the plane, got the volume {self.name}: in Python use solve_eikonal with "
                 "VoxelSpace(scenes.read_volume(...))."
             )
-        goal = None if self.goal is None else parse_goal(self.goal)
+        goals = None if self.goal is None else parse_goals(self.goal)
         reading = {key: value for key, value in self.given_options().items() if key not in ("goal", "radius")}
         if self.name not in SCENES and not Path(self.name).suffix:
             raise ValueError(f"MAP must be a scene ({', '.join(SCENES)}) or a file of a map, got {self.name!r}.")
@@ -169,13 +182,13 @@ class NamedMap:
                 raise ValueError(f"{self.name} is a scene, which has no options of a reader: leave out {options}.")
             problem = getattr(scenes, self.name)() if self.name in SCENES else scenes.load(self.name)
             workspace = problem.workspace
-            if goal is None and len(problem.robots) == 1:
-                goal = problem.goals[0, :2]
+            if goals is None and len(problem.robots) == 1:
+                goals = problem.goals[:, :2]
         else:
-            workspace = self._read_file(reading, goal)
-        return (workspace if self.radius is None else workspace.inflate(self.radius)), goal
+            workspace = self._read_file(reading, goals)
+        return (workspace if self.radius is None else workspace.inflate(self.radius)), goals
 
-    def _read_file(self, reading: dict[str, Any], goal: Float[np.ndarray, "2"] | None) -> "Workspace":
+    def _read_file(self, reading: dict[str, Any], goals: Float[np.ndarray, "goals 2"] | None) -> "Workspace":
         from plr_jax.scenes import read_geojson
         from plr_jax.scenes._workspaces import options_of, reader_of
 
@@ -187,9 +200,9 @@ class NamedMap:
                 f"{self.name}: expected options of this kind of map ({others or 'none'}), got {unknown}."
             )
         workspace = reader(Path(self.name), **reading)
-        if reader is read_geojson and goal is not None and not workspace.bounds.contains(goal[None])[0]:
+        if reader is read_geojson and goals is not None and not workspace.bounds.contains(goals).all():
             raise ValueError(
-                f"The goal must be within the bounds {workspace.bounds} of {self.name}, got {goal.tolist()}: give "
+                f"The goal must be within the bounds {workspace.bounds} of {self.name}, got {self.goal}: give "
                 'the file a "bbox" that contains it. Without one, the bounds are the bounding box of its polygons.'
             )
         return workspace
@@ -197,8 +210,8 @@ class NamedMap:
 
 def read_map_of_file(
     file: Path, content: Any, map_text: str | None, goal: str | None, *, is_needed: bool
-) -> tuple["Workspace | None", Float[np.ndarray, "2"] | None]:
-    """Return the workspace and the goal of a file; each is None if neither the user nor the file's label names it.
+) -> tuple["Workspace | None", Float[np.ndarray, "goals 2"] | None]:
+    """Return the workspace and the goals of a file; each is None if neither the user nor the file's label names it.
 
     The user's ``map_text`` (MAP and options) and ``goal`` override the label of ``content``, the PLR or pairs. A map
     is also looked for beside ``file``. If a map is not needed and cannot be read, a warning is shown.
@@ -223,7 +236,7 @@ def read_map_of_file(
         return None, None
     named = replace(named, goal=goal or named.goal)
     try:
-        workspace, target = named.read()
+        workspace, targets = named.read()
     except (OSError, ValueError) as error:
         if map_text is not None:
             raise
@@ -232,7 +245,7 @@ def read_map_of_file(
         if is_needed:
             raise ValueError(f"{missing}.") from error
         warn(f"{missing}; drawn without its obstacles.")
-        return None, None if named.goal is None else parse_goal(named.goal)
+        return None, None if named.goal is None else parse_goals(named.goal)
     ours, theirs = workspace.bounds, content.domain
     if ours.dim != theirs.dim or not np.allclose(
         [ours.lo, ours.hi], [theirs.lo, theirs.hi], rtol=0, atol=_SAME_BOX * ours.width.max()
@@ -241,7 +254,7 @@ def read_map_of_file(
             f"the map covers {ours}, but {file} covers {theirs}: it may be another map, or this map read with "
             "other options, such as --resolution."
         )
-    return workspace, target
+    return workspace, targets
 
 
 def require_writable(

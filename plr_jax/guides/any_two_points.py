@@ -84,7 +84,7 @@ nearest = stack(np.arange(8)[:, None], x).min(axis=0)  # (n,); this also works i
 docks = plr_jax.NearestGoal(oracles)
 print(docks(x[:3]), docks.which(x[:3]))  # distances, and which goal is nearest
 one = plr_jax.construct(docks, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
-print(one(x[:3]), one.which(x[:3]), one.bounds(x[:3]))  # all from one file, but which: that the object knows
+print(one(x[:3]), one.which(x[:3]), one.bounds(x[:3]))  # all from one file
 ```
 
 A stack is fastest if all its PLRs have one leaf model. `NearestGoal` runs on the host. A PLR of it can have cones,

@@ -8,6 +8,8 @@ plr-jax build maze --max-bytes 8192 --output maze.plr
 plr-jax info maze.plr
 echo "0.93,0.95" | plr-jax query maze.plr -
 echo "0.93,0.95" | plr-jax query maze.plr - --bounds
+plr-jax build maze --goal 0.06,0.07 --goal 0.9,0.1 --leaf cone --output exits.plr
+echo "0.93,0.95" | plr-jax query exits.plr - --which
 plr-jax plot maze.plr --output maze.png
 plr-jax view maze.plr --output maze.html
 plr-jax export maze.plr --c --output maze.h
@@ -19,11 +21,13 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
 
 - `build MAP` computes the exact distance to a goal and compresses it. `MAP` is one of the scenes `maze`, `thin_maze`
   and `floor_plan`, or a file: a picture, YAML of `map_server`, GeoJSON, WKT, a Moving AI grid, polygons or a scene in
-  JSON. A file needs `--goal X,Y`. The output has proven bounds. `--leaf best`, the default, chooses a leaf model.
-  `--max-bytes` limits the file; for a small largest error, give `--tolerance` instead.
+  JSON. A file needs `--goal X,Y`; several of them give the distance to the nearest, for example to exits. The output
+  has proven bounds; `--leaf-bounds` proves tighter ones for each leaf. `--leaf best`, the default, chooses a leaf
+  model. `--max-bytes` limits the file; for a small largest error, give `--tolerance` instead.
 - `info FILE` prints what is in a file: size, leaves, domain, proven error.
 - `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` is standard input. A point outside the
-  domain gets `inf`. `--bounds` adds proven bounds, `--gradient` the gradient. For pairs, lines are `x,y,x,y`.
+  domain gets `inf`. `--bounds` adds proven bounds, `--gradient` the gradient, and `--which` the index of the nearest
+  goal, if leaves are cones of several goals. For pairs, lines are `x,y,x,y`.
 - `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network. Options that the map was
   read with are part of its text: `--map "scan.png --resolution=0.05"` of `plot`, or the argument MAP of `view`.
 - `export FILE` writes C99 (`--c`) or JavaScript (`--js`): see `plr_jax.guides.c_and_javascript`.

@@ -25,7 +25,7 @@ print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, a
   estimate.
 - `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where
   no path through proven free cells was found, mostly beside obstacles: with more leaves, there are fewer such points.
-- Give a row for each of several goals. Files do not store `which`, and it cannot be called under `jit`.
+- Give a row for each of several goals. `which` is no part of files of such leaves, and cannot be called under `jit`.
 - Limits are `max_bytes`, `max_leaves` and, for certified PLRs, `tolerance`.
 
 # Costs

@@ -93,6 +93,19 @@ assert (again(x) == plr_jax.evaluate(plr, x)).all()
 plr_jax.plot.plot_contours(plr, workspace=workspace, goal=(9, 1))
 ```
 
+# Several exits
+
+`plr_jax.NearestGoal` is the distance to the nearest of several goals; `which(x)` is the index of that goal. Cones of
+`VisibilityGraph`s of one workspace can be certified, and their file stores the index, which other files do not. A
+wide door is a row of goals. Routes: `plr_jax.guides.follow_the_field`; a PLR per goal:
+`plr_jax.guides.any_two_points`.
+
+```python
+exits = plr_jax.NearestGoal([oracle, oracle.with_goal((1, 5))])
+plr_jax.save(plr_jax.construct(exits, workspace.bounds, leaf="cone", max_bytes=1024), "exits.plr")
+print(plr_jax.load("exits.plr").which(x[:3]), exits.which(x[:3]), exits.shortest_path(x[0]))
+```
+
 # Your own rules
 
 `plr_jax.BuildOptions` replaces the rules of the paper's Algorithm 1. A rule is a function of a `plr_jax.CellFit`, the

@@ -57,6 +57,37 @@ print((tested.status == plr_jax.TraceStatus.CROSSES_WALL).mean(), tested.arrived
 print(cones.waypoint(starts[:3]))  # also inside jit
 ```
 
+# Routes of many agents to several exits
+
+`trace` is fast, but some of its routes may cut a wall. Take `descend` for these. Both lead to the nearest exit.
+
+```python
+exits = np.array([goal, (0.9, 0.1)])
+nearest = plr_jax.NearestGoal([oracle, oracle.with_goal(exits[1])])
+cones = plr_jax.construct(nearest, workspace.bounds, leaf="cone", max_bytes=1024)
+traces = plr_jax.trace(cones, starts, workspace)
+routes = [path[:count] for path, count in zip(traces.paths, traces.counts, strict=True)]
+rest = np.flatnonzero(~traces.arrived)
+for i, path in zip(rest, plr_jax.descend(cones, workspace, starts[rest], exits).paths, strict=True):
+    routes[i] = path
+```
+
+A workspace rounds vertices to a fine grid, and a file of cones rounds points by up to 1e-8 of the map's width. To
+check routes with your own Shapely polygon, allow for this. Plots are on axes of Matplotlib, which also draw routes.
+
+```python
+import shapely
+
+area = shapely.box(0, 0, 1, 1) - shapely.union_all(workspace.obstacles)  # or your own polygon
+assert all(area.buffer(1e-6).covers(shapely.LineString(route)) for route in routes)
+ax = plr_jax.plot.plot_workspace(workspace, unit="m")
+ax.plot(*routes[0].T)
+```
+
+Agents with a radius follow a field of the inset area, `area.buffer(-radius, join_style="mitre")`. Other agents may
+push them nearer to a wall, so test their routes in the full area: see `notebooks/6_pedestrians.ipynb`, with JuPedSim,
+which refuses targets on walls.
+
 # Gradient
 
 The gradient of a PLR points away from the goal. It has length 1 in leaves that are cones, and about 1 in other

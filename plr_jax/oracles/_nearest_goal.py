@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_points, as_values, set_fields, shortened
+from plr_jax._arrays import as_point, as_points, as_values, set_fields, shortened
 from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn, Distances
 from plr_jax.oracles._visibility_graph import NearestSources, VisibilityGraph
 
@@ -17,8 +18,8 @@ class NearestGoal:
 
     It is a distance function like others, for example for ``construct`` or for planners. Its PLR needs only a few
     more bytes per additional goal. If all functions are ``VisibilityGraph``s of one workspace, the PLR may have
-    leaves that are cones, can be certified, and answers ``which`` too. A wide exit, such as a door, is several goals:
-    points along it, no farther apart than twice the error that you accept.
+    leaves that are cones, can be certified, and answers ``which`` too; with cones, also from its file. A wide exit,
+    such as a door, is several goals: points along it, no farther apart than twice the error that you accept.
 
     Args:
         distance_fns: One distance function per goal, all of the same dimension. To share preprocessing, use
@@ -62,6 +63,11 @@ class NearestGoal:
         """
         distances = self._distances(x)
         return np.where(np.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
+
+    def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
+        """Return the shortest path from a point ``(dim,)`` to the nearest goal, by that goal's ``shortest_path``."""
+        nearest: Any = self.distance_fns[self.which(as_point("The start", x, self.dim)[None])[0]]
+        return nearest.shortest_path(x)
 
     def _distances(self, x: ArrayLike) -> Float[np.ndarray, "goals n"]:
         x = as_points("x", x, self.dim)

@@ -355,7 +355,9 @@ class NearestSources:
         vertices = corners.corners.with_goal(*(table.points[0] for table in tables))
         turns = find_turn_points(vertices, distances, parents, count)
         table, triangulation = joined_tables([*tables, corners.table]), first.workspace.triangulation
-        sight = goal_sight(_sources(graph, distances, parents), turns, table, triangulation, count)
+        _, first_equal, place = np.unique(points[:count], axis=0, return_index=True, return_inverse=True)
+        sources = replace(_sources(graph, distances, parents), goals=first_equal[place])
+        sight = goal_sight(sources, turns, table, triangulation, count)
         return sight, lists_of_goal(_turn_regions(first, turns, count), count)
 
     def cell_sources(self, domain: Box) -> CellSources:

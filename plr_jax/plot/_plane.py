@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from plr_jax._arrays import as_finite_point, as_numbers
+from plr_jax._arrays import as_finite_point, as_numbers, as_points
 from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
 from plr_jax.geometry.boundary import triangulate
 from plr_jax.geometry.box import Box, Slice
@@ -108,9 +108,13 @@ OBSTACLE = "#ececec"
 _ERROR_COLORS, _ERROR_RANGE = "inferno", 1e-3  # smallest error of the color scale, as a share of the largest
 
 
-def plot_workspace(workspace: Workspace, ax: Axes | None = None) -> Axes:
-    """Draw the obstacles and bounds of a workspace, on new axes by default."""
+def plot_workspace(workspace: Workspace, ax: Axes | None = None, *, unit: str = WORKSPACE_UNITS) -> Axes:
+    """Draw the obstacles and bounds of a workspace, on new axes by default, with the unit of length on the axes.
+
+    The axes are Matplotlib's: ``ax.plot(*path.T)`` draws a path of points ``(m, 2)``.
+    """
     ax = prepare_axes(ax, Slice.of(workspace.bounds, None), room_for_colorbar=False)
+    ax.set(xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     _add_obstacles(workspace, ax)
     return ax
 
@@ -147,7 +151,7 @@ def plot_contours(
         workspace: Its obstacles are drawn on top; without it, meaningless values inside obstacles show. With a
             ``goal``, free regions that are disconnected from the goal are gray too.
         space: Alternatively, a configuration space: points that are not free are gray.
-        goal: A configuration, ``(dim,)``, marked with a star.
+        goal: A configuration, ``(dim,)``, or several, ``(k, dim)``, marked with a star.
         at: For functions of more than two dimensions, the slice: coordinates of all axes except the two that are
             drawn, such as ``{2: 0.5}``. Angles are in radians.
         label: The quantity, such as "time to the goal".
@@ -166,7 +170,8 @@ def plot_contours(
     # Values inside obstacles are drawn and covered, so that colors reach the walls, but do not affect the scale.
     free, cut_off = free_points(points, shown, workspace, space), []
     if goal is not None:
-        goal = plr.domain.wrapped(as_finite_point("goal", goal, plr.domain.dim))[list(shown.axes)]
+        goals = goal if np.ndim(goal) == 2 else as_finite_point("goal", goal, plr.domain.dim)[None]
+        goal = plr.domain.wrapped(as_points("goal", goals, plr.domain.dim))[:, list(shown.axes)]
     if goal is not None and workspace is not None:
         reached, cut_off = _split_by_reachability(workspace, goal)
         if cut_off:
@@ -181,7 +186,7 @@ def plot_contours(
         for polygon in cut_off:
             ax.add_patch(PathPatch(_outline(polygon), facecolor=OBSTACLE, linewidth=0, zorder=3))
     if goal is not None:
-        mark_goal(ax, goal)
+        mark_goals(ax, goal)
     add_colorbar(ax, image, f"{label} ({unit})")
     return ax
 
@@ -210,8 +215,8 @@ def draw_values(
     return image
 
 
-def mark_goal(ax: Axes, goal: Float[np.ndarray, "2"]) -> None:
-    ax.plot(*goal, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
+def mark_goals(ax: Axes, goals: Float[np.ndarray, "goals 2"]) -> None:
+    ax.plot(*goals.T, "*", ms=11, mfc="white", mec=INK, mew=0.8, zorder=5, clip_on=False)
 
 
 def plot_cells(
@@ -303,11 +308,11 @@ def free_points(
 
 
 def _split_by_reachability(
-    workspace: Workspace, goal: Float[np.ndarray, "2"]
+    workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into parts connected to the goal and other parts; all are connected if the goal is in none."""
+    """Split free space into parts connected to a goal and other parts; all are connected if no goal is in one."""
     parts = shapely.get_parts(workspace.free_space)
-    reached, num = shapely.distance(parts, shapely.Point(goal)) <= workspace.tolerance, 0
+    reached, num = shapely.distance(parts, shapely.MultiPoint(goals)) <= workspace.tolerance, 0
     while workspace.squeeze and num < (num := np.count_nonzero(reached)):  # add parts that touch
         reached = shapely.distance(parts, shapely.MultiPolygon(list(parts[reached]))) <= workspace.tolerance
     return (list(parts[reached]), list(parts[~reached])) if reached.any() else (list(parts), [])

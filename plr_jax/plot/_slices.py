@@ -20,7 +20,7 @@ from plr_jax.plot._axes import (
     prepare_axes,
     style_colorbar,
 )
-from plr_jax.plot._plane import draw_values, free_points, mark_goal, require_drawable
+from plr_jax.plot._plane import draw_values, free_points, mark_goals, require_drawable
 from plr_jax.spaces import FreeTest
 
 _MOST_SLICES = 64
@@ -111,7 +111,7 @@ def slices(
         unit_of_axis = " rad" if is_angle(domain, axis) else ""
         ax.set_title(f"{title} = {place:.3g}{unit_of_axis}", fontsize=FONT_SIZE, color=INK, pad=4)
         if goal is not None and place == goal[axis]:
-            mark_goal(ax, goal[[horizontal, vertical]])
+            mark_goals(ax, goal[None, [horizontal, vertical]])
     figure.supxlabel(axis_label(domain, horizontal), fontsize=FONT_SIZE, color=INK)
     figure.supylabel(axis_label(domain, vertical), fontsize=FONT_SIZE, color=INK)
     style_colorbar(figure.colorbar(image, ax=panels, shrink=0.9, aspect=30), f"{label} ({unit})")

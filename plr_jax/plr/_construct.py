@@ -200,7 +200,7 @@ def construct(
         Section III-B of the paper. ``"smooth"``: Bogner, Fox, Schmit 1965. Partition of cones: Donoho, "CART and
         best-ortho-basis: a connection", Annals of Statistics 1997.
     """
-    from plr_jax.plr._plr import goal_of_leaves, plr_of_leaves  # imports JAX
+    from plr_jax.plr._plr import plr_of_leaves  # imports JAX
 
     domain, proof = Box.of(domain), proof_of(certified)
     require_function("distance_fn", distance_fn)
@@ -225,10 +225,9 @@ def construct(
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
         return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
     plr = plr_of_leaves(contents)
-    if not isinstance(distance_fn, NearestFn):
-        return plr
-    is_cone = isinstance(contents.leaf, Cone)
-    return plr.with_nearest_goal(goal_of_leaves(plr, distance_fn.goals) if is_cone else distance_fn.which)
+    if isinstance(distance_fn, NearestFn) and not isinstance(contents.leaf, Cone):  # files of cones name goals
+        return plr.with_nearest_goal(distance_fn.which)
+    return plr
 
 
 def _build_leaves(

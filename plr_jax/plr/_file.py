@@ -1,6 +1,6 @@
 """Encode PLRs as files and decode them (layout: ``portable/FORMAT.md``), and prepare the leaf data for queries."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from plr_jax.plr.container import Container, Layer
 from plr_jax.plr.faces import neighbor_of_largest_contact
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.frame import FRACTION_BITS, LARGEST, Corner, table_corners
-from plr_jax.plr.leaves import Cone, code_of_leaf, leaf_of_code
+from plr_jax.plr.leaves import Cone, code_of_leaf, leaf_of_code, read_goals, write_goals
 from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel
 from plr_jax.plr.tree import Cells, Tree
 
@@ -37,8 +37,11 @@ def encode(contents: DecodedFile) -> bytes:
         contents.certificate.write(body)
         proof = contents.certificate.proof
     domain = contents.domain if contents.folding is None else contents.folding.domain
+    goals = contents.stored.sources.goals if isinstance(contents.leaf, Cone) else None
+    if goals is not None:
+        write_goals(body, goals)
     layer = Layer(code_of_leaf(contents.leaf), body.to_bytes(), int(proof))
-    return Container(domain, (layer,), contents.folding).to_bytes()
+    return Container(domain, (layer,), contents.folding, names_goals=goals is not None).to_bytes()
 
 
 def body_of_leaves(contents: DecodedFile) -> BitWriter:
@@ -67,6 +70,11 @@ def decode(data: bytes) -> DecodedFile:
             f"its proof must be of kind 0 to {max(Proof)}, but is of kind {layer.proof_code}; update plr_jax"
         )
     certificate = read_certificate(body, Proof(layer.proof_code), len(cells), dim)
+    if container.names_goals:
+        if not isinstance(leaf, Cone):
+            raise ValueError("it names goals, but its leaves have no sources")
+        goals = read_goals(body, int(np.count_nonzero(stored.sources.is_root)))
+        stored = replace(stored, sources=replace(stored.sources, goals=goals))
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
     return DecodedFile(container.folded_domain, leaf, tree, stored, certificate, container.folding)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -27,7 +27,7 @@ from plr_jax.plr._proof import BuildInputs, require_updatable, updated_contents
 from plr_jax.plr.certificate import Certificate
 from plr_jax.plr.container import Container, FileBacked, padded_file
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
-from plr_jax.plr.leaves import as_sourced
+from plr_jax.plr.leaves import as_sourced, goal_of_leaves
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.query import (
@@ -68,7 +68,7 @@ class PLR(FileBacked):
         """Wrap a valid PLR file, padded by :func:`padded_file`.
 
         Only :meth:`updated` uses ``build_inputs``. Only :meth:`which` uses ``nearest_goal``, a function from points
-        ``(n, dim)`` to indices of goals ``(n,)``.
+        ``(n, dim)`` to indices of goals ``(n,)``, instead of the goals that cones store.
         """
         self.file = file
         self.build_inputs = build_inputs
@@ -122,7 +122,11 @@ class PLR(FileBacked):
         return self if labeled is self else self._copied(labeled.file, self.nearest_goal)
 
     def with_nearest_goal(self, nearest_goal: Callable[[np.ndarray], np.ndarray]) -> "PLR":
-        """Return this PLR of the distance to several goals, with the function that :meth:`which` calls."""
+        """Return this PLR of the distance to several goals, with the function that :meth:`which` calls.
+
+        The function takes points ``(n, dim)`` and returns indices ``(n,)``, as ``oracle.which`` of a
+        :class:`NearestGoal` does. Files do not keep it.
+        """
         return self._copied(self.file, nearest_goal)
 
     def _copied(self, file: Any, nearest_goal: Callable[[np.ndarray], np.ndarray] | None) -> "PLR":
@@ -246,25 +250,27 @@ class PLR(FileBacked):
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
         """Return the index of the goal that is nearest to each point ``(n, dim)``; -1 where the PLR is not finite.
 
-        Only for a PLR of several goals as :func:`solve_eikonal` returned it, or :func:`construct` of a
-        :class:`NearestGoal` of ``VisibilityGraph``s. Files do not store which goal is nearest, and a PLR that a
-        jitted function takes or returns does not know it. Like the distance, the index is an estimate: where two
-        goals are about equally near, it may be wrong. All points of a cone's leaf have one answer. If the same goal
-        was given twice, the answer is the first index.
+        Cones of a :class:`NearestGoal` of ``VisibilityGraph``s store it in their file, and all points of a leaf have
+        one answer. Other PLRs of several goals know it only as :func:`solve_eikonal` or :func:`construct` returned
+        them, not after :func:`load` or in a jitted function; see :meth:`with_nearest_goal`. Like the distance, the
+        index is an estimate: where two goals are about equally near, it may be wrong. If the same goal was given
+        twice, the answer is the first index. Call it outside of ``jit``.
 
         Raises:
             ValueError: If the PLR does not know its goals, or points have another shape.
         """
-        if self.nearest_goal is None:
-            raise ValueError(
-                "Only a PLR that solve_eikonal returned for goals (k, dim), or construct for a NearestGoal of "
-                "VisibilityGraphs, knows which goal is nearest. Files do not store it: call which on the PLR itself."
-            )
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
         goal = np.full(len(x), -1)
-        goal[is_finite] = self.nearest_goal(x[is_finite])
+        goal[is_finite] = (self.nearest_goal or self._stored_goal)(x[is_finite])
         return goal
+
+    def _stored_goal(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
+        return self._goal_of_leaf[leaf_of(self, x)]
+
+    @cached_property
+    def _goal_of_leaf(self) -> Int[np.ndarray, "leaves"]:
+        return goal_of_leaves(self.leaf, self.stored)
 
     def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
         """Return the PLR of a locally changed map, much faster than a new construction.
@@ -562,16 +568,3 @@ def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
     tables, placed = plr._tables_and_points(np.asarray(x, np.float64))
     return np.asarray(plr._answer(find_leaves, (tables,), placed)).astype(np.int64)
-
-
-def goal_of_leaves(plr: PLR, goals: Float[np.ndarray, "goals dim"]) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function for :meth:`PLR.with_nearest_goal`: the goal to which the cone leaf of each point leads."""
-    sources, root = as_sourced(plr.leaf).sources(plr.stored)
-    while (sources.parents[root] != root).any():
-        root = sources.parents[root]
-    away = np.linalg.norm(sources.points[:, None] - goals, axis=2)
-    return partial(_in_leaf, plr, away.argmin(axis=1)[root])
-
-
-def _in_leaf(plr: PLR, of_leaf: Int[np.ndarray, "leaves"], x: np.ndarray) -> Int[np.ndarray, "n"]:
-    return of_leaf[leaf_of(plr, x)]  # a function of its own, since lambdas cannot be pickled

@@ -21,7 +21,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import ByteReader, signed_varint, varint
 from plr_jax.plr.folding import Folding
 
-VERSION = 5
+VERSION, _NAMING_GOALS = 5, 6  # of most files, and of files that name goals, for which release 0.2 asks for an update
 PAIRS_CODE = 7  # in place of a leaf model's code, in files of distances between pairs of points
 MOST_LABEL_BYTES = 1000
 MOST_BYTES = 2**28  # largest size of a file
@@ -51,6 +51,7 @@ class Header:
     Attributes:
         leaf_code, proof_code: Codes of leaf model and kind of proof in the last layer.
         sizes: Size in bytes of each layer but the last.
+        names_goals: Whether the layer, of cones, names the goal to which each root leads.
     """
 
     domain: Box
@@ -59,6 +60,7 @@ class Header:
     folding: Folding | None = None
     label: str = ""
     sizes: tuple[int, ...] = ()
+    names_goals: bool = False
 
     @cached_property
     def data(self) -> bytes:
@@ -67,7 +69,8 @@ class Header:
             raise ValueError(f"A domain must have at most {MOST_AXES} axes, got {dim}.")
         fits, label = dim <= _MOST_IN_BITS, self.label.encode()
         flags = _FOLDED * (self.folding is not None) | _EXTENDED * bool(label or self.sizes) | _FLOATS * is_floats
-        parts = [MAGIC, bytes([VERSION | (dim * fits) << 4, self.leaf_code | self.proof_code << 3 | flags])]
+        version = _NAMING_GOALS if self.names_goals else VERSION
+        parts = [MAGIC, bytes([version | (dim * fits) << 4, self.leaf_code | self.proof_code << 3 | flags])]
         parts += [b"" if fits else varint(dim), domain]
         if self.folding is not None:
             parts.append(folding_to_bytes(self.folding))
@@ -89,9 +92,12 @@ class Header:
             raise ValueError("it does not start like a PLR file")
         reader.take(len(MAGIC))
         first, second = reader.take(2)
-        if (version := first & 15) != VERSION:
+        if (version := first & 15) not in (VERSION, _NAMING_GOALS):
             remedy = "update plr_jax" if version > VERSION else "build it again"
-            raise ValueError(f"it has format version {version}, this release reads version {VERSION}; {remedy}")
+            known = f"versions {VERSION} and {_NAMING_GOALS}"
+            raise ValueError(f"it has format version {version}, this release reads {known}; {remedy}")
+        if (names_goals := version == _NAMING_GOALS) and second & 7 == PAIRS_CODE:
+            raise ValueError("it names goals of distances between any two points")
         if not 1 <= (dim := first >> 4 or reader.varint()) <= MOST_AXES:
             raise ValueError(f"it must have 1 to {MOST_AXES} axes, but states {dim}")
         domain = read_domain(reader, dim, bool(second & _FLOATS))
@@ -111,7 +117,7 @@ class Header:
                     "it is a progressive file of several PLRs, which only plr_jax 0.1 reads; build it again"
                 )
             sizes = tuple(reader.varint() for _ in range(count))
-        header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes)
+        header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes, names_goals)
         if header.data != data[: reader.at]:
             raise ValueError("its header is not in canonical form")
         return header
@@ -125,6 +131,7 @@ class Container:
     layers: tuple[Layer, ...]
     folding: Folding | None = None
     label: str = ""
+    names_goals: bool = False
 
     @property
     def last(self) -> Layer:
@@ -139,7 +146,10 @@ class Container:
         *first, last = self.layers
         parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in first), last.body]
         sizes = tuple(len(part) + _CRC.size for part in parts[:-1])
-        data = Header(self.domain, last.leaf_code, last.proof_code, self.folding, self.label, sizes).data
+        header = Header(
+            self.domain, last.leaf_code, last.proof_code, self.folding, self.label, sizes, self.names_goals
+        )
+        data = header.data
         crc = zlib.crc32(data)
         for part in parts:
             crc = zlib.crc32(part, crc)
@@ -165,7 +175,7 @@ class Container:
             codes = (header.leaf_code, header.proof_code) if is_last else (part[0] & 15, part[0] >> 4)
             layers.append(Layer(codes[0], part if is_last else part[1:], codes[1]))
             start = end
-        return Container(header.domain, tuple(layers), header.folding, header.label)
+        return Container(header.domain, tuple(layers), header.folding, header.label, header.names_goals)
 
 
 def require_label(label: str) -> None:

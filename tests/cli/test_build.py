@@ -71,6 +71,19 @@ def test_build_is_construct(path, tmp_path, monkeypatch):
     assert load("maze.plr").max_error == min(plr.max_error for plr in built.values())
 
 
+def test_several_goals_make_a_file_that_names_the_nearest(tmp_path):
+    path, goals = tmp_path / "exits.plr", ["--goal", "0.06,0.07", "-g", "0.9,0.1"]
+    said = done("build", "maze", *goals, "-o", path, "--leaf", "cone", "--max-bytes", 600)
+    assert "proven" in said and load(path).label == "maze '--goal=0.06,0.07;0.9,0.1'"
+    answers = done("query", path, "--bounds", "--which", input="0.9,0.1\n0.07,0.07\n2,2\n").split()
+    assert [answer.split(",")[3] for answer in answers] == ["1", "0", "-1"]
+    for kind in ("distance", "error"):
+        done("plot", path, "--kind", kind, "-o", tmp_path / "a.png")
+    one = tmp_path / "one.plr"
+    done("build", "maze", "-o", one, "--leaf", "cone", "--max-bytes", 300)
+    assert "does not store which goal is nearest" in mistake("query", one, "--which", input="0.1,0.1\n")
+
+
 def test_a_goal_beyond_the_polygons_of_geojson_is_told_of_the_bbox(path, tmp_path):
     yard, ring = tmp_path / "yard.geojson", [[2, 2], [4, 2], [4, 3], [2, 2]]
     document = {"type": "Polygon", "coordinates": [ring]}

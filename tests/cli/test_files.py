@@ -127,7 +127,11 @@ def test_pairs_are_answered_drawn_and_exported(pairs, tmp_path):
         (["export", grid, "--compact", "-o", tmp_path / "a.h"], "leave out --compact"),
         (["plot", grid, "-o", tmp_path / "a.png"], "any two points: give one of them with --goal"),
         (["plot", grid, "--goal", "0,0", "--kind", "cells", "-o", tmp_path / "a.png"], "--kind must be distance"),
-        (["query", points, "--gradient"], "--gradient needs a file of a PLR"),
+        (["query", points, "--gradient"], "--gradient and --which need a file of a PLR"),
+        (
+            ["plot", points, "--goal", "0,0", "--goal", "1,1", "-o", tmp_path / "a.png"],
+            "give one of them with --goal",
+        ),
     ):
         assert message in mistake(*arguments, input="")
     assert "holds      GridPairs\n" in done("info", grid)

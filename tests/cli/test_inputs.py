@@ -7,14 +7,16 @@ from PIL import Image
 
 from plr_jax import scenes
 from plr_jax.cli.app import numbers_of
-from plr_jax.cli.inputs import NamedMap, parse_goal
+from plr_jax.cli.inputs import NamedMap, parse_goals
 
 
-@pytest.mark.parametrize("text", ["", "1", "1,2,3", "1,x", "nan,1", "inf,1", "1_0,2", "1,2_000", "1e400,1"])
+@pytest.mark.parametrize(
+    "text", ["", "1", "1,2,3", "1,x", "nan,1", "inf,1", "1_0,2", "1,2_000", "1e400,1", "1,2;", "1;2"]
+)
 def test_a_goal_is_two_finite_numbers(text):
     with pytest.raises(ValueError, match="--goal must be two numbers"):
-        parse_goal(text)
-    np.testing.assert_array_equal(parse_goal("1, -2.5e1"), [1, -25])
+        parse_goals(text)
+    np.testing.assert_array_equal(parse_goals("1, -2.5e1;0,3"), [(1, -25), (0, 3)])
 
 
 @pytest.mark.parametrize(
@@ -51,7 +53,7 @@ def test_a_map_is_a_scene_or_a_file_by_its_ending(name, area, goal, maps, monkey
     workspace, found = NamedMap(name).read()
     assert workspace.free_space.area == pytest.approx(area)
     assert found is None if goal is None else (found == goal).all()
-    assert NamedMap(name, "0.9,0.1").read()[1].tolist() == [0.9, 0.1]
+    assert NamedMap(name, "0.9,0.1;0,0").read()[1].tolist() == [[0.9, 0.1], [0, 0]]
 
 
 @pytest.mark.parametrize(
@@ -59,7 +61,7 @@ def test_a_map_is_a_scene_or_a_file_by_its_ending(name, area, goal, maps, monkey
     [
         NamedMap("maze"),
         NamedMap("a scan.png", "-1.5,2e3", resolution=0.05, threshold=0.25, drop_specks=4),
-        NamedMap("it's.geojson", "0,0", polygons="free"),
+        NamedMap("it's.geojson", "0,0;-1,2.5", polygons="free"),
     ],
 )
 def test_a_map_is_named_again_by_its_text(named):
@@ -113,7 +115,7 @@ def test_options_are_refused_by_the_names_they_have_in_a_command(name, options, 
 
 def test_a_picture_is_read_as_the_options_say(pictures):
     workspace, goal = NamedMap(str(pictures / "a.png"), "1,2", resolution=0.5, drop_specks=1).read()
-    np.testing.assert_array_equal([workspace.bounds.hi, goal], [(3, 2), (1, 2)])
+    np.testing.assert_array_equal([workspace.bounds.hi, *goal], [(3, 2), (1, 2)])
     assert workspace.free_space.area == 6
 
 

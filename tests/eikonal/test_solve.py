@@ -127,7 +127,7 @@ def test_which_goal_is_nearest_is_not_in_files_nor_under_jit(tmp_path):
     loaded, through = load(tmp_path / "two.plr"), jax.jit(lambda each: each)(plr)
     np.testing.assert_array_equal(jax.jit(lambda each, x: each(x))(plr, EXITS), plr(EXITS))
     for other in (loaded, through, solve_eikonal(EMPTY, (0.1, 0.1), max_leaves=50)):
-        with pytest.raises(ValueError, match="Only a PLR that solve_eikonal returned for goals"):
+        with pytest.raises(ValueError, match="does not store which goal is nearest"):
             other.which([[0.8, 0.8]])
     with pytest.raises(ValueError, match="x must have"):
         plr.which([0.8, 0.8])

@@ -24,6 +24,8 @@ def test_the_nearest_dock_and_which_one():
     x = [(1, 0.9), (5, 0.5), (3.9, 3.5), (9, 1), (-1, 0), (np.nan, 1)]
     assert nearest.which(x).tolist() == [0, 1, 2, -1, -1, -1]
     assert np.isinf(nearest(x)).tolist() == [False] * 3 + [True] * 3
+    for point, which in zip(x, (0, 1, 2, 0, 0, 0), strict=True):
+        np.testing.assert_array_equal(nearest.shortest_path(point), FNS[which].shortest_path(point))
     assert NearestGoal([FIRST, FIRST]).which(x[:1]).tolist() == [0], "of equals the first"
 
 

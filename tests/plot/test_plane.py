@@ -106,10 +106,13 @@ def test_rooms_without_a_way_to_the_goal_are_gray_and_set_no_scale(squeeze, is_g
     assert not any(shape.contains(shapely.Point(0.4, 0.4)) for shape in shapes)
     every = plot.plot_contours(plr, workspace=workspace, resolution=50)
     assert len(every.patches) == 2, "the walls, of which two are one"
+    exits = plot.plot_contours(plr, workspace=workspace, goal=[(0.5, 0.5), (0.5, 1.6), (1.6, 0.5)], resolution=50)
+    assert len(exits.patches) == 2 and len(exits.lines[-1].get_xydata()) == 3
 
 
 def test_obstacles_cover_the_blocked_region_and_only_that():
-    ax = plot.plot_workspace(WORKSPACE)
+    ax = plot.plot_workspace(WORKSPACE, unit="m")
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("x (m)", "y (m)")
     patches = [patch for patch in ax.patches if isinstance(patch, PathPatch)]
     assert len(patches) == 2
     blocked = np.array([(1.0, 0.2), (0.45, 0.45)])

@@ -10,7 +10,19 @@ import networkx as nx
 import numpy as np
 from plr_helpers import chain, random_contents
 
-from plr_jax import PLR, Box, Dubins, Euclidean, ReedsShepp, VisibilityGraph, Workspace, construct, from_bytes, scenes
+from plr_jax import (
+    PLR,
+    Box,
+    Dubins,
+    Euclidean,
+    NearestGoal,
+    ReedsShepp,
+    VisibilityGraph,
+    Workspace,
+    construct,
+    from_bytes,
+    scenes,
+)
 from plr_jax.plr._file import encode
 
 TURNS = Box((-4, -4, -np.pi), (4, 4, np.pi), periodic=(False, False, True))
@@ -27,9 +39,11 @@ def _random(dim, leaf, seed=0, **options):
     return from_bytes(encode(random_contents(seed, dim, leaf, **options)))
 
 
-def _maze(leaf, max_bytes):
+def _maze(leaf, max_bytes, *other_goals):
     problem = scenes.maze()
     oracle = VisibilityGraph(problem.workspace, problem.goals[0])
+    if other_goals:
+        oracle = NearestGoal([oracle, *map(oracle.with_goal, other_goals)])
     return construct(oracle, problem.workspace.bounds, leaf=leaf, max_bytes=max_bytes, certified=True)
 
 
@@ -38,6 +52,7 @@ CASES = {
     "maze of values": lambda: _maze("continuous", 400),
     "maze of gradients": lambda: _maze("smooth", 300),
     "maze of cones": lambda: _maze("cone", 300),
+    "cones of exits": lambda: _maze("cone", 300, (0.1, 0.1), (0.9, 0.1)),
     "cones in space": lambda: _random(3, "cone", 7),
     "one leaf": lambda: construct(Euclidean((1, 2)), ((-3, -1), (2, 4)), leaf="plane", max_leaves=1),
     "one cell": lambda: construct(Euclidean((1, 2)), ((-3, -1), (2, 4)), leaf="continuous", max_leaves=1),

@@ -12,11 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from piece_helpers import TEN, WORKSPACES, box, points_of, random_pieces
 from plr_helpers import UNIT, leaf_by_search, points
+from portable_helpers import case
 
 from plr_jax import Box, NearestGoal, VisibilityGraph, Workspace, from_bytes, scenes
 from plr_jax.plr import construct
+from plr_jax.plr._file import body_of_leaves
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.coding import BitReader, BitWriter
+from plr_jax.plr.container import Layer
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.cone import family, search
 from plr_jax.plr.leaves.cone.codec import StoredCones, StoredSources, read_cones, store_sources, write_cones
@@ -146,15 +149,42 @@ def test_cones_of_several_goals_have_the_distance_and_index_of_the_nearest(kind)
     assert check_nearest(workspace, [first, *map(first.with_goal, goals[1:])], 4096) < 1e-3
 
 
-def test_which_goal_of_a_leaf_is_nearest_outlives_copies_but_no_file():
+def test_files_of_cones_name_the_nearest_goal_and_other_files_say_what_to_do():
     workspace = Workspace(TEN, [box(4, 2, 6, 8)])
-    oracles = [VisibilityGraph(workspace, goal) for goal in ((9, 1), (1, 5), (1, 5))]
-    plrs = [construct(NearestGoal(oracles), Box(*TEN), leaf=leaf, max_leaves=60) for leaf in ("cone", "plane")]
-    for plr in plrs:
-        assert plr.which([(1, 5), (9, 1), (2, 2), (8, 8), (11, 1)]).tolist() == [1, 0, 1, 0, -1]
-    assert pickle.loads(pickle.dumps(plrs[0])).which([(2, 2)]).tolist() == [1]
-    with pytest.raises(ValueError, match="or construct for a NearestGoal"):
-        from_bytes(plrs[0].to_bytes()).which([(2, 2)])
+    nearest = NearestGoal([VisibilityGraph(workspace, goal) for goal in ((9, 1), (1, 5), (1, 5))])
+    cones, planes = (construct(nearest, Box(*TEN), leaf=leaf, max_leaves=60) for leaf in ("cone", "plane"))
+    read = [from_bytes(plr.with_label("exits").to_bytes()) for plr in (cones, planes)]
+    x = [(1, 5), (9, 1), (2, 2), (8, 8), (11, 1), (np.nan, 1)]
+    for plr in (
+        cones,
+        planes,
+        read[0],
+        pickle.loads(pickle.dumps(read[0])),
+        read[1].with_nearest_goal(nearest.which),
+    ):
+        assert plr.which(x).tolist() == [1, 0, 1, 0, -1, -1]
+    f = read[0].numpy()
+    assert f.which(x).tolist() == f.which(np.array(x * 9)).tolist()[:6] == [f.which(each) for each in x]
+    one = construct(nearest.distance_fns[0], Box(*TEN), leaf="cone", max_leaves=60)
+    for plr in (read[1], one, planes.numpy()):
+        with pytest.raises(
+            ValueError, match=r"does not store which .*with_nearest_goal\(oracle.which\).* trace\(plr, x"
+        ):
+            plr.which(x)
+    assert (one.to_bytes()[2] & 15, cones.to_bytes()[2] & 15) == (5, 6), "readers of version 5 ask for an update"
+
+
+def test_goals_that_make_no_sense_are_refused():
+    exits, planes = case("cones of exits"), case("maze of planes")
+    for plr, width, message in (
+        (planes, 2, "names goals, but its leaves have no sources"),
+        (exits, 3, "end too early"),
+        (exits, 21, "goals of 21 bits"),
+    ):
+        body = body_of_leaves(plr._contents).write(np.array([width]), 6)
+        layer = Layer(plr.container.last.leaf_code, body.to_bytes())
+        with pytest.raises(ValueError, match=message):
+            from_bytes(replace(plr.container, layers=(layer,), names_goals=True).to_bytes())
 
 
 @pytest.mark.full

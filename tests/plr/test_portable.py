@@ -445,7 +445,7 @@ def test_modules_bound_by_the_straight_line_as_numpy_does(tmp_path, node):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("name", ["maze of cones", "far cones"])
+@pytest.mark.parametrize("name", ["maze of cones", "far cones", "cones of exits"])
 def test_files_of_cones_are_read_and_answered(name, tmp_path, node):
     """By a program that is of no file, from the bytes of one."""
     plr = case(name)

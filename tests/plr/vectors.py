@@ -17,9 +17,9 @@ import numpy as np
 
 FOLDER = Path(__file__).parent / "vectors"
 _CHOSEN = (
-    "maze of planes, maze of values, maze of gradients, maze of cones, cones in space, random planes, deep, around"
+    "maze of planes, maze of values, maze of gradients, maze of cones, cones of exits, cones in space, random planes"
 )
-_CHOSEN += ", random values, smooth around, folded car, folded car of planes, far cones, far folded car"
+_CHOSEN += ", deep, around, random values, smooth around, folded car, folded car of planes, far cones, far folded car"
 _POINTS = 200
 
 

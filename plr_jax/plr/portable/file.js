@@ -65,7 +65,8 @@ function readContainer(bytes) {
     const reader = new ByteReader(bytes);
     reader.at = 2;
     const first = reader.byte(), second = reader.byte();
-    if ((first & 15) !== 5) fail(`it has format version ${first & 15}, this page reads version 5`);
+    const version = first & 15, namesGoals = version === 6;
+    if (version !== 5 && !namesGoals) fail(`it has format version ${version}, this page reads versions 5 and 6`);
     const dim = first >> 4 || reader.varint();
     if (dim !== 2) fail(`it has ${dim} axes; this page shows the plane`);
     const domain = readDomain(reader, (second & 128) > 0);
@@ -94,7 +95,7 @@ function readContainer(bytes) {
         layers.push({ leaf: codes[0], proof: codes[1], body: bytes.subarray(at + (isLast ? 0 : 1), end - 4) });
         at = end;
     }
-    return { domain, layers };
+    return { domain, layers, namesGoals };
 }
 
 class BitReader {
@@ -295,10 +296,15 @@ function readProof(body, kind, leaves) {
 }
 
 // Decodes a PLR of cones into the tables that coneReader takes.
-function readCones({ domain }, layer) {
+function readCones({ domain, namesGoals }, layer) {
     const body = new BitReader(layer.body), { tree, root, leaves } = readTree(body);
     const sources = readSources(body, domain), ranks = readRanks(body, leaves, sources.x.length);
     const proof = readProof(body, layer.proof, leaves);
+    if (namesGoals) {
+        const width = body.read(6), roots = sources.parent.filter((of, source) => of === source);
+        if (width > 20) fail(`it states goals of ${width} bits`);
+        body.readAll(roots.length, width);
+    }
     if (!body.isAtEnd()) fail("it holds more data than its leaves need");
     const isFar = domain.lo.some((lo, axis) => Math.max(Math.abs(lo), Math.abs(domain.hi[axis])) > 4 * (domain.hi[axis] - lo));
     const origin = isFar ? domain.lo : [0, 0];

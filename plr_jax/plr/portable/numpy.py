@@ -8,7 +8,7 @@ from operator import add
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Integer, UInt32
+from jaxtyping import Float, Int, Integer, UInt32
 
 from plr_jax._arrays import as_queries, shortened
 from plr_jax._files import file_path
@@ -16,7 +16,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.plr._file import decode
 from plr_jax.plr.container import read_bytes
 from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside, spread_bits
-from plr_jax.plr.leaves import as_sourced
+from plr_jax.plr.leaves import as_sourced, goal_of_leaves
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, clamp
 from plr_jax.plr.portable.c import c_header, compact_header
 from plr_jax.plr.portable.compact import compact_bytes
@@ -286,6 +286,18 @@ class NumpyPLR:
         leaf = self._at_few_points(x, self._leaf_query)
         return self._evaluate(x, self._waypoints, (self.dim,)) if leaf is None else self._waypoint_rows.take(leaf, 0)
 
+    def which(self, x: ArrayLike) -> Any:
+        """Return the index of the goal that is nearest to each point ``(..., dim)``; -1 outside and for NaN.
+
+        Only for cones whose file names their goals; see :meth:`PLR.which`.
+        """
+        goals = self._goal_rows
+        leaf = self._at_few_points(x, self._leaf_query)
+        if leaf is not None:
+            return goals.take(leaf)
+        found = self._evaluate(x, self._goals, ())
+        return np.where(np.isfinite(found), found, -1).astype(goals.dtype)[()]
+
     def bounds(self, x: ArrayLike) -> tuple[Any, Any]:
         """Return proven lower and upper bounds of the distance at points ``(..., dim)``; see :meth:`PLR.bounds`.
 
@@ -308,6 +320,10 @@ class NumpyPLR:
     def _waypoint_rows(self) -> Float[np.ndarray, "leaves_and_outside dim"]:
         waypoints = np.stack(self._program.waypoint(list(self._columns)), axis=1)
         return np.pad(waypoints, ((0, 1), (0, 0)), constant_values=np.nan)
+
+    @cached_property
+    def _goal_rows(self) -> Int[np.ndarray, "leaves_and_outside"]:
+        return np.append(goal_of_leaves(self._program.leaf, self._program.contents.stored), -1)
 
     def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
         """Return the query's answer at one point, or a list for up to 8; None for other input or if one is None."""
@@ -381,6 +397,9 @@ class NumpyPLR:
 
     def _waypoints(self, _: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         return self._waypoint_rows.take(leaf, 0)
+
+    def _goals(self, _: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+        return self._goal_rows.take(leaf)
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         assert self._band is not None, "bounds are called only with a proof"

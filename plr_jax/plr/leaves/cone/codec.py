@@ -5,7 +5,8 @@ Most maps have coordinates on a lattice, such as integers or multiples of 0.01. 
 multiples of one fraction. Other sources, such as a goal, are *fine*: multiples of a power of two, about ``2**-26`` of
 the domain's width. Each source names its *parent*, the next point on its shortest path to the goal. So its offset
 (its distance to the goal) is not stored: it is the parent's offset plus the distance to the parent. Only a *root*,
-such as the goal, stores its offset.
+such as the goal, stores its offset. If there are several goals, the file may name the goal of each root, so that it
+tells which goal is nearest.
 
 The bits in a file:
 
@@ -15,6 +16,7 @@ The bits in a file:
     parents of the other sources, each in as many bits as the largest index needs
     for every leaf, the rank of its source in a move-to-front list that starts in the order of the table:
       is it 0, for all leaves; is it 1, for the rest; is it 2, for the rest (1 bit each); the rest's rank - 3 as codes
+    after the proof, in files that name goals: a width in 6 bits, and the goal of each root, in that width
 
 Coordinates of sources, sorted by the first axis, then the next:
 
@@ -27,7 +29,7 @@ Coordinates of sources, sorted by the first axis, then the next:
 
 from bisect import bisect_left
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -57,6 +59,7 @@ class StoredSources:
         code: Coordinates, for fine sources in steps of ``2**exponent``, for others in steps of ``1 / fraction``.
         parent: Index of the next source on the way to the goal; a root is its own parent.
         root_offset: Offsets of roots, exact in 32 bits; 0 for other sources.
+        goals: Index of the goal at each root; None if the file does not name goals.
     """
 
     num_fine: int
@@ -65,6 +68,7 @@ class StoredSources:
     code: Int[np.ndarray, "sources dim"]
     parent: Int[np.ndarray, "sources"]
     root_offset: Float[np.ndarray, "sources"]
+    goals: Int[np.ndarray, "roots"] | None = None
 
     @property
     def is_root(self) -> Bool[np.ndarray, "sources"]:
@@ -78,13 +82,24 @@ class StoredSources:
     @cached_property
     def offsets(self) -> Float[np.ndarray, "sources"]:
         """The distance of each source to the goal, by way of its parents; ``ValueError`` if these form a cycle."""
+        return self._offsets_and_roots[0]
+
+    @property
+    def goal_of_source(self) -> Int[np.ndarray, "sources"] | None:
+        """The goal to which the path of each source leads; None if the file does not name goals."""
+        if self.goals is None:
+            return None
+        return self.goals[(np.cumsum(self.is_root) - 1)[self._offsets_and_roots[1]]]
+
+    @cached_property
+    def _offsets_and_roots(self) -> tuple[Float[np.ndarray, "sources"], Int[np.ndarray, "sources"]]:
         onward = self.parent
         length = np.sqrt(sum_of_columns(np.square(self.points - self.points[onward])))
         for _ in range(len(onward).bit_length()):  # pointer doubling
             length, onward = length + length[onward], onward[onward]
         if not self.is_root[onward].all():
             raise ValueError("its sources follow one another in a circle")
-        return length + self.root_offset[onward]
+        return length + self.root_offset[onward], onward
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +113,14 @@ def store_sources(
     offsets: Float[np.ndarray, "sources"],
     parents: Int[np.ndarray, "sources"],
     domain: Box,
-    is_off: Bool[np.ndarray, "sources fractions"] | None = None,  # result of off_lattices, if known
+    is_off: Bool[np.ndarray, "sources fractions"] | None = None,
+    goals: Int[np.ndarray, "goals"] | None = None,
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Return sources in their file form, without duplicates, and the new index of each given source."""
+    """Return sources in their file form, without duplicates, and the new index of each given source.
+
+    ``is_off`` may give the result of :func:`off_lattices` for the points. ``goals`` are the indices of several goals,
+    which are the first sources and the only roots.
+    """
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
@@ -122,7 +142,8 @@ def store_sources(
     parent, each = index[parents[first]], np.arange(len(first))
     root_offset = np.where(parent == each, offsets[first].astype(np.float32).astype(np.float64), 0.0)
     num_fine = int(np.count_nonzero(rows[:, 0] == 0))
-    return StoredSources(num_fine, exponent, fraction, rows[:, 1:], parent, root_offset), index
+    stored = StoredSources(num_fine, exponent, fraction, rows[:, 1:], parent, root_offset)
+    return (stored if goals is None else replace(stored, goals=goals[first[stored.is_root]])), index
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
@@ -164,6 +185,11 @@ def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None
     body.write(sources.is_root.astype(np.int64), 1)
     body.write_floats(sources.root_offset[sources.is_root])
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
+
+
+def write_goals(body: BitWriter, goals: Int[np.ndarray, "roots"]) -> BitWriter:
+    width = int(goals.max()).bit_length()
+    return body.write(np.array([width]), _WIDTH_BITS).write(goals, width)
 
 
 def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"]) -> None:
@@ -223,6 +249,12 @@ def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     if not (np.isfinite(offset).all() and np.abs(sources.points).max() < LARGEST and sources.offsets.max() < LARGEST):
         raise ValueError("it states sources whose coordinates or distances are too large")
     return StoredCones(sources, _read_ranks(body, num_leaves, len(sources.code)))
+
+
+def read_goals(body: BitReader, num_roots: int) -> Int[np.ndarray, "roots"]:
+    if (width := int(body.read_fixed_width(1, _WIDTH_BITS)[0])) > _COUNT_BITS:
+        raise ValueError(f"it states goals of {width} bits")
+    return body.read_fixed_width(num_roots, width)
 
 
 def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "count dim"]:
@@ -301,8 +333,11 @@ class ConeFiles:
                 place[sources.parents[kept]],
                 self._domain,
                 self._is_off[kept],
+                None if sources.goals is None else sources.goals[kept[kept < len(sources.goals)]],
             )
             _write_sources(body := BitWriter(), self._domain, stored)
+            if stored.goals is not None:
+                write_goals(body, stored.goals)
             self._cache[kept.tobytes()] = stored, index[np.minimum(place, len(kept) - 1)], body.num_bits
         stored, index, num_bits = self._cache[kept.tobytes()]
         return StoredCones(stored, index[source]), num_bits

@@ -140,6 +140,18 @@ def as_sourced(leaf: LeafModel) -> Cone:
     return leaf
 
 
+def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, "leaves"]:
+    """Return the goal to which the path from each leaf leads; ``ValueError`` if the leaves do not name goals."""
+    goals = stored.sources.goal_of_source if isinstance(leaf, Cone) else None
+    if goals is None:
+        raise ValueError(
+            "The PLR does not store which goal is nearest: only cones of a NearestGoal of VisibilityGraphs do. Give "
+            "it a function that knows this, plr.with_nearest_goal(oracle.which); or, if its leaves are cones, take "
+            "the ends of trace(plr, x).paths."
+        )
+    return goals[stored.source]
+
+
 def _require_euclidean(domain: Box) -> None:
     if domain.is_periodic:
         raise ValueError(
