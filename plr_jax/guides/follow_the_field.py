@@ -3,6 +3,7 @@
 | you have | use | result |
 | --- | --- | --- |
 | a field and the map | `plr_jax.descend` | paths that never cross a wall |
+| a PLR of cones and the map | `plr_jax.trace` | paths read from the file that never cross a wall |
 | a PLR of cones, no map | `plr_jax.trace` | paths read from the file; the first segment may cut a corner |
 | a PLR of cones, one step at a time | `plr.waypoint(x)` | the point to go to next |
 | a PLR, inside `jit` | `-jax.grad(plr)(x)` | a direction, which leads into walls at corners |
@@ -45,15 +46,15 @@ print(descent.costs, costs(starts[:2]))
 # Trace
 
 A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths
-from the file alone. The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path. Give the workspace
-to have every segment tested.
+from the file. Give the workspace, if you have it: then no path crosses a wall. Without it, a few paths cut a corner.
+The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path.
 
 ```python
 cones = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
-traces = plr_jax.trace(cones, starts)
-tested = plr_jax.trace(cones, starts, workspace)
+traces = plr_jax.trace(cones, starts, workspace)
+assert traces.arrived.all()
 print(traces.paths[0, : traces.counts[0]], traces.lengths[0])
-print((tested.status == plr_jax.TraceStatus.CROSSES_WALL).mean(), tested.arrived.mean())
+print(plr_jax.trace(cones, starts))  # from the file alone
 print(cones.waypoint(starts[:3]))  # also inside jit
 ```
 
