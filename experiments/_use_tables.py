@@ -324,7 +324,8 @@ def pedestrians(results: dict[str, Any], hard_points: dict[str, Any]) -> str:
             f"{np.median(cones['nanoseconds']):.0f} ns a point in C; one by one in NumPy, a distance takes "
             f"{took['distance']:.2g} us, a path {took['path']:.0f} us, "
             f"a waypoint {took['waypoint']:.0f} us, in batches of "
-            f"{results['routes']['agents']} {took['agents']:.2g} us"
+            f"{results['routes']['agents']} {took['agents']:.2g} us; of {results['routes']['queries']:,} paths, "
+            f"{route['many']['crosses']} cross walls, the longest is {route['many']['largest']:.6f} times the exact"
         )
     broken = sum(row["broken"] + row["broken of cones"] for row in hard_points["buildings"])
     asked = sum(row["pairs"] for row in hard_points["buildings"])

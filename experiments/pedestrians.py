@@ -3,7 +3,8 @@
 *Cones* of 8 KB, of some goals a map: CPU seconds of the oracle and the PLR, errors, nanoseconds of a point in C.
 
 *Routes* between random points that an agent can reach: lengths over exact, and over the shortest path that keeps an
-agent's radius from walls, as JuPedSim's router intends to; paths deeper than a millimeter in walls; time.
+agent's radius from walls, as JuPedSim's router intends to; paths deeper than a millimeter in walls; time. *Many* more
+routes of cones lead to the first of the goals.
 
 *Evacuations*: the same agents walk to the same exits by JuPedSim's journeys, and steered by cones.
 
@@ -24,10 +25,10 @@ from matplotlib.figure import Figure
 from experiments._c_headers import compiled_header, median_seconds
 from experiments._measures import timed
 from experiments._runner import Section, run
-from plr_jax import VisibilityGraph, Workspace, construct, plot, scenes, trace
+from plr_jax import PLR, VisibilityGraph, Workspace, construct, plot, scenes, trace
 
 MAX_BYTES, DEPTH = 8_192, 1e-3
-_GOALS, _STARTS, _POINTS, _QUERIES, _AGENTS, _CROWDS = 30, 10, 100_000, 10_000, 100, 3
+_GOALS, _STARTS, _POINTS, _QUERIES, _AGENTS, _CROWDS = 30, 10, 100_000, 20_000, 100, 3
 _SHOWN = 2  # routes in the picture: so many that JuPedSim makes longest, and the one deepest in walls
 COLORS = {"JuPedSim": "#D55E00", "cones": "#0072B2"}
 # Exits of ``aknz_evac`` are those of JuPedSim's example. Those of ``arena`` are ours: stairs, a way across, an aisle.
@@ -109,7 +110,11 @@ def routes(seed: int, smoke: bool) -> dict[str, Any]:
                 "deepest": float(each.depth.max()),
                 "paths": [each.paths[i].tolist() for i in shown],
             }
-        row["microseconds"] = _microseconds(bridge, area, goals[0], inflated.sample_free(_QUERIES, seed + 2))
+        oracle, plr = _built(area, goals[0])
+        x = inflated.sample_free(_QUERIES, seed + 2)
+        many = bridge.Routes.of(bridge.routes_of_cones(plr, x, area), oracle(x), area)
+        row["many"] = {**_mean_and_largest(many.over_exact), "crosses": int((many.depth > DEPTH).sum())}
+        row["microseconds"] = _microseconds(bridge, area, goals[0], plr, x)
         rows.append(row)
         print({key: each for key, each in row["JuPedSim"].items() if key != "paths"}, row["microseconds"], flush=True)
     return {"max_bytes": MAX_BYTES, "depth": DEPTH, "queries": _QUERIES, "agents": _AGENTS, "rows": rows}
@@ -119,15 +124,14 @@ def _mean_and_largest(values: np.ndarray) -> dict[str, float]:
     return {"mean": float(values.mean()), "largest": float(values.max())}
 
 
-def _microseconds(bridge: Any, area: Workspace, goal: np.ndarray, x: np.ndarray) -> dict[str, float]:
+def _microseconds(bridge: Any, area: Workspace, goal: np.ndarray, plr: PLR, x: np.ndarray) -> dict[str, float]:
     """CPU microseconds of a query: whole paths, waypoints and distances, in batches and one by one."""
     engine, end = bridge.jupedsim.RoutingEngine(area.free_space), tuple(goal)
-    _, plr = _built(area, goal)
     numpy, few = plr.numpy(), x[:_AGENTS]
     calls = {
         "JuPedSim": (_AGENTS, lambda: [engine.compute_waypoints(tuple(start), end) for start in few]),
-        "paths": (len(x), lambda: trace(plr, x)),
-        "path": (_AGENTS, lambda: [trace(plr, start[None]) for start in few]),
+        "paths": (len(x), lambda: trace(plr, x, area)),
+        "path": (_AGENTS, lambda: [trace(plr, start[None], area) for start in few]),
         "waypoints": (len(x), lambda: numpy.waypoint(x)),
         "agents": (_AGENTS, lambda: numpy.waypoint(few)),
         "waypoint": (_AGENTS, lambda: [numpy.waypoint(start) for start in few]),

@@ -40,6 +40,7 @@ PLR_LAYERS = [
     ["portable"],
     ["_plr"],
     ["_stack"],
+    ["source_sight"],
     ["_trace"],
     ["_construct"],
     ["_construct_many"],

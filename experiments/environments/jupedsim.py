@@ -13,12 +13,13 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from plr_jax import NearestGoal, VisibilityGraph, Workspace, construct, construct_many, trace
+from plr_jax import PLR, NearestGoal, VisibilityGraph, Workspace, construct, construct_many, trace
 
 jupedsim: Any = import_module("jupedsim")  # type checkers take the name for this very file
 RADIUS = 0.2
 """Radius of an agent in meters, JuPedSim's default."""
 _STEPS = 10  # steps of the simulation, of 0.01 s, from one steering to the next
+_SHALLOW = 1e-5  # meters: files round corners
 Points = Float[np.ndarray, "n 2"]
 
 
@@ -87,6 +88,19 @@ class Routes(NamedTuple):
     over_exact: Float[np.ndarray, "n"]
     depth: Float[np.ndarray, "n"]
 
+    @classmethod
+    def of(cls, paths: list[Points], exact: Float[np.ndarray, "n"], area: Workspace) -> "Routes":
+        """Measure paths, given the exact distances between their ends."""
+        index = np.repeat(np.arange(len(paths)), [*map(len, paths)])
+        lines = shapely.linestrings(np.concatenate(paths), indices=index)
+        return cls(paths, shapely.length(lines) / exact, _depths(area, lines))
+
+
+def routes_of_cones(cones: PLR, x: Points, area: Workspace) -> list[Points]:
+    """Return the paths from points that are read from cones, none of which crosses a wall."""
+    traces = trace(cones, x, area)
+    return [path[:count] for path, count in zip(traces.paths, traces.counts, strict=True)]
+
 
 def compare_routes(
     area: Workspace, goals: Points, starts: Float[np.ndarray, "goals n 2"], max_bytes: int = 8192
@@ -99,19 +113,19 @@ def compare_routes(
     theirs, ours = [], []
     for goal, some, plr in zip(goals, starts, cones, strict=True):
         theirs += [np.array(engine.compute_waypoints(tuple(start), tuple(goal))) for start in some]
-        traces = trace(plr, some)
-        ours += [path[:count] for path, count in zip(traces.paths, traces.counts, strict=True)]
-    found = {}
-    for name, paths in {"JuPedSim": theirs, "cones": ours}.items():
-        lines = shapely.linestrings(
-            np.concatenate(paths), indices=np.repeat(np.arange(len(paths)), [*map(len, paths)])
-        )
-        found[name] = Routes(paths, shapely.length(lines) / exact, _depths(area, lines))
-    return found
+        ours += routes_of_cones(plr, some, area)
+    return {"JuPedSim": Routes.of(theirs, exact, area), "cones": Routes.of(ours, exact, area)}
 
 
 def _depths(area: Workspace, lines: Any) -> Float[np.ndarray, "n"]:
-    """Return the largest distance of each line's points to the walkable area, sampled every centimeter."""
-    outside = shapely.segmentize(shapely.difference(lines, area.free_space), 0.01)
+    """Return the largest distance of each line's points to the walkable area, sampled every centimeter.
+
+    Lines less than ``_SHALLOW`` outside count as inside.
+    """
+    grown = area.free_space.buffer(_SHALLOW)
+    shapely.prepare(grown)
+    depth, crossing = np.zeros(len(lines)), np.flatnonzero(~shapely.covers(grown, lines))
+    outside = shapely.segmentize(shapely.difference(lines[crossing], area.free_space), 0.01)
     points = [shapely.points(shapely.get_coordinates(each)) for each in outside]
-    return np.array([shapely.distance(area.free_space, each).max(initial=0.0) for each in points])
+    depth[crossing] = [shapely.distance(area.free_space, each).max(initial=0.0) for each in points]
+    return depth

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
+from plr_jax._arrays import index_of
 from plr_jax.geometry.boundary import Boundary, grid_at
 from plr_jax.geometry.triangulation import Triangulation, next_half_edge, previous_half_edge
 from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, turned_left
@@ -71,14 +72,16 @@ class Viewpoints:
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 
-def viewpoint_at(triangulation: Triangulation, x: Float[np.ndarray, "2"]) -> Viewpoints:
-    """Return a point of free space, rounded to the grid, as a viewpoint."""
-    boundary, place = triangulation.boundary, triangulation.place(x[None])
-    edge = np.flatnonzero((boundary.vertices[boundary.edges[:, 0]] == place.x).all(axis=1))
-    if not len(edge):
-        wall = triangulation.wall[3 * place.triangle + place.on_side.argmax(axis=1)]
-        edge = wall[place.on_side.any(axis=1) & (wall >= 0)]
-    return Viewpoints(place.x, np.zeros(len(edge), int), edge)
+def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> Viewpoints:
+    """Return points of free space, rounded to the grid, as viewpoints; no two may be equal."""
+    boundary, place = triangulation.boundary, triangulation.place(x)
+    starts, points = (each @ [1, 1j] for each in (boundary.vertices[boundary.edges[:, 0]], place.x))
+    owner = index_of(points, starts)
+    wall = triangulation.wall[3 * place.triangle + place.on_side.argmax(axis=1)]
+    on_wall = place.on_side.any(axis=1) & (wall >= 0)
+    on_wall[owner[owner >= 0]] = False
+    edge, inside = np.flatnonzero(owner >= 0), np.flatnonzero(on_wall)
+    return Viewpoints(place.x, np.append(owner[edge], inside), np.append(edge, wall[inside]))
 
 
 @dataclass(frozen=True, eq=False)

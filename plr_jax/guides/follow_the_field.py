@@ -3,6 +3,7 @@
 | you have | use | result |
 | --- | --- | --- |
 | a field and the map | `plr_jax.descend` | paths that never cross a wall |
+| a PLR of cones and the map | `plr_jax.trace` | paths read from the file that never cross a wall |
 | a PLR of cones, no map | `plr_jax.trace` | paths read from the file; the first segment may cut a corner |
 | a PLR of cones, one step at a time | `plr.waypoint(x)` | the point to go to next |
 | a PLR, inside `jit` | `-jax.grad(plr)(x)` | a direction, which leads into walls at corners |
@@ -45,31 +46,28 @@ print(descent.costs, costs(starts[:2]))
 # Trace
 
 A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths
-from the file alone. The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path. Give the workspace
-to have every segment tested.
+from the file. Give the workspace, if you have it: then no path crosses a wall. Without it, a few paths cut a corner.
+The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path.
 
 ```python
 cones = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
-traces = plr_jax.trace(cones, starts)
-tested = plr_jax.trace(cones, starts, workspace)
+traces = plr_jax.trace(cones, starts, workspace)
+assert traces.arrived.all()
 print(traces.paths[0, : traces.counts[0]], traces.lengths[0])
-print((tested.status == plr_jax.TraceStatus.CROSSES_WALL).mean(), tested.arrived.mean())
+print(plr_jax.trace(cones, starts))  # from the file alone
 print(cones.waypoint(starts[:3]))  # also inside jit
 ```
 
 # Routes of many agents to several exits
 
-`trace` is fast, but some of its routes may cut a wall. Take `descend` for these. Both lead to the nearest exit.
+Paths lead to the nearest of several exits.
 
 ```python
-exits = np.array([goal, (0.9, 0.1)])
-nearest = plr_jax.NearestGoal([oracle, oracle.with_goal(exits[1])])
+nearest = plr_jax.NearestGoal([oracle, oracle.with_goal((0.9, 0.1))])
 cones = plr_jax.construct(nearest, workspace.bounds, leaf="cone", max_bytes=1024)
 traces = plr_jax.trace(cones, starts, workspace)
 routes = [path[:count] for path, count in zip(traces.paths, traces.counts, strict=True)]
-rest = np.flatnonzero(~traces.arrived)
-for i, path in zip(rest, plr_jax.descend(cones, workspace, starts[rest], exits).paths, strict=True):
-    routes[i] = path
+print(traces.arrived.mean(), cones.which(starts[:3]))
 ```
 
 A workspace rounds vertices to a fine grid, and a file of cones rounds points by up to 1e-8 of the map's width. To

@@ -27,7 +27,7 @@ from plr_jax.geometry.corners import (
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoint_at, visibility_of
+from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
 
@@ -88,7 +88,7 @@ class VisibilityGraph:
         corners = shared.visibility
         if goal_view is None:
             goal_table, (_, seen) = visibility_of(
-                workspace.triangulation, viewpoint_at(workspace.triangulation, goal)
+                workspace.triangulation, viewpoints_at(workspace.triangulation, goal[None])
             )
             goal_view = goal_table, corners.of_vertex[seen]
         # Join the goal, vertex 0, to the corners that it sees and that see it.
@@ -131,7 +131,7 @@ class VisibilityGraph:
             if (triangulation := changed_triangulation(own.triangulation, change)) is None:
                 return VisibilityGraph(workspace, goal)
             workspace.use_triangulation(triangulation)
-        view = viewpoint_at(workspace.triangulation, goal)
+        view = viewpoints_at(workspace.triangulation, goal[None])
         old_view = self._goal_table, self._goal_edges[:, 1] - 1
         corners, goal_view = changed_visibility(self._corners, old_view, view, workspace, change)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)

@@ -1,4 +1,4 @@
-"""The public function :func:`trace`, which reads paths to the goal from a PLR of cones, without a map."""
+"""The public function :func:`trace`, which reads paths to the goal from a PLR of cones."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -28,7 +28,7 @@ class TraceStatus(IntEnum):
     ENDED_ELSEWHERE = 2
     """The path ends at a corner; the file has its distance to the goal, but not the next corner on the way."""
     CROSSES_WALL = 3
-    """A segment is not free in the given workspace."""
+    """The path is not free in the given workspace, and the start sees no source with a free path to the goal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,21 +65,25 @@ class Traces:
 
 
 def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> Traces:
-    """Return paths to the goal from many starts, read from a PLR of cones without a map.
+    """Return paths to the goal from many starts, read from a PLR of cones.
 
     A cone measures distances from its *source*, the goal or a corner. The first segment leads to the source of the
     start's leaf, every further segment to the next source on the shortest path from there. So a path has at most as
     many segments as there are sources, and is as long as the PLR says. Segments between sources cross no wall, but
-    for rounding. The first segment may cross one, if the start does not see the source of its leaf. A start in an
-    obstacle, or cut off from the goal, gets a path through walls, which only the tests with a workspace detect.
-    Computation is in double precision.
+    for rounding. The first segment may cross one, if the start does not see the source of its leaf.
+
+    With a workspace, no path that arrives crosses a wall: a start that does not see its leaf's source takes the
+    shortest path through a source that it sees. Without a workspace, no wall is known. Then a few paths cut corners,
+    and a start in an obstacle, or cut off from the goal, gets a path through walls. Computation is in double
+    precision.
 
     Args:
         plr: PLR with ``leaf="cone"``.
         starts: Start points, ``(n, dim)``.
         workspace: Free space in which each segment is tested, up to the rounding of the file (6e-8 of the domain's
             width). Segments are tested one by one, so a path may pass through a point where two walls touch if it
-            bends there. None: no tests.
+            bends there. The first call for a workspace takes longer: it computes what the sources see. None: no
+            tests.
 
     Returns:
         A path and a status for each start. If a start is a source, its path begins with the segment from that source
@@ -92,9 +96,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     if not isinstance(plr, PLR):
         raise ValueError(f"plr must be a PLR of cones, got {shortened(plr)}.")
     sources, source_of_leaf = as_sourced(plr.leaf).sources(plr.stored)
+    rounding = _ROUNDING * float(plr.domain.width.max())
     if workspace is not None:
-        from scipy.spatial import KDTree
-
         from plr_jax.geometry.workspace import Workspace  # needs Shapely, which a query does not
 
         if not isinstance(workspace, Workspace):
@@ -105,47 +108,44 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
             )
     starts = as_points("starts", plr.domain.settled(starts), plr.dim)
     inside = np.flatnonzero(plr.domain.contains(starts))
-    first = source_of_leaf[leaf_of(plr, starts[inside])]
+    x = starts[inside]
+    first, is_free = source_of_leaf[leaf_of(plr, x)], np.ones(len(x), bool)
+    if workspace is not None:
+        from plr_jax.plr.source_sight import source_sight
+
+        first, is_free = source_sight(plr, workspace, rounding).free_paths(x, first)
 
     # 1. Follow the parents of sources up to the roots, which are repeated; decoded sources have no cycles.
-    ways = [first]
+    used, place = np.unique(first, return_inverse=True)
+    ways = [used]
     while (sources.parents[ways[-1]] != ways[-1]).any():
         ways.append(sources.parents[ways[-1]])
     way = np.stack(ways, axis=1)
 
     # 2. Collect the points of the paths; drop the start if it is a source.
-    paths = np.concatenate([starts[inside, None], sources.points[way]], axis=1)
-    at_source = (starts[inside] == sources.points[first]).all(axis=1)
-    counts = 2 - at_source + np.count_nonzero(way[:, 1:] != way[:, :-1], axis=1)
+    onward = sources.points[way]
+    paths = np.concatenate([x[:, None], onward[place]], axis=1)
+    lengths = np.linalg.norm(paths[:, 1] - x, axis=1)
+    lengths += np.linalg.norm(np.diff(onward, axis=1), axis=2).sum(axis=1)[place]
+    at_source = (paths[:, 1] == x).all(axis=1)
+    counts = 2 - at_source + np.count_nonzero(way[:, 1:] != way[:, :-1], axis=1)[place]
     paths[at_source, :-1] = paths[at_source, 1:]
     paths = paths[:, : max(1, counts.max(initial=1))]
 
-    # 3. Find how each path ends; segments between sources are tested once for all paths.
-    rounding = _ROUNDING * float(plr.domain.width.max())
+    # 3. Find how each path ends.
     is_at_goal = sources.distances[way[:, -1]] <= rounding
-    status = np.where(is_at_goal, TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
-    if workspace is not None:
-        # Undo the rounding of corners: beside a point where two walls touch, a rounded corner lies on either side.
-        corners, tolerance = workspace.boundary.vertices, max(workspace.tolerance, rounding)
-        away, corner = KDTree(corners).query(sources.points)
-        points = np.where((away <= tolerance)[:, None], corners[corner], sources.points)
-        used, place = np.unique(way, return_inverse=True)
-        is_clear = workspace.is_visible(points[used], points[sources.parents[used]], tolerance)
-        is_clear = is_clear[place.reshape(way.shape)].all(axis=1)
-        is_clear &= workspace.is_visible(starts[inside], points[first], tolerance)
-        status = np.where(is_clear, status, TraceStatus.CROSSES_WALL)
-    lengths = np.linalg.norm(np.diff(paths, axis=1), axis=2).sum(axis=1)
+    status = np.where(is_at_goal[place], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
+    status = np.where(is_free, status, TraceStatus.CROSSES_WALL)
 
     # 4. Add rows for starts outside the domain.
-    def spread(column: Shaped[np.ndarray, "some *row"], fill: int | float) -> Shaped[np.ndarray, "n *row"]:
-        every = np.full((len(starts), *column.shape[1:]), fill, column.dtype)
-        every[inside] = column
-        return every
+    columns = (paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)
+    return Traces(*(_spread(*each, inside, len(starts)) for each in columns), workspace is not None)
 
-    return Traces(
-        spread(paths, np.nan),
-        spread(counts, 0),
-        spread(lengths, np.inf),
-        spread(status, TraceStatus.OUTSIDE),
-        workspace is not None,
-    )
+
+def _spread(
+    rows: Shaped[np.ndarray, "some *row"], fill: int | float, place: Int[np.ndarray, "some"], count: int
+) -> Shaped[np.ndarray, "count *row"]:
+    """Return an array of ``count`` rows with the given rows at their places and ``fill`` elsewhere."""
+    spread = np.full((count, *rows.shape[1:]), fill, rows.dtype)
+    spread[place] = rows
+    return spread

@@ -1,0 +1,78 @@
+"""Sight of the sources of a PLR of cones in a workspace, for paths that cross no wall."""
+
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Bool, Int
+from scipy.spatial import KDTree
+
+from plr_jax._types import Points
+from plr_jax.geometry.graph import first_visible_in_parts
+from plr_jax.geometry.vectors import distances_between
+from plr_jax.geometry.visibility import viewpoints_at, visibility_of
+from plr_jax.geometry.workspace import Workspace
+from plr_jax.plr._plr import PLR
+from plr_jax.plr.leaves import as_sourced
+
+
+class SourceSight:
+    """Visibility polygons of the sources of a PLR, and the sources from which the path onward crosses no wall.
+
+    Sources that a file rounded to within ``rounding`` of their place count as seen up to that distance.
+    """
+
+    def __init__(self, plr: PLR, workspace: Workspace, rounding: float):
+        sources, _ = as_sourced(plr.leaf).sources(plr.stored)
+        self._distances, root = sources.distances, sources.parents
+        self._workspace, self._tolerance = workspace, max(workspace.tolerance, rounding)
+        # 1. Undo the rounding of corners: beside a point where two walls touch, a rounded one lies on either side.
+        corners = workspace.boundary.vertices
+        away, corner = KDTree(corners).query(sources.points)
+        self._points = np.where((away <= self._tolerance)[:, None], corners[corner], sources.points)
+        # 2. Compute what sources in free space see. The others have no view, -1.
+        is_free, self._view = workspace.is_free(self._points), np.full(len(self._points), -1)
+        points, self._view[is_free] = np.unique(self._points[is_free], axis=0, return_inverse=True)
+        mesh = workspace.triangulation
+        self._table, _ = visibility_of(mesh, viewpoints_at(mesh, points))
+        # 3. Test the paths from all sources to their roots; each round, they are followed twice as far.
+        self._is_clear = workspace.is_visible(self._points, self._points[root], self._tolerance)
+        while (root[root] != root).any():
+            self._is_clear &= self._is_clear[root]
+            root = root[root]
+        self._arriving = np.flatnonzero(self._is_clear & (sources.distances[root] <= rounding))
+
+    def free_paths(
+        self, x: Points, first: Int[np.ndarray, "n"]
+    ) -> tuple[Int[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+        """Return the first source of each start's path, and whether the path is free.
+
+        It is the source ``first``. If this path crosses a wall, it is the source on the shortest path to the goal
+        that crosses none, where there is one.
+        """
+        first, is_free = first.copy(), self._is_clear[first] & self._sees(first, x)
+        if is_free.all():
+            return first, is_free
+        crossing = np.flatnonzero(~is_free)
+        # A segment of length zero is free if its point is: starts in obstacles see no source.
+        crossing = crossing[self._workspace.is_visible(x[crossing], x[crossing], self._tolerance)]
+        starts, sources = x[crossing], self._arriving
+        way, length = first_visible_in_parts(
+            lambda rows: distances_between(starts[rows], self._points[sources]) + self._distances[sources],
+            len(starts),
+            len(sources),
+            lambda start, way: self._sees(sources[way], starts[start]),
+        )
+        is_mended = np.isfinite(length[:, 0])
+        is_free[crossing], first[crossing[is_mended]] = is_mended, sources[way[is_mended, 0]]
+        return first, is_free
+
+    def _sees(self, source: Int[np.ndarray, "n"], x: Points) -> Bool[np.ndarray, "n"]:
+        view = self._view[source]
+        sees = view >= 0
+        sees[sees] = self._table.sees(view[sees], x[sees])
+        if len(rest := np.flatnonzero(~sees)):  # these may see the source up to the tolerance
+            sees[rest] = self._workspace.is_visible(x[rest], self._points[source[rest]], self._tolerance)
+        return sees
+
+
+source_sight = lru_cache(maxsize=8)(SourceSight)
