@@ -138,8 +138,13 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     status = np.where(is_free, status, TraceStatus.CROSSES_WALL)
 
     # 4. Add rows for starts outside the domain.
-    columns = (paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)
-    return Traces(*(_spread(*each, inside, len(starts)) for each in columns), workspace is not None)
+    return Traces(
+        _spread(paths, np.nan, inside, len(starts)),
+        _spread(counts, 0, inside, len(starts)),
+        _spread(lengths, np.inf, inside, len(starts)),
+        _spread(status, TraceStatus.OUTSIDE, inside, len(starts)),
+        workspace is not None,
+    )
 
 
 def _spread(
