@@ -76,7 +76,7 @@ class NearWalls:
         entries = np.cumsum(counts) - counts + np.where(counts > _SHORT, _LONG, 0)
         first[ragged_indices(np.bincount(leaf, minlength=shape[0]))] = entries
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
-        return NearWalls(jnp.asarray(np.ascontiguousarray(ends.T)), jnp.asarray(first), most)
+        return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
     def hide(
         self, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"], x: Float[Array, "n 2"], corner: Float[Array, "n 2"]
@@ -111,8 +111,18 @@ class NearWalls:
         return (crossed.min(axis=1) < 0) & (crossed.max(axis=1) > 0)
 
 
-def updated(state: State, is_open: Bool[Array, "n"], size: int, update: Callable[..., State], *columns: Any) -> State:
-    """Replace the open rows of arrays by ``update(state, *columns)``, which takes ``size`` rows at a time."""
+def updated(
+    state: State,
+    is_open: Bool[Array, "n"],
+    size: int,
+    update: Callable[..., State],
+    *columns: Any,
+    leaves_rest: bool = False,
+) -> State:
+    """Replace the open rows of arrays by ``update(state, *columns)``, which takes ``size`` rows at a time.
+
+    With ``leaves_rest``, fewer than ``size`` rows stay as they are if others are replaced.
+    """
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
     words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
     ends = jnp.cumsum(jax.lax.population_count(words))  # number of open rows up to each word
@@ -134,7 +144,10 @@ def updated(state: State, is_open: Bool[Array, "n"], size: int, update: Callable
             lambda old, new: old.at[row].set(new, mode="drop", unique_indices=True), state, update(*rows)
         )
 
-    return jax.lax.fori_loop(jnp.uint32(0), (ends[-1] + np.uint32(size - 1)) // np.uint32(size), next_rows, state)
+    times = (ends[-1] + np.uint32(size - 1)) // np.uint32(size)
+    if leaves_rest:
+        times = jnp.minimum(times, jnp.maximum(ends[-1] // np.uint32(size), 1))
+    return jax.lax.fori_loop(jnp.uint32(0), times, next_rows, state)
 
 
 def near_entries(

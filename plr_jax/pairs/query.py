@@ -27,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
 from plr_jax._arrays import padded_size
 from plr_jax.pairs.hiding import is_across_occluder, updated
 from plr_jax.pairs.portable import crossings, winding
-from plr_jax.pairs.tables import PairTables
+from plr_jax.pairs.tables import NO_WAY, STEEPEST, PairTables
 from plr_jax.plr.query import lookup
 
 _AT_ONCE = 2**14  # pairs of points that fit into caches
@@ -170,19 +170,18 @@ def _ways(
     if to_corners is not None:
         onward = _at(to_corners.ravel(), leaf_y[:, None] * size + listed)
     else:
-        last_bits = np.uint32(padded_size(size) - 1)
-        packed = _at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
-        last, other = packed & last_bits, jax.lax.bitcast_convert_type(packed & ~last_bits, jnp.float32)
-        dx, dy = (_at(along, last) - p[:, None] for along, p in zip(tables.corners.T, y.T, strict=True))
-        by_last = _at(tables.distances.ravel(), last * size + listed) + jnp.sqrt(dx * dx + dy * dy)
-        onward = jnp.minimum(by_last, other)
-    at_least = jax.lax.bitcast_convert_type(_legs(tables, leaf_x, x) + onward, jnp.uint32)
+        bound = _at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
+        length = jnp.where(bound & NO_WAY == NO_WAY, jnp.inf, (bound & NO_WAY).astype(jnp.float32) * tables.step)
+        slopes = ((bound >> shift & 255).astype(jnp.float32) - STEEPEST for shift in (np.uint32(16), np.uint32(24)))
+        away = (y - tables.middles[leaf_y]) / STEEPEST
+        onward = length + sum(slope * along[:, None] for slope, along in zip(slopes, away.T, strict=True))
+    at_least = jax.lax.bitcast_convert_type(jnp.maximum(_legs(tables, leaf_x, x) + onward, 0), jnp.uint32)
     keys = jax.lax.optimization_barrier(at_least & ~_place_bits(longest) | np.arange(longest, dtype=np.uint32)[None])
     # 2. Finish the pairs that see one another.
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _norm(x - y))
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
     behind = jnp.full(x.shape[0], longest, jnp.uint32)
-    search = _Search(straight, behind, behind, keys.min(axis=1), words)
+    search = _Search(straight, behind, behind, _least(keys), words)
     # 3. Search in rounds.
     pairs = _Pairs(x, y, leaf_x, leaf_y, keys)
     search = _after_all_rounds(partial(_after_round, tables, to_corners), pairs, search)
@@ -207,7 +206,7 @@ def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: 
         return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(stays, range(1, a.ndim)), a, b), search, after)
 
     def round_of_open(search: _Search) -> _Search:
-        return updated(search, is_open(search), _SEARCHED, after_round, pairs)
+        return updated(search, is_open(search), _SEARCHED, after_round, pairs, leaves_rest=True)
 
     each_round = round_of_all if is_symbolic_dim(size) or size <= _FEW else round_of_open
     return jax.lax.while_loop(lambda search: is_open(search).any(), each_round, search)
@@ -219,7 +218,7 @@ def _after_round(
     """Examine the most promising corner that each first point's leaf lists."""
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
     first = search.key & _place_bits(pairs.keys.shape[1])
-    next_key = jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY).min(axis=1)
+    next_key = _least(jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY))
     via_x, corner = _corner_of(tables, leaf_x, first), tables.listed[leaf_x, first].astype(jnp.uint32)
     if to_corners is not None:
         hidden = _is_leg_hidden(tables, leaf_x, first, x, via_x)
@@ -235,7 +234,7 @@ def _after_round(
     onward = _legs(tables, leaf_y, y) + _at(tables.distances.ravel(), corner[:, None] * size + listed)
     onward = jax.lax.optimization_barrier(jnp.where(is_left_out, jnp.inf, onward))
     rest = onward.min(axis=1)
-    last = jnp.where(onward == rest[:, None], columns, columns.size - 1).min(axis=1)
+    last = _least(jnp.where(onward == rest[:, None], columns, columns.size - 1))
     both = ((leaf_x, leaf_y), (first, last), (x, y), (via_x, _corner_of(tables, leaf_y, last)))
     hidden_x, hidden_y = jnp.split(_is_leg_hidden(tables, *map(jnp.concatenate, both)), 2)
     length = jnp.where(hidden_x | hidden_y, jnp.inf, _norm(x - via_x) + rest)
@@ -261,6 +260,13 @@ def _place_bits(longest: int) -> np.uint32:
 
 def _bound_of(key: UInt32[Array, "n"], longest: int) -> Float[Array, "n"]:
     return jax.lax.bitcast_convert_type(key & ~_place_bits(longest), jnp.float32)
+
+
+def _least(values: UInt32[Array, "n columns"]) -> UInt32[Array, "n"]:
+    """Return the least value of each row; compilers find the least of halves of many columns faster than of rows."""
+    while values.shape[1] > 8 and values.shape[1] % 2 == 0:
+        values = jnp.minimum(*jnp.split(values, 2, axis=1))
+    return values.min(axis=1)
 
 
 def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt16, UInt32
 
-from plr_jax._arrays import padded, padded_size, ragged_indices, size_in_eighths
+from plr_jax._arrays import padded, ragged_indices, size_in_eighths
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.hiding import NearWalls, occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, Scene, walls_with_sides
@@ -17,6 +17,9 @@ from plr_jax.plr.tables import Tables, build_tables
 
 _UNROLLED, _CLUSTER = 16, 32  # occluders, and neighboring walls in a box, tested in one step of a loop
 _LEAVES_AT_ONCE = 32
+STEEPEST = 127  # slope of a bound that rises by 1 for each unit of length, in the numbers of `PairTables.onward`
+NO_WAY = np.uint32(2**16 - 1)  # length of `PairTables.onward` for corners without a path to the leaf
+_SHRUNK = np.float32(1 - 8 * np.finfo(np.float32).eps)  # makes up for the rounding of bounds to leaves
 _NOWHERE = 1e30  # a coordinate beyond every domain, for boxes of no walls
 
 
@@ -49,15 +52,18 @@ class PairTables:
         near: Walls that may hide a listed corner; None if they are too many to save time.
         x: First coordinate of the corners that each leaf lists, padded with ``inf``; ``y`` likewise.
         listed: Indices of the corners that each leaf lists; the padding is one more than the last index.
-        onward: For each leaf and corner, two packed numbers about paths from the corner to the leaf's box through a
-            corner that the leaf lists. The last bits are the listed corner of the shortest path; the rest is a float,
-            a lower bound of the length through any other.
+        onward: For each leaf and corner, a lower bound of the length of paths from the corner to points of the leaf
+            through corners that the leaf lists. It is linear in the point. The last 16 bits are the bound at the
+            middle of the leaf's box, in units of ``step``, rounded down; two times 8 bits are slopes along both axes,
+            ``STEEPEST`` above their multiple of ``1 / STEEPEST``.
+        step: Unit of the lengths of ``onward``.
+        middles: Middles of the leaves' boxes.
         middle: The middle of the domain in 32 bits, and the remainder.
         half: Half the domain width along each axis.
         proud_walls: Walls moved into free space; ``proud_corners`` move twice as far.
         sure_walls: Walls for lower bounds, without thin obstacles and with gaps where obstacles touch; None if equal
             to ``walls``.
-        rounding: Largest error of a distance through ``corners``, and through ``proud_corners``.
+        rounding: Largest error of a distance through listed corners, and through ``proud_corners``.
         unresolved: Point types that cannot be answered (:func:`unresolved_types`).
         is_certain: Whether every path found is certainly free.
     """
@@ -71,7 +77,8 @@ class PairTables:
     listed: UInt16[Array, "leaves longest"]
     distances: Float[Array, "size size"]
     onward: UInt32[Array, "leaves size"]
-    corners: Float[Array, "size 2"]
+    step: Float[Array, ""]
+    middles: Float[Array, "leaves 2"]
     middle: Float[Array, "2 2"]
     half: Float[Array, "2"]
     proud_walls: Walls
@@ -99,22 +106,17 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
     listed[ragged_indices(lengths)] = stored.listed
-    # 2. Bound the distances of listed corners to their leaves' boxes from below; `inf` for padding.
-    (lo, hi), of_leaf = cells.grown_boxes(domain), seen.corners[listed[: len(cells)]]
-    apart = np.maximum(np.maximum(lo[:, None] - of_leaf, of_leaf - hi[:, None]), 0)
-    beside = np.full(listed.shape, np.inf, np.float32)
-    beside[: len(cells)] = np.nextafter(np.hypot(*np.moveaxis(apart, -1, 0)).astype(np.float32), np.float32(0))
-    # 3. Choose occluders deeper inside obstacles than walls move back, and find walls near listed corners.
+    # 2. Choose occluders deeper inside obstacles than walls move back, and find walls near listed corners.
     try:
         depth = 4 * RECEDING * float(stored.domain.width.max())
         occluders = occluders_of(stored.outline.region, stored.domain, depth, len(stored.outline.points))
     except ValueError:  # the file has details finer than its lattice: only walls block sight
         occluders = np.zeros((0, 7))
-    margin = MARGIN * float(stored.domain.width.max())
+    margin, (lo, hi) = MARGIN * float(stored.domain.width.max()), cells.grown_boxes(domain)
     near = NearWalls.of((lo, hi), stored.leaf, stored.listed, seen.corners[:-1], seen.walls, margin, listed.shape)
 
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
-        return jnp.asarray(values.astype(np.float32))
+        return jax.device_put(values.astype(np.float32))  # unlike `jnp.asarray`, compiles nothing
 
     def in_groups(rows: Float[np.ndarray, "n 7"], of: int) -> Float[Array, "groups {of} 7"]:
         groups = size_in_eighths(-(-len(rows) // of))
@@ -132,8 +134,15 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         hi = padded(ends.max(axis=1), count, -_NOWHERE).reshape(-1, _CLUSTER, 2).max(axis=1) + margin
         return Walls(groups, in_32_bits(np.concatenate([(lo + hi) / 2, (hi - lo) / 2], axis=1)))
 
-    distances = jnp.asarray(distances_table(stored, size))
-    x, y = (along[listed] for along in seen.corners.T)
+    # 3. Bound the lengths of paths from corners to leaves, in steps of which the longest path has less than 2**16.
+    distances = distances_table(stored, size)
+    longest = distances.max(where=np.isfinite(distances), initial=0.0) + 2 * np.hypot(*domain.width)
+    distances, step = in_32_bits(distances), in_32_bits(np.asarray(longest / (NO_WAY - 1)))
+    middles = ((lo + hi) / 2).astype(np.float32)
+    halves = np.maximum(hi - middles, middles - lo) / _SHRUNK
+    middles, halves = (in_32_bits(padded(each, rows)) for each in (middles, halves))
+    corners, (x, y) = in_32_bits(padded(seen.corners, size, np.inf)), (along[listed] for along in seen.corners.T)
+    listed = jax.device_put(listed)
     return PairTables(
         partition=build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes),
         walls=in_boxes(seen.walls),
@@ -141,10 +150,11 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         near=near,
         x=in_32_bits(x),
         y=in_32_bits(y),
-        listed=jnp.asarray(listed),
+        listed=listed,
         distances=distances,
-        onward=_ways_to_leaves(distances, listed, beside),
-        corners=in_32_bits(padded(seen.corners, size, np.inf)),
+        onward=_bounds_to_leaves(distances, listed, corners, middles, halves, step),
+        step=step,
+        middles=middles,
         middle=in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=in_32_bits(stored.domain.width / 2),
         proud_walls=in_boxes(free.walls),
@@ -156,32 +166,50 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
 
 
 @jax.jit
-def _ways_to_leaves(
-    distances: Float[Array, "size size"], listed: UInt16[Array, "rows longest"], beside: Float[Array, "rows longest"]
+def _bounds_to_leaves(
+    distances: Float[Array, "size size"],
+    listed: UInt16[Array, "rows longest"],
+    corners: Float[Array, "size 2"],
+    middles: Float[Array, "rows 2"],
+    halves: Float[Array, "rows 2"],
+    step: Float[Array, ""],
 ) -> UInt32[Array, "rows size"]:
-    """Return `PairTables.onward`, given each leaf's corners and their distances from its box (``beside``)."""
-    rows, longest = listed.shape
-    size = len(distances)
-    last_bits = np.uint32(padded_size(size) - 1)
+    """Return `PairTables.onward`, given each leaf's corners, the middle of its box and half its widths.
+
+    The distance from a corner is convex: nowhere below its tangent plane at the middle. Take the slopes of the
+    shortest path to the middle, and lower this plane until it is below the tangent planes of all paths in the box.
+    """
+    rows, size = len(listed), len(distances)
 
     def of_leaves(leaves):
-        corners, near = leaves
+        listed, middle, half = leaves
+        away = jnp.moveaxis(middle[:, None] - corners[listed], -1, 0)
+        length = jnp.sqrt((away * away).sum(axis=0))
+        direction = jnp.where((length > 0) & (length < jnp.inf), away / length, 0)
+        count = (length < jnp.inf).sum(axis=1).max()
 
-        def with_corner(column, found):
-            shortest, other, last = found
-            way = near[:, column, None] + distances[corners[:, column]]
-            is_shorter = way < shortest
-            other = jnp.minimum(other, jnp.maximum(way, shortest))
-            return jnp.minimum(way, shortest), other, jnp.where(is_shorter, corners[:, column, None], last)
+        def path(column):
+            corner, leg, along = (
+                jax.lax.dynamic_slice_in_dim(each, column, 1, axis=-1) for each in (listed, length, direction)
+            )
+            return leg + distances[corner[:, 0]], along
 
-        shape = len(corners), size
-        none = jnp.full(shape, jnp.inf, jnp.float32)
-        begin = none, none, jnp.full(shape, size - 1, jnp.uint32)
-        count = (near < jnp.inf).sum(axis=1).max()
-        _, other, last = jax.lax.fori_loop(0, count, with_corner, begin)
-        other *= np.float32(1 - 4 * np.finfo(np.float32).eps)  # the last bits of `inf` are zeros
-        return jax.lax.bitcast_convert_type(other, jnp.uint32) & ~last_bits | last
+        def choose(column, found):
+            (way, along), (shortest, slopes) = path(column), found
+            return jnp.minimum(way, shortest), jnp.where(way < shortest, along, slopes)
 
-    step = np.gcd(rows, _LEAVES_AT_ONCE)
-    parts = (each.reshape(-1, step, longest) for each in (listed.astype(jnp.uint32), beside))
+        def lower(column, least):
+            way, along = path(column)
+            bend = jnp.abs(along - slopes / STEEPEST) * half.T[:, :, None]
+            return jnp.minimum(_SHRUNK * way - (bend[0] + bend[1]), least)
+
+        none = np.full((len(listed), size), np.inf, np.float32)
+        _, slopes = jax.lax.fori_loop(0, count, choose, (none, np.zeros((2, *none.shape), np.float32)))
+        slopes = jnp.round(STEEPEST * slopes)
+        least = jax.lax.fori_loop(0, count, lower, none)
+        steps = jnp.clip(jnp.floor(least / step), 0, NO_WAY - 1).astype(jnp.uint32)
+        slope_x, slope_y = (jnp.where(least < 0, 0, slopes) + STEEPEST).astype(jnp.uint32)
+        return jnp.where(least < jnp.inf, steps | slope_x << 16 | slope_y << 24, NO_WAY)
+
+    parts = (each.reshape(-1, np.gcd(rows, _LEAVES_AT_ONCE), *each.shape[1:]) for each in (listed, middles, halves))
     return jax.lax.map(of_leaves, tuple(parts)).reshape(rows, size)
