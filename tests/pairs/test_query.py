@@ -2,6 +2,7 @@
 
 import csv
 
+import jax
 import numpy as np
 import pytest
 from pair_helpers import check_exact_and_bounded, exact, joined, two_batches
@@ -61,19 +62,49 @@ def test_walls_shorter_than_the_lattice_is_wide_hide_no_other_walls():
     assert check_exact_and_bounded(construct_pairs(workspace, max_bytes=1024), workspace, x, y, 1e-6) > 0.9
 
 
-@pytest.mark.full
-def test_long_lists_are_searched_to_their_ends():
+def triangles():
+    """Return triangles that no line of sight passes far, and a wall from one side to the other."""
     rng = np.random.default_rng(14)
     angles = rng.uniform(0, 2 * np.pi, (12, 12, 1)) + np.array([0, 2.1, 4.2])
     corners = 0.5 + rng.uniform(0.1, 0.48, (12, 12, 1, 1)) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     corners += np.stack(np.meshgrid(range(12), range(12)), axis=-1)[:, :, None]
     chosen = corners[rng.uniform(size=(12, 12)) < 0.45]
-    workspace = Workspace(((0, 0), (12, 12)), [*chosen, box(6, 0, 6.01, 12)])
+    return Workspace(((0, 0), (12, 12)), [*chosen, box(6, 0, 6.01, 12)])
+
+
+@pytest.mark.full
+def test_long_lists_are_searched_to_their_ends():
+    workspace = triangles()
     pairs = construct_pairs(workspace, max_bytes=4200)
     assert np.bincount(pairs.stored.leaf).max() > 64
     x, y = two_batches(workspace, 800)
     for ends in (y, pairs.prepared(y)):
         np.testing.assert_allclose(pairs(x, ends), exact(workspace, x, y), atol=1e-5)
+
+
+# More than 1,024 pairs at a time are tested only against the walls of boxes that they meet.
+MANY = 3_000
+
+
+def test_many_pairs_among_hundreds_of_corners_are_exact_and_those_of_small_batches():
+    workspace = triangles()
+    pairs = construct_pairs(workspace, max_bytes=32_768)
+    assert pairs.num_corners > 150 and len(pairs.tables.walls.boxes) > 4
+    x, y = two_batches(workspace, MANY, seed=5).astype(np.float32)
+    found = np.asarray(jax.jit(pairs.__call__)(x, y))
+    np.testing.assert_allclose(found, exact(workspace, x, y), atol=12 * 1e-6)
+    np.testing.assert_allclose(found, pairs.numpy()(x, y), rtol=3e-7, atol=3e-7)
+
+
+@pytest.mark.full
+def test_many_pairs_of_a_real_map_are_bounded(data_dir):
+    workspace = scenes.read_workspace(data_dir / "jupedsim" / "arena.wkt")
+    pairs, width = construct_pairs(workspace), workspace.bounds.width.max()
+    assert pairs.num_corners > 200 and len(pairs.tables.walls.boxes) > 8
+    x, y = two_batches(workspace, MANY, seed=5)
+    truth, (lower, upper) = exact(workspace, x, y), np.asarray(jax.jit(pairs.bounds)(x, y), np.float64)
+    assert (lower <= truth).all() and (truth <= upper).all() and np.isfinite(upper).mean() > 0.9
+    np.testing.assert_allclose(jax.jit(pairs.__call__)(x, y), truth, atol=2e-5 * width)  # some are near walls
 
 
 @pytest.mark.full
