@@ -58,7 +58,8 @@ class Workspace:
     Obstacles may overlap, touch, and leave the bounds; together they cover the interior of their union. Coordinates
     are rounded to a grid of a thousandth of ``tolerance``, so that walls that touch up to rounding do touch. Walls
     and gaps thinner than a hundredth of ``tolerance`` vanish. Where several meet, those thinner than half of it may
-    vanish; far from the origin, those thinner than twice the tolerance.
+    vanish; far from the origin, those thinner than twice the tolerance. Distances, sight and proofs are those of
+    ``free_space``, where they have vanished.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.

@@ -151,10 +151,11 @@ class PairPLR(FileBacked):
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven lower and upper bounds, ``(...)`` each, of the distance between points of free space.
 
-        The proof includes the rounding of the file and of the query. It holds for points of free space, walls
-        included, but not for points that count as free only because of the workspace's tolerance. Points are given as
-        for a call, with the same ``ValueError``. Lower bounds are at least 0. Upper bounds are lengths of certainly
-        free paths; ``inf`` if none was found, as from points on a wall or within 4e-6 domain widths of a wall.
+        The proof includes the rounding of the file and of the query. It holds for points of ``Workspace.free_space``,
+        walls included, but not for points that count as free only because of the workspace's tolerance. Points are
+        given as for a call, with the same ``ValueError``. Lower bounds are at least 0. Upper bounds are lengths of
+        certainly free paths; ``inf`` if none was found, as from points on a wall or within 4e-6 domain widths of a
+        wall.
         """
         lower, upper = self._answered(_bounds, NumpyPairs.bounds_between, x, y)
         return lower, upper

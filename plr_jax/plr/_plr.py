@@ -179,11 +179,11 @@ class PLR(FileBacked):
         """Return proven bounds of the distance at points of free space from which the goal can be reached.
 
         The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was
-        given, and covers the rounding of a query. It includes points on the boundaries of obstacles. It excludes
-        points that are free, or connected to the goal, only because of the workspace's tolerance. In a domain far
-        from the origin, as in UTM coordinates, 32-bit points are rounded by more than the size of cells, and the
-        bounds hold for the rounded points: pass NumPy's 64-bit points outside of ``jit``, or enable
-        ``jax_enable_x64``.
+        given, and covers the rounding of a query. It includes points on the boundaries of obstacles, as they are in
+        ``Workspace.free_space``. It excludes points that are free, or connected to the goal, only because of the
+        workspace's tolerance. In a domain far from the origin, as in UTM coordinates, 32-bit points are rounded by
+        more than the size of cells, and the bounds hold for the rounded points: pass NumPy's 64-bit points outside
+        of ``jit``, or enable ``jax_enable_x64``.
 
         Args:
             x: Points, ``(..., dim)``, as for :func:`evaluate`.
