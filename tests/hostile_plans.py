@@ -238,10 +238,11 @@ class Judge:
     def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, slack: float):
         """Count broken bounds; bounds that hold within the tolerance, or for 32-bit points, have separate names.
 
-        The proof is for the free space of the workspace, in which walls thinner than its rounding have vanished.
+        The proof is for the free space of the workspace, in which walls thinner than its rounding have vanished. The
+        goal of an oracle that is within the tolerance of a contact or a wall has moved there (:meth:`placed`).
         """
         lower, upper = (np.asarray(each, float) for each in got)
-        exact = self.rounded.distances(self._rounded_place(goal), [self._rounded_place(each) for each in x])
+        exact = self.rounded.distances(goal, [self.placed(each, _ROUNDED * self.plan.tolerance) for each in x])
         reached, width = np.isfinite(exact), float(np.ptp(self.boundary.reshape(-1, 2), axis=0).max())
         self.counts[f"{name}: asked"] += int(reached.sum())
         for i in np.flatnonzero(reached & ((lower > exact + slack) | (upper < exact - slack))):
@@ -255,12 +256,13 @@ class Judge:
             holds = (kind for kind, (lo, hi) in allowed.items() if lower[i] <= hi + slack and upper[i] >= lo - slack)
             self.fail(f"{name}: {next(holds, 'broken')}", goal, x[i], (lower[i], upper[i]), exact[i], allowed)
 
-    def _rounded_place(self, x: np.ndarray) -> Any:
-        """Return the point, moved to the nearest wall if only rounding of the walls puts it into an obstacle."""
-        if self.rounded.sectors_at(as_exact(x)):
+    def placed(self, x: np.ndarray, radius: float) -> Any:
+        """Return the contact within a radius or, for a point in an obstacle, the nearest point of its walls."""
+        near = self.rounded.near(x, radius)
+        contacts = [point for point in near if len(self.rounded.sectors_at(as_exact(point))) > 1]
+        if not contacts and self.rounded.sectors_at(as_exact(x)):
             return x
-        near = self.rounded.near(x, _ROUNDED * self.plan.tolerance)
-        return min(near, key=lambda point: np.hypot(*(np.array(point, float) - x)), default=x)
+        return min(contacts or near, key=lambda point: np.hypot(*(np.array(point, float) - x)), default=x)
 
     def sight(self, name: str, goal: Any, x: np.ndarray, got: np.ndarray):
         self.counts[f"{name}: asked"] += len(x)
@@ -291,7 +293,7 @@ class Judge:
         self.failures.append(
             f"# {kind}: got {got}, right {exact}, of points within the tolerance {allowed}\n"
             f"workspace = Workspace({bounds}, {rings})\n"
-            f"goal, x = {np.asarray(goal).tolist()}, {np.asarray(x).tolist()}"
+            f"goal, x = {np.asarray(goal, float).tolist()}, {np.asarray(x).tolist()}"
         )
 
 
@@ -324,7 +326,8 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
             if result.given.sectors_at(as_exact(goal)):
                 got = np.asarray(numpy(x[is_free], goal), float)
                 result.pairs(goal, x[is_free], got, right[is_free], width)
-            result.bounds("bounds of pairs", goal, x, numpy.bounds(x, goal), slack)
+            start = result.placed(goal, _ROUNDED * plan.tolerance)
+            result.bounds("bounds of pairs", start, x, numpy.bounds(x, goal), slack)
         if number or "fields" not in ask or not np.isfinite(own(x)).any():
             continue
         for leaf, most in (("cone", 120), ("cone", 1000), ("plane", 400)):
@@ -337,7 +340,7 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
                 ),
             )
             if plr is not None:
-                result.bounds(name, goal, x, plr.numpy().bounds(x), slack)
+                result.bounds(name, result.placed(goal, plan.tolerance), x, plr.numpy().bounds(x), slack)
     return result
 
 
