@@ -256,7 +256,7 @@ class Judge:
             holds = (kind for kind, (lo, hi) in allowed.items() if lower[i] <= hi + slack and upper[i] >= lo - slack)
             self.fail(f"{name}: {next(holds, 'broken')}", goal, x[i], (lower[i], upper[i]), exact[i], allowed)
 
-    def placed(self, x: np.ndarray, radius: float) -> Any:
+    def placed(self, x: Any, radius: float) -> Any:
         """Return the contact within a radius or, for a point in an obstacle, the nearest point of its walls."""
         near = self.rounded.near(x, radius)
         contacts = [point for point in near if len(self.rounded.sectors_at(as_exact(point))) > 1]
@@ -270,7 +270,7 @@ class Judge:
             if bool(answer) != self.given.sees(goal, each) and not self._may_see(goal, each, bool(answer)):
                 self.fail(f"{name}: wrong", goal, each, bool(answer), not answer, None)
 
-    def _may_see(self, a: np.ndarray, b: np.ndarray, answer: bool) -> bool:
+    def _may_see(self, a: Any, b: Any, answer: bool) -> bool:
         """Return whether a segment or a free path within the tolerance of the given segment has this answer."""
         radius, way = _NEAR * self.plan.tolerance, b - a
         if np.hypot(*way) <= 4 * radius:
