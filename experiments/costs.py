@@ -3,10 +3,13 @@
 ``details`` are what grids miss: rivers and roads one cell wide at ratios from 3 to 255, a bar with a gap, and layers
 in space, beside scikit-fmm over the cells of the raster, of which the PLR has as many leaves.
 
-Four smooth costs and four rasters, which differ by factors of 2 to 50, around a wall. The truth is a fast march of
-3,201 x 1,601 nodes; where it errs is told by one of half as many along each axis. scikit-fmm gets a regular grid of
-about as many nodes as the PLR has cells, and is interpolated between them. Seconds are of all cores, compiled before;
-of scikit-fmm those of the march alone, of a PLR those of ``solve_eikonal``, which asks costs and space too.
+Four smooth costs and four rasters, which differ by factors of 2 to 50, around a wall. Errors of fast marching are
+proportional to the step. So the truth is extrapolated from marches of 3,201 x 1,601 nodes and of half as many along
+each axis; how far it may be off is told by the truth from half and a quarter as many. In ``estimates``, scikit-fmm
+gets a regular grid of about as many nodes as the PLR has cells, and is interpolated between them. In
+``equal_seconds``, the PLR has 8 KB, and scikit-fmm the largest grid that it marches in as many seconds. Seconds are
+of all cores, compiled before; of scikit-fmm those of the march alone, of a PLR those of ``solve_eikonal``, which asks
+costs and space too.
 """
 
 from collections.abc import Callable
@@ -28,6 +31,7 @@ GOAL = np.array([0.2, 0.2])
 WALL = [(0.9, 0.0), (1.0, 0.0), (1.0, 0.6), (0.9, 0.6)]
 POINTS = 20_000
 CELLS = (2_500, 10_000, 40_000)
+MOST_BYTES = 8_192
 _TURNS = 3
 _FINE = 1_600  # rows of the truth
 
@@ -94,6 +98,12 @@ def marched(space: PlaneSpace, cost_map: CostMap, rows: int) -> tuple[Distance, 
     return RegularGridInterpolator((x, y), cost.T), march
 
 
+def _truth(space: PlaneSpace, cost_map: CostMap, x: Points, rows: int) -> tuple[Float[np.ndarray, "n"], ...]:
+    """The cost-to-go extrapolated to steps of length 0, and how far it may be off."""
+    fine, half, quarter = (marched(space, cost_map, rows // parts)[0](x) for parts in (1, 2, 4))
+    return 2 * fine - half, np.abs(2 * fine - 3 * half + quarter)
+
+
 def _space() -> PlaneSpace:
     return PlaneSpace(Workspace(BOUNDS, [WALL]))
 
@@ -103,7 +113,7 @@ def estimates(seed: int, smoke: bool) -> dict[str, Any]:
     maps = smooth() | rasters(seed)
     x = space.workspace.sample_free(POINTS, seed)
     for name, cost_map in list(maps.items())[:: 7 if smoke else 1]:
-        truth, half = (marched(space, cost_map, each)[0](x) for each in (fine, fine // 2))
+        truth, off = _truth(space, cost_map, x, fine)
         for cells in CELLS[:1] if smoke else CELLS:
 
             def build(cells=cells, cost_map=cost_map):
@@ -120,10 +130,52 @@ def estimates(seed: int, smoke: bool) -> dict[str, Any]:
                     "nodes of scikit-fmm": (nodes + 1) * (2 * nodes + 1),
                     "its error": relative_error(rival(x), truth),
                     "its seconds": median_seconds(march, _TURNS),
-                    "of the truth": relative_error(half, truth),
+                    "of the truth": relative_error(truth + off, truth),
                 }
             )
     return {"rows": rows}
+
+
+def equal_seconds(seed: int, smoke: bool) -> dict[str, Any]:
+    space, rows, fine = _space(), [], 200 if smoke else _FINE
+    x = space.workspace.sample_free(POINTS, seed)
+    for name, cost_map in list((smooth() | rasters(seed)).items())[:: 7 if smoke else 1]:
+
+        def build(cost_map=cost_map):
+            return solve_eikonal(space, GOAL, cost_map=cost_map, max_bytes=MOST_BYTES, certified=False)
+
+        truth, off = _truth(space, cost_map, x, fine)
+        plr, seconds = build(), median_seconds(build, _TURNS)
+        rival, its_nodes, its_seconds = _largest_march(space, cost_map, 0.01 if smoke else seconds)
+        rows.append(
+            {
+                "map": name,
+                "bytes": plr.num_bytes,
+                "error": relative_error(np.asarray(plr(x), float), truth),
+                "seconds": seconds,
+                "nodes of scikit-fmm": its_nodes,
+                "its error": relative_error(rival(x), truth),
+                "its seconds": its_seconds,
+                "of the truth": relative_error(truth + off, truth),
+            }
+        )
+    return {"rows": rows}
+
+
+def _largest_march(space: PlaneSpace, cost_map: CostMap, seconds: float) -> tuple[Distance, int, float]:
+    """The largest grid with nodes on the walls that scikit-fmm marches in so many seconds, its nodes and seconds."""
+    tens, too_many = 4, _FINE
+    while True:
+        rows = 10 * tens
+        found, march = marched(space, cost_map, rows)
+        taken, _ = timed(march)
+        other = int(tens * np.sqrt(seconds / taken))
+        if taken > seconds:
+            too_many, tens = tens, min(other, tens - 1)
+        elif (other := min(other, too_many - 1)) <= tens:
+            return found, (rows + 1) * (2 * rows + 1), taken
+        else:
+            tens = other
 
 
 def bounds(seed: int, smoke: bool) -> dict[str, Any]:
@@ -131,10 +183,8 @@ def bounds(seed: int, smoke: bool) -> dict[str, Any]:
     x = space.workspace.sample_free(1_000 if smoke else 50 * POINTS, seed)
     maps = smooth() | rasters(seed)
     for name in ("ramp",) if smoke else maps:
-        truth, half = (
-            marched(space, maps[name], each)[0](x) for each in ((200, 100) if smoke else (_FINE, _FINE // 2))
-        )
-        spare = 2 * np.nanmax(np.abs(truth - half))
+        truth, off = _truth(space, maps[name], x, 200 if smoke else _FINE)
+        spare = np.nanmax(off)
         for cells in (300,) if smoke else (10_000, 40_000) if name == "ramp" else (10_000,):
             seconds, plr = timed(
                 lambda name=name, cells=cells: solve_eikonal(space, GOAL, cost_map=maps[name], max_leaves=cells)
@@ -195,10 +245,11 @@ def _over_cells(cost: RasterCost, goal: Points, parts: int) -> Distance:
 def details(seed: int, smoke: bool) -> dict[str, Any]:
     rows, rng = [], np.random.default_rng(seed)
     for name, (cost, goal) in list(_details().items())[:: 6 if smoke else 1]:
-        parts = (5 if smoke else 25) if cost.dim == 2 else (3 if smoke else 7)
+        parts = 27 if cost.dim == 2 and not smoke else 9
         x = rng.random((POINTS, cost.dim)) * cost.domain.hi
-        truth, half = (_over_cells(cost, goal, each)(x) for each in (parts, parts // 2 + (parts // 2 + 1) % 2))
-        x, truth, half = (each[np.isfinite(truth)] for each in (x, truth, half))
+        fine, third, ninth = (_over_cells(cost, goal, parts // each)(x) for each in (1, 3, 9))
+        truth, other = fine + (fine - third) / 2, third + (third - ninth) / 2
+        x, truth, other = (each[np.isfinite(truth)] for each in (x, truth, other))
         plr = solve_eikonal(cost.space(), goal, cost_map=cost, max_leaves=cost.values.size, certified=False)
         found, rival = np.asarray(plr(x), float), _over_cells(cost, goal, 1)(x)
         rows.append(
@@ -209,13 +260,13 @@ def details(seed: int, smoke: bool) -> dict[str, Any]:
                 "largest": float(np.nanmax(np.abs(found - truth)) / truth.mean()),
                 "its error": relative_error(rival, truth),
                 "its largest": float(np.nanmax(np.abs(rival - truth)) / truth.mean()),
-                "of the truth": relative_error(half, truth),
+                "of the truth": relative_error(other, truth),
             }
         )
     return {"rows": rows}
 
 
-SECTIONS = {each.__name__: Section(each) for each in (estimates, details, bounds)}
+SECTIONS = {each.__name__: Section(each) for each in (estimates, equal_seconds, details, bounds)}
 
 if __name__ == "__main__":
     run("costs", __doc__, SECTIONS)

@@ -61,7 +61,7 @@ def test_costs_that_rise_evenly_are_met_the_better_the_finer_the_grid():
     square = np.sum((q - goal) ** 2, axis=1)
     truth = np.arccosh(1 + rise**2 * square / (2 * speed(q) * speed(goal[None]))) / rise
     coarse, fine = (mean_error(grid_estimate(space, cost, goal, leaves)(q), truth) for leaves in (0, 90_000))
-    assert fine < 3e-4 and fine < coarse / 2
+    assert coarse < 1e-4 and fine < coarse / 2
 
 
 def test_walls_between_nodes_are_gone_around_and_sealed_rooms_are_not_reached():
@@ -71,6 +71,14 @@ def test_walls_between_nodes_are_gone_around_and_sealed_rooms_are_not_reached():
     space = BoxSpace(Box((0, 0), (1, 1)), ((0.5011, -1), (0.5012, 2)))
     q = np.array([(0.2, 0.7), (0.8, 0.7)])
     assert np.isfinite(grid_estimate(space, None, np.array([0.1, 0.1]))(q)).tolist() == [True, False]
+
+
+def test_around_corners_on_nodes_costs_are_extrapolated():
+    """The goal lies between nodes. Without extrapolation the error is 1.4e-4."""
+    workspace, goal = Workspace(((0, 0), (1, 1)), [rectangle(0.4, 0.0, 0.5, 0.6)]), np.array([0.2011, 0.2003])
+    q = workspace.sample_free(500, 0)
+    estimate = grid_estimate(PlaneSpace(workspace), None, goal)
+    assert mean_error(estimate(q), VisibilityGraph(workspace, goal)(q)) < 5e-5
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.2, np.pi / 4])
