@@ -20,11 +20,14 @@ from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, check_memory
-from plr_jax.plr.tree import MAX_DEPTH, Cells
+from plr_jax.plr.tree import MAX_DEPTH
 
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
 # Weight of a box's peak (its largest error) beside the integral of its error, in volumes of an average leaf.
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
+# One more leaf is expected to divide a box's peak by this factor at most. Measured for certified cones: without this
+# assumption a quarter more boxes are computed for errors as small; with a factor of 2, some bounds are less narrow.
+_MOST_DROP = 3.0
 BOXES_PER_BATCH = 1 << 14
 UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or excluded to save time
 
@@ -51,37 +54,73 @@ class BoxLevel:
         """Return each box's cost as a leaf: integral of its error plus ``share`` times its peak (largest error)."""
         return self.boxes.integral + share * self.boxes.peak
 
+    def is_open(self, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
+        """Return along which axes boxes may be halved, but have not been halved yet."""
+        depth = self.boxes.cells.depth.T
+        shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
+        return shallow & (depth - depth.min(axis=0) < MAX_ASPECT_BITS) & (self.child[:, 0] == UNKNOWN)
+
     def append(self, boxes: Any, key: UInt64[np.ndarray, "new"]) -> None:
         self.boxes = self.boxes.append(boxes)
         self.key = np.concatenate([self.key, key])
         self.child = np.concatenate([self.child, np.full((2, 2, len(key)), UNKNOWN)], axis=2)
 
 
-def expand(
-    levels: list[BoxLevel],
-    price: Float[np.ndarray, "first"],
-    share: float,
-    limits: Limits,
-    margin: float = np.inf,
-) -> None:
-    """Compute the halves of all boxes that may be split at a price, level by level, and add them to ``levels``.
+class TreeCosts(NamedTuple):
+    """Costs of the trees into which the boxes of one level may be split, with a price per leaf.
 
-    ``price`` has a price per leaf for each box of the first level, which its halves inherit; ``inf`` excludes a box.
+    Attributes:
+        best: Cost of each box's best tree of computed boxes, possibly of the box alone.
+        least: Cost that none of the box's trees is expected to fall below.
+    """
+
+    best: Float[np.ndarray, "boxes"]
+    least: Float[np.ndarray, "boxes"]
+
+    @staticmethod
+    def of(level: BoxLevel, below: "TreeCosts | None", price: float, share: float, limits: Limits) -> "TreeCosts":
+        """Compute the costs of a level from the costs of the next level, if there is one."""
+        best = level.costs(share) + price
+        halved = cost_if_halved(share * level.boxes.peak, price)
+        least = np.where(level.is_open(limits).any(axis=0), np.minimum(best, halved), best)
+        if below is None:
+            return TreeCosts(best, least)
+        for lower, upper in level.child:
+            known = np.flatnonzero(lower >= 0)
+            for total, of_halves in ((best, below.best), (least, below.least)):
+                total[known] = np.minimum(total[known], of_halves[lower[known]] + of_halves[upper[known]])
+        return TreeCosts(best, least)
+
+
+def cost_if_halved(peak: Float[np.ndarray, "boxes"], price: float) -> Float[np.ndarray, "boxes"]:
+    """Estimate from a box's weighted peak the least cost of its trees that have several leaves.
+
+    Integrals may vanish. Each leaf but the first costs a price and divides the peak by ``_MOST_DROP`` at best.
+    """
+    lowest = _MOST_DROP / (_MOST_DROP - 1)  # a peak of fewer prices is not worth another leaf
+    more = np.ceil(np.log(np.maximum(peak / price / lowest, _MOST_DROP)) / np.log(_MOST_DROP))
+    return (1 + more) * price + peak * _MOST_DROP**-more
+
+
+def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits, margin: float = np.inf) -> None:
+    """Compute the halves of boxes that may be split at a price per leaf, level by level, and add them to ``levels``.
+
     Halves are pruned if they cost more than ``margin`` times the halves along the other axis. In costs, peaks
     (largest errors) have the weight ``share``.
 
-    A box that is halved has at least two leaves, so it pays two prices where a leaf pays one. ``most`` is the largest
-    cost, one price not counted, with which a box can be part of a better tree. Boxes are halved only if their cost as
-    a leaf and ``most`` both exceed one price.
+    ``most`` is the cost that a box's tree must not exceed as part of a tree that is better than all computed ones. A
+    box is halved only if its trees may fall below ``most`` and below the cost of its best computed tree.
     """
-    most = np.full(len(price), np.inf)
-    for depth in range(limits.max_depth):
-        if depth == len(levels):
-            break
-        level = levels[depth]
-        costs = level.costs(share)
-        is_new = may_halve(level.boxes.cells, limits) & (level.child[:, 0] == UNKNOWN)
-        axis, parent = np.nonzero(is_new & (np.minimum(costs, most) > price))
+    costs: dict[int, TreeCosts] = {}
+
+    def update_costs(depth: int) -> None:
+        costs[depth] = TreeCosts.of(levels[depth], costs.get(depth + 1), price, share, limits)
+
+    for depth in reversed(range(len(levels))):
+        update_costs(depth)
+    most = np.full(len(levels[0].key), np.inf)
+    for depth, level in enumerate(levels):  # including the levels that are added meanwhile
+        axis, parent = np.nonzero(level.is_open(limits) & (np.minimum(costs[depth].best, most) > costs[depth].least))
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
             if margin < np.inf:
@@ -91,24 +130,16 @@ def expand(
                 halves = np.where((child >= 0).all(axis=1), cost[child].sum(axis=1), np.inf)
                 axis, which = np.nonzero((halves > margin * halves[::-1]) & (halves < np.inf))
                 level.child[axis, :, parent[which]] = PRUNED
+            update_costs(depth + 1)
+            update_costs(depth)
         if depth + 1 < len(levels):
-            box, below = np.flatnonzero(price < np.inf), levels[depth + 1].costs(share)
-            of_halves, most_of_halves = np.full(len(below), np.inf), np.full(len(below), -np.inf)
-            for lower, upper in level.child[:, :, box]:
+            allowed, below = np.minimum(costs[depth].best, most), costs[depth + 1].least
+            most = np.full(len(below), -np.inf)
+            for lower, upper in level.child:
                 known = np.flatnonzero(lower >= 0)
-                of_box, pair = price[box[known]], (lower[known], upper[known])
-                allowed = np.minimum(costs, most)[box[known]] - of_box
-                for half, other in (pair, pair[::-1]):
-                    np.minimum.at(of_halves, half, of_box)
-                    np.maximum.at(most_of_halves, half, allowed - np.minimum(below[other], of_box))
-            price, most = of_halves, most_of_halves
+                for half, other in ((lower[known], upper[known]), (upper[known], lower[known])):
+                    np.maximum.at(most, half, allowed[known] - below[other])
     check_memory(float(sum(len(level.key) for level in levels)))
-
-
-def may_halve(cells: Cells, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
-    depth = cells.depth.T
-    shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
-    return shallow & (depth - depth.min(axis=0) < MAX_ASPECT_BITS)
 
 
 def _add_halves(
@@ -140,9 +171,9 @@ _BEYOND = 1.15  # near the limits, the next tree should exceed them by this fact
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # guess: price ~ leaves**-2.2; this many leaves or more count as unlimited
 _FIRST_SHARE = 0.25  # the first price aims at this share of the limits, since the guess is rough
 _BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # estimated bits of one more leaf, and of a source that it needs
-_ATTEMPTS, _FULL = 12, 0.997  # most prices to try between two trees; stop once this share of the limits is used
-_HIGH = 1e300  # a price at which boxes are halved only if their cost as a leaf is infinite
-_LAST = 1e-12  # factor of the price once all boxes are known; above 0, so that the smaller of equal trees is chosen
+# Most prices to try between two trees; the share of the limits to aim at, and the share at which the search stops.
+_ATTEMPTS, _AIM, _FULL = 12, 0.9985, 0.997
+_LAST = 1e-4  # factor of the price once no box is left to halve; not 0, so that the smaller of equal trees is chosen
 
 Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
 """For each level, starting with the first, the indices of the boxes that are leaves of a tree."""
@@ -198,20 +229,34 @@ class PriceSearch:
 
     def first(self) -> PricedTree:
         """Return the tree of fewest leaves; raise :class:`BudgetTooSmall` if its file is too large."""
-        self._select_boxes(_HIGH, 1.0)
-        tree = self._tree(_HIGH, 1.0)
+        price = float(self.levels[0].costs(1.0)[0])
+        self._select_boxes(price, 1.0)
+        tree = self._tree(price, 1.0)
         self._limits.require_room(tree.num_bytes)
-        return replace(tree, price=float(self.levels[0].costs(1.0)[0]))
+        return replace(tree, is_final=self._is_finest(tree, 1.0))
 
     def next(self, now: PricedTree) -> PricedTree | None:
         """Compute more boxes and return the next, usually larger tree; None if the search is over."""
         if now.is_final:
             return None
         price, share = self._next_price(now)
-        expand(self.levels, np.full(1, price), share, self._limits)
-        is_final = self._select_boxes(price, share)
-        larger = self._tree(_LAST * price if is_final else price, share, is_final)
+        num_boxes = self._num_boxes()
+        expand(self.levels, price, share, self._limits)
+        self._select_boxes(price, share)
+        larger = self._tree(price, share)
+        if self._num_boxes() == num_boxes and self._is_finest(larger, share):
+            larger = replace(self._tree(_LAST * price, share), is_final=True)
         return larger if self._share(larger) <= 1 else self._largest(now, larger, share)
+
+    def _num_boxes(self) -> int:
+        return sum(len(level.key) for level in self.levels)
+
+    def _is_finest(self, tree: PricedTree, share: float) -> bool:
+        """Return whether no leaf with an error may be halved."""
+        leaves = zip(self.levels, tree.leaves, strict=False)
+        return not any(
+            (level.is_open(self._limits).any(axis=0) & (level.costs(share) > 0))[of].any() for level, of in leaves
+        )
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
         """Return the next price, for a larger tree, and the weight of peaks (largest errors) in costs."""
@@ -231,10 +276,9 @@ class PriceSearch:
         drop = float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
         return drop * now.price, share
 
-    def _tree(self, price: float, share: float, is_final: bool = False) -> PricedTree:
+    def _tree(self, price: float, share: float) -> PricedTree:
         tree = self._best_tree(price, share)
-        num_bytes = self._size(tree) if np.isfinite(self._limits.max_bytes) else 0
-        return replace(tree, num_bytes=num_bytes, is_final=is_final)
+        return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
 
     def _share(self, tree: PricedTree) -> float:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
@@ -245,8 +289,8 @@ class PriceSearch:
         for attempt in range(_ATTEMPTS):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
             sizes = np.log([self._share(fits), self._share(beyond)])
-            aim = sizes[0] / (sizes[0] - sizes[1]) if attempt % 2 == 0 else 0.5
-            price = float(np.exp(high + np.clip(aim, 0.05, 0.95) * (low - high)))
+            aim = (sizes[0] - np.log(_AIM)) / (sizes[0] - sizes[1]) if attempt % 4 < 3 else 0.5
+            price = float(np.exp(high + np.clip(aim, 0.01, 0.99) * (low - high)))
             middle = self._tree(price, share)
             if self._share(middle) <= 1:
                 fits = largest = middle
@@ -256,21 +300,14 @@ class PriceSearch:
                 break
         return replace(largest, is_final=True)
 
-    def _select_boxes(self, price: float, share: float) -> bool:
-        """Select the boxes that result from the root if every box that costs more than ``price`` is halved.
-
-        Return whether the selection is complete: no lower price would halve more of the selected boxes.
-        """
-        here, own, is_all = np.zeros(1, np.int64), [], True
+    def _select_boxes(self, price: float, share: float) -> None:
+        """Select the boxes that result from the root if every box that costs more than ``price`` is halved."""
+        here, own = np.zeros(1, np.int64), []
         for depth, level in enumerate(self.levels):
             if not len(here):
                 break
-            cost = level.costs(share)[here]
-            is_worth, child = cost > price, level.child[:, :, here]
-            is_whole = ~is_worth | (child[:, 0] == UNKNOWN).all(axis=0)
-            rest = np.flatnonzero(is_whole & (cost > 0) & (cost < np.inf))
-            is_all &= not (len(rest) and may_halve(level.boxes.cells[here[rest]], self._limits).any())
-            child[:, :, ~is_worth & (cost < np.inf)] = UNKNOWN
+            child = level.child[:, :, here]
+            child[:, :, level.costs(share)[here] <= price] = UNKNOWN
             own.append(SelectedBoxes(here, child))
             if depth + 1 < len(self.levels):
                 is_own = np.zeros(len(self.levels[depth + 1].key), bool)
@@ -282,7 +319,6 @@ class PriceSearch:
                 place[here] = np.arange(len(here))
                 child[known] = place[halves]
         self._selected = own
-        return is_all
 
     def _best_tree(self, price: float, share: float) -> PricedTree:
         """Return the tree of selected boxes that has the least total cost plus price per leaf."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plr_jax.plr import best_partition
-from plr_jax.plr.best_partition import BoxLevel, PriceSearch
+from plr_jax.plr.best_partition import BoxLevel, PriceSearch, cost_if_halved
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, grow
 from plr_jax.plr.tree import Cells
@@ -175,6 +175,21 @@ def test_boxes_without_error_are_leaves():
     asked = np.array(root.asked)
     in_lower_half = (asked[:, 0] > 0) & (asked[:, 2] >> np.maximum(asked[:, 0] - 1, 0) == 0)
     assert in_lower_half.any() and (asked[in_lower_half, 0] == 1).all()
+
+
+def test_halves_that_cannot_be_better_than_a_known_tree_are_not_halved():
+    """The halves along the first axis are exact, so the halves along the second axis need no halves of their own."""
+    costs = {key: float(key[0] == 0) * 2.0 ** -key[1] for key in random_costs(0)}
+    root = FakeBoxes(costs, Cells.root(2), [])
+    assert len(best_boxes(root).cells) == 2
+    assert sorted(root.asked) == [(0, 1, 0, 0), (0, 1, 0, 1), (1, 0, 0, 0), (1, 0, 1, 0)]
+
+
+def test_a_peak_is_worth_leaves_until_another_leaf_costs_more_than_it_saves():
+    peak, price = np.append(0.0, np.geomspace(0.01, 1e4, 50)), 0.1
+    more = np.arange(1, 30)[:, None]
+    least = ((1 + more) * price + peak / 3.0**more).min(axis=0)
+    np.testing.assert_allclose(cost_if_halved(peak, price), least, rtol=1e-12)
 
 
 def test_many_new_boxes_are_judged_in_parts(monkeypatch):

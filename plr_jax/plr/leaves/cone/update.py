@@ -255,8 +255,7 @@ class ConeSearch:
 
     def expand_boxes(self, price: float) -> None:
         """Compute the boxes that may be leaves at a price per leaf."""
-        each = np.full(len(self.levels[0].key), price)
-        expand(self.levels, each, self.peak_share, self.limits, _MARGIN)
+        expand(self.levels, price, self.peak_share, self.limits, _MARGIN)
 
     def needs_no_refinement(self, price: float) -> bool:
         """Return whether most leaves are kept and few cost more than the price, so that more leaves would not pay."""
