@@ -74,7 +74,7 @@ class PathTree:
     ends: Points
 
     def path(self, center: Float[np.ndarray, "2"]) -> Points:
-        """Return the vertices of the path from a node at a center; none if no source can be reached."""
+        """Return where the path from a node at a center turns, and its ends; nothing if no source can be reached."""
         (rows, columns), first_source = self.shape, len(self.next_node) - len(self.ends)
         num_corners, vertices = first_source - rows * columns, []
         row, column = (center / self.side).astype(int)[::-1]
@@ -87,8 +87,12 @@ class PathTree:
             vertices.append((column + is_center / 2, row + is_center / 2) * self.side)
             node = self.next_node[node]
         vertices.append(self.ends[node - first_source])
-        is_new = np.append(True, np.diff(vertices, axis=0).any(axis=1))  # a source may lie on a node
-        return np.array(vertices)[is_new]
+        path = np.array(vertices)
+        path = path[np.append(True, np.diff(path, axis=0).any(axis=1))]  # a source may lie on a node
+        edges = np.diff(path, axis=0)
+        edges /= np.linalg.norm(edges, axis=1, keepdims=True)
+        is_turn = (np.abs(np.diff(edges, axis=0)) > _ROUNDING).any(axis=1)
+        return path[np.r_[True, is_turn, True][: len(path)]]
 
 
 def search_finely(
@@ -303,7 +307,11 @@ def _straight_costs(
         first, last = leaves.min(axis=2), leaves.max(axis=2)
         beyond = np.sign(near) * (leaves < 1)
         cells = home[:, None], home[:, None] + beyond * (leaves == first[..., None]), home[:, None] + beyond
-        here, between, there = (cost[tuple(np.moveaxis(cell + _REACH, 2, 0))] for cell in cells)
+        is_along = (change == 0) & (near < 0)  # along the border to the previous cell: the cheaper cell counts
+        here, between, there = (
+            np.minimum(*(cost[tuple(np.moveaxis(each + _REACH, 2, 0))] for each in (cell, cell - is_along)))
+            for cell in cells
+        )
         mean = first * here + (last - first) * between + (1 - last) * there  # NaN where a barrier is touched
     return np.where(np.isnan(mean), np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
 

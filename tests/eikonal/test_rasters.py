@@ -37,6 +37,13 @@ def test_a_source_at_a_corner_or_side_of_cells_reaches_all_cells_around(source):
     assert (result.nearest == 0).all()  # the first of equal ones
 
 
+def test_along_a_border_the_cheaper_cell_counts_from_the_source_on():
+    costs = np.full((2, 30_000), 9)  # large, so that cells are not divided
+    costs[0, :2] = costs[1, 2] = 1
+    result = cost_distance(costs, [(1.2, 1)])
+    np.testing.assert_allclose(result.distance[1, 2], 0.8 + np.hypot(0.5, 0.5))
+
+
 def test_costs_of_any_size_are_only_compared_with_one_another():
     expected = cost_distance(np.ones((4, 5)), [(0.5, 0.5)]).distance
     for size in (1e-200, 1e200):
