@@ -13,6 +13,7 @@ References:
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise, product
 from math import floor, gcd
@@ -54,17 +55,57 @@ def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
     return (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
 
 
+@dataclass(frozen=True)
+class PathTree:
+    """Shortest paths from the centers of cells to their nearest sources.
+
+    Attributes:
+        next_node: For each node the next one toward the source; negative at sources, which are the last nodes, and
+            where no source can be reached. Nodes at corners of parts of cells are first, if there are any, then those
+            at centers.
+        shape: Numbers of rows and columns of parts of cells.
+        side: Sides of a part.
+        ends: Where paths reach the sources.
+    """
+
+    next_node: Int[np.ndarray, "nodes"]
+    shape: tuple[int, int]
+    side: Sides
+    ends: Points
+
+    def path(self, center: Float[np.ndarray, "2"]) -> Points:
+        """Return where the path from a node at a center turns, and its ends; nothing if no source can be reached."""
+        (rows, columns), first_source = self.shape, len(self.next_node) - len(self.ends)
+        num_corners, vertices = first_source - rows * columns, []
+        row, column = (center / self.side).astype(int)[::-1]
+        node = num_corners + row * columns + column
+        while node < first_source:
+            if node < 0:
+                return np.empty((0, 2))
+            is_center = int(node >= num_corners)
+            row, column = divmod(node - is_center * num_corners, columns + 1 - is_center)
+            vertices.append((column + is_center / 2, row + is_center / 2) * self.side)
+            node = self.next_node[node]
+        vertices.append(self.ends[node - first_source])
+        path = np.array(vertices)
+        path = path[np.append(True, np.diff(path, axis=0).any(axis=1))]  # a source may lie on a node
+        edges = np.diff(path, axis=0)
+        edges /= np.linalg.norm(edges, axis=1, keepdims=True)
+        is_turn = (np.abs(np.diff(edges, axis=0)) > _ROUNDING).any(axis=1)
+        return path[np.r_[True, is_turn, True][: len(path)]]
+
+
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
-) -> list[np.ndarray]:
-    """Return distances and nearest sources by paths over parts of cells; if asked for, lower and upper bounds too."""
+) -> tuple[list[np.ndarray], PathTree]:
+    """Return distances and nearest sources by paths over parts of cells; bounds, if asked for; and the paths."""
     fine, of_part = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1), side / parts[::-1]
-    distance, at_corners, nearest = search(fine, of_part, points)
+    distance, at_corners, nearest, tree = search(fine, of_part, points)
     results = [distance, nearest]
     if bounds:
         assert at_corners is not None
         results += [_below(fine, of_part, points, distance, at_corners), distance * (1 + _ROUNDING)]
-    return [each[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for each in results]
+    return [each[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for each in results], tree
 
 
 def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
@@ -173,8 +214,8 @@ def search(
     height: Raster | None = None,
     slope_fn: Slope = np.ones_like,
     from_sources: bool = False,
-) -> tuple[Raster, AtCorners | None, Nearest]:
-    """Return costs of shortest paths over straight edges to centers and corners of cells, and nearest sources.
+) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
+    """Return costs of shortest paths over straight edges to centers and corners of cells, nearest sources, and paths.
 
     With heights, edges join centers alone, and paths begin at the center of a source's cell.
     """
@@ -239,12 +280,13 @@ def search(
     begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
     graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
     sources = len(number) + np.arange(len(points))
-    distance, _, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
+    distance, toward, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
     nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - len(number), -1)]
+    tree = PathTree(toward, (rows, columns), side, points if height is None else (home[:, ::-1] + 0.5) * side)
     if height is not None:
-        return distance[nodes[1]], None, nearest
+        return distance[nodes[1]], None, nearest, tree
     distance[contacts] = np.inf
-    return distance[nodes[1]], distance[nodes[0]], nearest
+    return distance[nodes[1]], distance[nodes[0]], nearest, tree
 
 
 def _straight_costs(
@@ -265,7 +307,11 @@ def _straight_costs(
         first, last = leaves.min(axis=2), leaves.max(axis=2)
         beyond = np.sign(near) * (leaves < 1)
         cells = home[:, None], home[:, None] + beyond * (leaves == first[..., None]), home[:, None] + beyond
-        here, between, there = (cost[tuple(np.moveaxis(cell + _REACH, 2, 0))] for cell in cells)
+        is_along = (change == 0) & (near < 0)  # along the border to the previous cell: the cheaper cell counts
+        here, between, there = (
+            np.minimum(*(cost[tuple(np.moveaxis(each + _REACH, 2, 0))] for each in (cell, cell - is_along)))
+            for cell in cells
+        )
         mean = first * here + (last - first) * between + (1 - last) * there  # NaN where a barrier is touched
     return np.where(np.isnan(mean), np.inf, mean) * np.linalg.norm(change[..., ::-1] * side, axis=2)
 

@@ -214,7 +214,8 @@ class PLR(FileBacked):
             return self.band
         raise ValueError(
             "Nothing is proven of this PLR: construct it with certified=True, call certify(plr, oracle), or call "
-            "solve_eikonal with a space that classifies boxes and without certified=False."
+            "solve_eikonal with a space that classifies boxes and without certified=False. For cost_distance with "
+            "bounds=True, result.lower and result.upper are proven instead."
         )
 
     @property

@@ -37,11 +37,18 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
         )
     if str(raster.dims[0]).lower() in _X_NAMES or str(raster.dims[1]).lower() in _Y_NAMES:
         raise ValueError(f"{name} must have the dimensions y and x in this order, got {raster.dims}: transpose it.")
+    if (
+        any(str(axis).lower() in _DEGREES for axis in raster.dims)
+        or any(str(raster[axis].attrs.get("units", "")).startswith("degree") for axis in raster.dims)
+        or any(_is_geographic(coordinate.attrs) for coordinate in raster.coords.values())
+    ):
+        message = (
+            f"Coordinates {raster.dims} seem to be degrees, so that lengths are in degrees: project the raster, with "
+            "rioxarray by raster.rio.reproject(raster.rio.estimate_utm_crs())."
+        )
+        warnings.warn(message, UserWarning, stacklevel=4)
     lo, hi, slices = [], [], []
     for axis in raster.dims[::-1]:
-        if str(axis).lower() in _DEGREES or str(raster[axis].attrs.get("units", "")).startswith("degree"):
-            message = f"Coordinates {axis!r} seem to be degrees, so that lengths are in degrees: project the raster."
-            warnings.warn(message, UserWarning, stacklevel=4)
         along = as_numbers(f"coordinates {axis!r}", raster[axis].values, "numbers")
         steps = np.diff(along)
         side = abs(along[-1] - along[0]) / len(steps) if len(steps) else 1.0
@@ -52,3 +59,9 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
         hi.append(lo[-1] + side * len(along))
         slices.append(slice(None, None, -1 if along[0] > along[-1] else None))
     return Box(lo, hi), (slices[1], slices[0])
+
+
+def _is_geographic(attributes: dict[str, Any]) -> bool:
+    """Return whether a coordinate reference system, stored by the CF conventions, has longitudes and latitudes."""
+    name, text = (str(attributes.get(key, "")) for key in ("grid_mapping_name", "crs_wkt"))
+    return name == "latitude_longitude" or text.startswith("GEOG")

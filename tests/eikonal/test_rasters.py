@@ -1,7 +1,11 @@
 """Cost distances over rasters, beside distances in closed form, exact shortest paths and one-dimensional sums."""
 
+from itertools import pairwise, product
+
 import numpy as np
 import pytest
+from scipy import ndimage
+from scipy.interpolate import RegularGridInterpolator
 from scipy.optimize import minimize_scalar
 
 from plr_jax import VisibilityGraph, Workspace, cost_distance
@@ -31,6 +35,13 @@ def test_a_source_at_a_corner_or_side_of_cells_reaches_all_cells_around(source):
     result = cost_distance(np.ones((9, 9)), [source, source])
     np.testing.assert_allclose(result.distance, np.linalg.norm(centers((9, 9)) - source, axis=2), atol=0.03)
     assert (result.nearest == 0).all()  # the first of equal ones
+
+
+def test_along_a_border_the_cheaper_cell_counts_from_the_source_on():
+    costs = np.full((2, 30_000), 9)  # large, so that cells are not divided
+    costs[0, :2] = costs[1, 2] = 1
+    result = cost_distance(costs, [(1.2, 1)])
+    np.testing.assert_allclose(result.distance[1, 2], 0.8 + np.hypot(0.5, 0.5))
 
 
 def test_costs_of_any_size_are_only_compared_with_one_another():
@@ -103,7 +114,9 @@ def test_an_xarray_keeps_its_coordinates_and_gives_them_to_points():
     np.testing.assert_array_equal(result.nearest.values, expected.nearest[::-1])
     assert result.distance.sel(x=700, y=5000) == 0
     assert result.distance.sel(x=740, y=5040) == np.inf
-    assert result.distance.attrs["crs"] == "EPSG:32633"
+    assert result.distance.attrs == {"crs": "EPSG:32633"}
+    points = xarray.DataArray([(700.0, 5000.0), (940.0, 5170.0)], dims=("site", "xy"))
+    np.testing.assert_array_equal(cost_distance(raster, points).nearest, result.nearest)
     mask = raster.copy(data=np.zeros(raster.shape, bool))
     mask[19, 0] = mask[2, 24] = True
     np.testing.assert_array_equal(cost_distance(raster, mask).nearest, 1 - result.nearest.where(raster > 0, 2))
@@ -124,6 +137,26 @@ def test_a_geotiff_is_read_and_written_by_rioxarray(tmp_path):
         np.testing.assert_allclose(found.values[0], 10 * np.arange(30), atol=0.1)
 
 
+@pytest.mark.parametrize(("dtype", "no_data", "scale"), [("uint8", 255, 1), ("int16", -32768, 0.01)])
+def test_results_from_a_geotiff_of_integers_are_written_as_they_are(dtype, no_data, scale, tmp_path):
+    rioxarray, rasterio = pytest.importorskip("rioxarray"), pytest.importorskip("rasterio")
+    raster = raster_of(np.full((20, 30), 40.0), 300_005.0 + 10 * np.arange(30), 5_000_195.0 - 10 * np.arange(20))
+    raster[:, 20] = no_data
+    raster.astype(dtype).rio.write_crs("EPSG:32633").rio.write_nodata(no_data).rio.to_raster(tmp_path / "costs.tif")
+    with rasterio.open(tmp_path / "costs.tif", "r+") as file:
+        file.scales, file.units = (scale,), ("s/m",)
+    costs = rioxarray.open_rasterio(tmp_path / "costs.tif", mask_and_scale=True).squeeze("band")
+    np.testing.assert_allclose(costs[0, :20], 40 * scale)
+    result = cost_distance(costs, [(300_005, 5_000_195), (300_105, 5_000_195)])
+    assert result.distance.values[:, :20].max() > 255 * scale
+    for name in ("distance", "nearest"):
+        written = getattr(result, name)
+        written.rio.to_raster(tmp_path / f"{name}.tif")
+        read = rioxarray.open_rasterio(tmp_path / f"{name}.tif", mask_and_scale=True).squeeze("band")
+        np.testing.assert_array_equal(read.values, written.values)
+        assert read.rio.crs == costs.rio.crs and "units" not in read.attrs
+
+
 def test_a_hiker_climbs_more_slowly_than_she_descends():
     x = np.arange(41) + 0.5
     heights = np.broadcast_to(0.2 * x, (5, 41))
@@ -140,6 +173,66 @@ def test_a_slope_function_of_ones_gives_euclidean_distances():
     truth = np.linalg.norm(centers((40, 40)) - 20.5, axis=2)
     assert (result.distance >= truth - 1e-9).all()
     np.testing.assert_allclose(result.distance, truth, rtol=0.004)
+
+
+def cost_along(path, costs):
+    """Integrate costs, constant in each cell, along a polyline; the cheaper cell counts along a border of two."""
+    total = 0.0
+    for begin, change in zip(path[:-1], np.diff(path, axis=0), strict=True):
+        cuts = [0.0, 1.0]
+        for axis in (0, 1):
+            lines = np.arange(np.floor(min(path[:, axis])), max(path[:, axis]) + 1)
+            cuts.extend((lines - begin[axis]) / change[axis] if change[axis] else [])
+        cuts = np.unique(np.clip(cuts, 0, 1))
+        for a, b in pairwise(cuts):
+            middle = begin + (a + b) / 2 * change
+            beside = np.floor(middle[::-1] + list(product((-1e-9, 1e-9), repeat=2))).astype(int)
+            total += (b - a) * np.linalg.norm(change) * costs[tuple(beside.T)].min()
+    return total
+
+
+@pytest.mark.parametrize("side", [12, 260])  # cells are divided; cells are not divided
+def test_the_cost_of_a_path_is_the_distance(side):
+    costs = np.pad(np.random.default_rng(3).choice([1.0, 2, 5, np.nan], (side, side)), 1, constant_values=1)
+    sources = [(0.3, 5.2), (side + 1.5, 1.5), (6, side + 1.0)]
+    result = cost_distance(costs, sources)
+    for i, j in [(0, 0), (side + 1, side + 1), (side, 0), (side // 2, side + 1), (0, side // 2)]:
+        path = result.path((j + 0.9, i + 0.1))  # anywhere in the cell
+        np.testing.assert_array_equal(path[0], (j + 0.5, i + 0.5))
+        np.testing.assert_array_equal(path[-1], sources[result.nearest[i, j]])
+        np.testing.assert_allclose(cost_along(path, np.where(np.isnan(costs), 1e9, costs)), result.distance[i, j])
+    assert result.path(sources[1]).tolist() == [[side + 1.5, 1.5]]
+
+
+@pytest.mark.parametrize("from_sources", [False, True])
+def test_a_path_over_heights_has_the_directed_cost(from_sources):
+    heights = ndimage.gaussian_filter(np.random.default_rng(0).normal(size=(40, 50)), 3) * 40
+    result = cost_distance(
+        np.ones((40, 50)), [(3.1, 4.8), (45.5, 30.5)], heights=heights, cell_size=10, from_sources=from_sources
+    )
+    height = RegularGridInterpolator((np.arange(40) + 0.5, np.arange(50) + 0.5), heights)
+    for i, j in [(39, 0), (20, 25), (0, 49)]:
+        path = result.path((10 * j + 5, 10 * i + 5))
+        walk = path[::-1] if from_sources else path
+        seconds = 0.0
+        for a, b in zip(walk[:-1] / 10, walk[1:] / 10, strict=True):
+            count = int(np.abs(b - a).max().round())  # between rows and columns of centers, heights are linear
+            slope = np.diff(height(np.linspace(a, b, count + 1)[:, ::-1])) / (10 * np.linalg.norm(b - a) / count)
+            seconds += 10 * np.linalg.norm(b - a) * np.mean(3.6 / 6 * np.exp(3.5 * np.abs(slope + 0.05)))
+        np.testing.assert_allclose(seconds, result.distance[i, j])
+
+
+def test_paths_have_the_coordinates_of_an_xarray_and_end_where_there_is_none():
+    raster = raster_of(np.ones((20, 30)), 305.0 + 10 * np.arange(30), 695.0 - 10 * np.arange(20))
+    raster[:, 20] = np.nan
+    result = cost_distance(raster, [(305, 695)])
+    path = result.path((485, 505))
+    np.testing.assert_array_equal(path[[0, -1]], [(485, 505), (305, 695)])
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+    np.testing.assert_allclose(length, result.distance.sel(x=485, y=505))
+    assert result.path((595, 695)).shape == result.path((505, 505)).shape == (0, 2)
+    with pytest.raises(ValueError, match=r"point must lie in the raster .*, got \(485, 705\)"):
+        result.path((485, 705))
 
 
 @pytest.mark.full
@@ -194,6 +287,8 @@ def test_a_front_marches_over_rasters_too_large_for_a_search(monkeypatch):
     is_clear = two[..., 1] - two[..., 0] > 1.5
     assert (result.nearest[:, 1:] == to_each.argmin(axis=2))[is_clear].all()
     assert (result.nearest[:, 0] == -1).all()
+    with pytest.raises(ValueError, match=r"distances come without paths.*plr_jax\.descend"):
+        result.path((0.5, 0.5))
     with pytest.raises(ValueError, match="differ by a factor of at most 100,000, got costs from 1 to 1e"):
         cost_distance([[1, 1e6]], [(0.5, 0.5)])
 
@@ -266,6 +361,12 @@ def test_heights_and_masks_need_the_coordinates_of_the_costs():
     ]
 
 
-def test_degrees_are_no_lengths():
-    with pytest.warns(UserWarning, match="'lon' seem to be degrees"):
-        cost_distance(raster_of(np.ones((2, 2)), [0, 1], dims=("lat", "lon")), [(0, 0)])
+@pytest.mark.parametrize("by", ["names", "units", "crs"])
+def test_degrees_are_no_lengths(by):
+    raster = raster_of(np.ones((2, 2)), [0, 1], dims=("lat", "lon") if by == "names" else ("y", "x"))
+    if by == "units":
+        raster.x.attrs["units"] = "degrees_east"
+    if by == "crs":
+        raster = raster.assign_coords(spatial_ref=((), 0, {"crs_wkt": 'GEOGCS["WGS 84"]'}))
+    with pytest.warns(UserWarning, match="seem to be degrees.* project the raster"):
+        cost_distance(raster, [(0, 0)])
