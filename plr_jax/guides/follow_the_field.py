@@ -60,7 +60,7 @@ print(cones.waypoint(starts[:3]))  # also inside jit
 
 # Routes of many agents to several exits
 
-Paths lead to the nearest of several exits.
+Paths lead to the nearest of several exits. Where a small file has no free path, `arrived` is false: use `descend`.
 
 ```python
 nearest = plr_jax.NearestGoal([oracle, oracle.with_goal((0.9, 0.1))])
