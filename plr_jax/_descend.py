@@ -104,12 +104,12 @@ def descend(
         space: Free space. A Workspace is the free space of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
         goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
-            each path ends at the nearest.
+            each path ends at the one that is nearest by the field.
         cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:
-        Status, path, length and cost for each start. Costs from a cost map have an error of about 0.1 % at most,
-        and far less if the map is smooth.
+        Status, path, length and cost for each start. With a cost map, the cost of a path is integrated to about 0.1 %
+        or better; the path itself may cost some percent more than the cheapest.
 
     Raises:
         ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not

@@ -87,7 +87,7 @@ def build(
     radius: RadiusOption = None,
 ) -> None:
     """Compress the exact distance to the nearest goal in a MAP into a small file with a proven error bound."""
-    from plr_jax.plr.container import frame_size, require_label
+    from plr_jax.plr.container import MOST_LABEL_BYTES, frame_size
     from plr_jax.plr.growth import BudgetTooSmall
 
     began = time.perf_counter()
@@ -104,14 +104,18 @@ def build(
         raise ValueError(
             f"expected a goal, but {map} has none, or one for each of several robots: give one with --goal X,Y."
         )
+    label = str(replace(named, goal=";".join(f"{x!r},{y!r}" for x, y in goals.tolist())))
+    if len(label.encode()) > MOST_LABEL_BYTES:
+        raise ValueError(
+            f"The file's label holds MAP, its options and goals in {MOST_LABEL_BYTES:,} bytes, got "
+            f"{len(label.encode()):,}, of {len(goals)} goals: give fewer goals, or fewer digits."
+        )
     if (free := named.free_pixels()) is not None:
         typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices{_specks(free, drop_specks or 0)}")
     with progress("computing visibility between corners"):
         oracle = oracle_of(workspace, goals)
 
     # 2. Construct the PLR, with room for its label in the file.
-    label = str(replace(named, goal=";".join(f"{x!r},{y!r}" for x, y in goals.tolist())))
-    require_label(label)
     label_bytes = frame_size(workspace.bounds, label=label) - frame_size(workspace.bounds)
     try:
         plr, interrupted = finish_or_stop(

@@ -33,9 +33,10 @@ def _holds_pairs(file: Path) -> bool:
 
 
 def _distance_to_goal(pairs: Any, file: Path, goal: list[str] | None) -> Any:
-    if goal is None or len(goal) > 1:
+    goals = [] if goal is None else parse_goals(str(joined_goals(goal)))
+    if len(goals) != 1:
         raise ValueError(f"{file} has the distance between any two points: give one of them with --goal X,Y.")
-    return pairs.to(parse_goals(*goal)[0])
+    return pairs.to(goals[0])
 
 
 @command(

@@ -92,9 +92,11 @@ RadiusOption = Annotated[
 
 def parse_goals(text: str) -> Float[np.ndarray, "goals 2"]:
     """Parse goals ``X,Y;X,Y``; ``ValueError`` if a goal is not two finite numbers."""
-    goals = [numbers_of(goal) for goal in text.split(";")]
-    if {*map(len, goals)} != {2} or not np.isfinite(goals).all():
-        raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {text!r}.")
+    goals = []
+    for goal in text.split(";"):
+        goals.append(numbers_of(goal))
+        if len(goals[-1]) != 2 or not np.isfinite(goals[-1]).all():
+            raise ValueError(f"--goal must be two numbers X,Y in one argument, such as 3,28, got {goal!r}.")
     return np.array(goals)
 
 

@@ -65,8 +65,16 @@ class NearestGoal:
         return np.where(np.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """Return the shortest path from a point ``(dim,)`` to the nearest goal, by that goal's ``shortest_path``."""
+        """Return the shortest path from a point ``(dim,)`` to the nearest goal, by that goal's ``shortest_path``.
+
+        ``ValueError`` if its distance function has no such method, as PLRs have none.
+        """
         nearest: Any = self.distance_fns[self.which(as_point("The start", x, self.dim)[None])[0]]
+        if not hasattr(type(nearest), "shortest_path"):
+            raise ValueError(
+                f"Paths need oracles with shortest_path, such as VisibilityGraph, got {shortened(nearest)}: use "
+                "trace or descend."
+            )
         return nearest.shortest_path(x)
 
     def _distances(self, x: ArrayLike) -> Float[np.ndarray, "goals n"]:

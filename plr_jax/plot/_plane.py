@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-from plr_jax._arrays import as_finite_point, as_numbers, as_points
+from plr_jax._arrays import as_finite_point, as_numbers
 from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
 from plr_jax.geometry.boundary import triangulate
 from plr_jax.geometry.box import Box, Slice
@@ -170,8 +170,8 @@ def plot_contours(
     # Values inside obstacles are drawn and covered, so that colors reach the walls, but do not affect the scale.
     free, cut_off = free_points(points, shown, workspace, space), []
     if goal is not None:
-        goals = goal if np.ndim(goal) == 2 else as_finite_point("goal", goal, plr.domain.dim)[None]
-        goal = plr.domain.wrapped(as_points("goal", goals, plr.domain.dim))[:, list(shown.axes)]
+        goals = [as_finite_point("goal", each, plr.domain.dim) for each in (goal if np.ndim(goal) == 2 else [goal])]
+        goal = plr.domain.wrapped(np.reshape(goals, (-1, plr.domain.dim)))[:, list(shown.axes)]
     if goal is not None and workspace is not None:
         reached, cut_off = _split_by_reachability(workspace, goal)
         if cut_off:

@@ -11,7 +11,16 @@ from jax.core import Tracer
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import as_points, as_queries, no_attribute, padded, padded_size, require_integer, shortened
+from plr_jax._arrays import (
+    as_points,
+    as_queries,
+    no_attribute,
+    padded,
+    padded_size,
+    require_function,
+    require_integer,
+    shortened,
+)
 from plr_jax._types import ArrayLike, DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import (
@@ -125,8 +134,9 @@ class PLR(FileBacked):
         """Return this PLR of the distance to several goals, with the function that :meth:`which` calls.
 
         The function takes points ``(n, dim)`` and returns indices ``(n,)``, as ``oracle.which`` of a
-        :class:`NearestGoal` does. Files do not keep it.
+        :class:`NearestGoal` does. Files do not keep it. ``ValueError`` if it is not a function.
         """
+        require_function("nearest_goal", nearest_goal)
         return self._copied(self.file, nearest_goal)
 
     def _copied(self, file: Any, nearest_goal: Callable[[np.ndarray], np.ndarray] | None) -> "PLR":

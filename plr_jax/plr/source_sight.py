@@ -39,23 +39,23 @@ class SourceSight:
         while (root[root] != root).any():
             self._is_clear &= self._is_clear[root]
             root = root[root]
-        self._arriving = np.flatnonzero(self._is_clear & (sources.distances[root] <= rounding))
+        self._arrives = self._is_clear & (sources.distances[root] <= rounding)
 
     def free_paths(
         self, x: Points, first: Int[np.ndarray, "n"]
     ) -> tuple[Int[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
         """Return the first source of each start's path, and whether the path is free.
 
-        It is the source ``first``. If this path crosses a wall, it is the source on the shortest path to the goal
-        that crosses none, where there is one.
+        It is the source ``first``. If this path crosses a wall or ends elsewhere, it is the source on the shortest
+        path that crosses none and ends at the goal, where there is one.
         """
         first, is_free = first.copy(), self._is_clear[first] & self._sees(first, x)
-        if is_free.all():
+        failing = np.flatnonzero(~(is_free & self._arrives[first]))
+        if not len(failing):
             return first, is_free
-        crossing = np.flatnonzero(~is_free)
         # A segment of length zero is free if its point is: starts in obstacles see no source.
-        crossing = crossing[self._workspace.is_visible(x[crossing], x[crossing], self._tolerance)]
-        starts, sources = x[crossing], self._arriving
+        failing = failing[self._workspace.is_visible(x[failing], x[failing], self._tolerance)]
+        starts, sources = x[failing], np.flatnonzero(self._arrives)
         way, length = first_visible_in_parts(
             lambda rows: distances_between(starts[rows], self._points[sources]) + self._distances[sources],
             len(starts),
@@ -63,7 +63,7 @@ class SourceSight:
             lambda start, way: self._sees(sources[way], starts[start]),
         )
         is_mended = np.isfinite(length[:, 0])
-        is_free[crossing], first[crossing[is_mended]] = is_mended, sources[way[is_mended, 0]]
+        is_free[failing[is_mended]], first[failing[is_mended]] = True, sources[way[is_mended, 0]]
         return first, is_free
 
     def _sees(self, source: Int[np.ndarray, "n"], x: Points) -> Bool[np.ndarray, "n"]:
@@ -75,4 +75,4 @@ class SourceSight:
         return sees
 
 
-source_sight = lru_cache(maxsize=8)(SourceSight)
+source_sight = lru_cache(maxsize=2)(SourceSight)

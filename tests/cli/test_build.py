@@ -116,6 +116,8 @@ def test_what_a_reader_warns_of_is_a_line(path, tmp_path):
         ("grid.map", [], "give one with --goal X,Y"),
         ("team.json", [], "one for each of several robots"),
         ("maze", ["--goal", "1;2"], "--goal must be two numbers X,Y"),
+        ("maze", ["--goal", "1,1", "--goal", "2"], "such as 3,28, got '2'"),
+        ("maze", ["--goal", "0.1234567890123456,0.1"] * 60, "of 60 goals: give fewer goals, or fewer digits"),
         ("bow.json", ["--goal", "0.5,0.1"], "bow.json"),
         ("maze", ["--goal", "0.5,0.45"], "goal [0.5, 0.45] lies in an obstacle"),
         ("cave.3dmap", ["--goal", "1,1,1"], "MAP must be a map in the plane, got the volume cave.3dmap"),

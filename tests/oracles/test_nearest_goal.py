@@ -46,6 +46,8 @@ def test_masked_answers_and_nan_are_none():
     nearest = NearestGoal([Masked()])
     assert nearest([[0.5], [2.0], [-1.0]]).tolist() == [0.5, np.inf, np.inf]
     assert nearest.which([[2.0], [-1.0]]).tolist() == [-1, -1]
+    with pytest.raises(ValueError, match="Paths need oracles with shortest_path"):
+        nearest.shortest_path([0.5])
 
 
 def test_only_visibility_graphs_of_one_workspace_answer_for_cells():

@@ -278,6 +278,9 @@ def test_sources_at_one_place_are_stored_once():
     assert index.tolist() == [0, 1, 1, 0]
     assert stored.parent.tolist() == [0, 0] and stored.is_root.tolist() == [True, False]
     np.testing.assert_allclose(stored.offsets, [0, 2**0.5])
+    # A source whose parent is stored as the same source leads on to that one's parent.
+    stored, index = store_sources(points[:3], distances[:3], np.array([0, 2, 0]), Box((0, 0), (2, 2)))
+    assert index.tolist() == [0, 1, 1] and stored.parent.tolist() == [0, 0]
 
 
 @given(st.binary(max_size=400), st.integers(1, 5), st.integers(1, 300))

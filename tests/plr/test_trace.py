@@ -162,6 +162,16 @@ def test_a_way_may_end_at_a_root_that_is_not_the_goal_but_in_no_circle():
             from_bytes(of_sources([[20, 20], [50, 50], [70, 10]], parent))
 
 
+def test_in_a_workspace_a_start_whose_leaf_leads_elsewhere_takes_a_source_that_leads_to_the_goal():
+    plr = from_bytes(of_sources([[10, 10], [50, 50]], [0, 1], root_offset=[0.0, 0.6], source=1))
+    assert trace(plr, [(0.9, 0.9)]).status.tolist() == [TraceStatus.ENDED_ELSEWHERE]
+    traces = trace(plr, [(0.9, 0.9)], Workspace(UNIT))
+    assert traces.arrived.all() and traces.paths.tolist() == [[[0.9, 0.9], [0.1, 0.1]]]
+    # Behind a wall that hides the goal, nothing leads there.
+    walled = Workspace(UNIT, [[(0.2, 0), (0.3, 0), (0.3, 0.25), (0, 0.25), (0, 0.2), (0.2, 0.2)]])
+    assert trace(plr, [(0.9, 0.9)], walled).status.tolist() == [TraceStatus.ENDED_ELSEWHERE]
+
+
 def test_waypoints_in_numpy_and_jax_compiled_and_one_by_one(plr):
     assert isinstance(plr.waypoint([0.9, 0.1]), jax.Array)
     x = np.append(ROOM.sample_free(198, seed=2), [[2, 2], [np.nan, 0.5]], axis=0)

@@ -135,7 +135,11 @@ def store_sources(
     fraction, is_fine = _lattice(off_lattices(points, domain) if is_off is None else is_off, exponent)
     code = np.rint(np.where(is_fine[:, None], points * 2.0**-exponent, points * fraction)).astype(np.int64)
     rows = np.column_stack([~is_fine, code])
-    order = np.lexsort(rows.T[::-1])
+    # Of sources with equal codes, keep one with the fewest turns onward. Parents have fewer, so no circle can arise.
+    num_turns, root = np.zeros(len(rows), np.int64), np.arange(len(rows))
+    while (turns := parents[root] != root).any():
+        num_turns, root = num_turns + turns, parents[root]
+    order = np.lexsort([num_turns, *rows.T[::-1]])
     is_new = np.append(True, (rows[order[1:]] != rows[order[:-1]]).any(axis=1))
     first, index = order[is_new], np.empty(len(rows), np.int64)
     index[order], rows = np.cumsum(is_new) - 1, rows[first]
