@@ -456,9 +456,9 @@ def _has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
 
 
 def _extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, side: Sides) -> Costs:
-    """Remove the part of the error that is proportional to the step, which a march over every second node tells.
+    """Remove the part of the error that is proportional to the step, by Richardson extrapolation.
 
-    This march begins at the given costs up to ``level``.
+    March again over every second node, from the given costs up to ``level``, and add the difference of both results.
     """
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]

@@ -203,7 +203,7 @@ class Mesh:
         return self.with_state(np.where(is_closed, np.int8(CellState.BLOCKED), self.state))
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None) -> "Mesh":
-        """Return the mesh with some cells halved along all their long axes, in order, while there is room.
+        """Return the mesh with cells ``which``, in this order, halved along all their long axes while there is room.
 
         ``room`` is the number of cells that may be added; None: any. If halving a mixed cell along one axis gives a
         half that is proven free or blocked, only this axis is halved. Walls along halves of cells then take few

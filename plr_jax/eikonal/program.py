@@ -412,7 +412,10 @@ class _Splitting:
 
 
 class _Poisson:
-    """The Poisson equation of an iteration; if the flow into a goal is known, the first unknown is fixed to 0.
+    """The Poisson equation that each iteration of :class:`_Splitting` solves.
+
+    With a single goal, all flow enters it, and the solution is unique up to a constant: the first unknown is 0.
+
 
     In up to two dimensions, and on small meshes in three, the matrix is factored. Otherwise conjugate gradients with
     algebraic multigrid improve the last solution.

@@ -265,11 +265,11 @@ _INSET = 1e-9  # distance of points from the faces of a cell, as a share of its 
 
 
 class SlopeSolver:
-    """The program for the lower bound, solved on meshes that become finer.
+    """The convex program for the lower bound, solved on finer and finer meshes.
 
     Attributes:
         goals: The goals, fractions of the domain.
-        tolerance: Mean gap to the truth at which the mesh is fine enough.
+        tolerance: Estimated mean distance of the lower bound to the truth at which the mesh is fine enough.
         program: The program on the finest mesh so far.
         iterate: Its solution; None before there is one.
     """

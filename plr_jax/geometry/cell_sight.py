@@ -249,7 +249,7 @@ class CellSources:
         return self.sight.source_table.sources
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether each given convex piece contains its ``k`` points, to the tolerance of free space."""
+        """Return whether each given convex piece contains its ``k`` points, or is within ``sight.tolerance``."""
         return contain(self.pieces[:, piece], points, self.sight.tolerance)
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:

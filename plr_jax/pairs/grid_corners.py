@@ -218,7 +218,7 @@ def _scan(
 
 
 def _steps_to(wanted: Bool[np.ndarray, "rows columns"]) -> Int32[np.ndarray, "rows columns_plus_one"]:
-    """Return, for each cell and each row's end, the steps along the row to the next wanted cell or the border."""
+    """Return the steps along the row from each cell, and each row's end, to the first wanted cell or the border."""
     rows, columns = wanted.shape
     place = np.full((rows, columns + 1), columns, np.int32)
     np.copyto(place[:, :-1], np.arange(columns, dtype=np.int32), where=wanted)

@@ -96,7 +96,9 @@ class Scene:
 
     @staticmethod
     def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
-        """Build the scene of a file: walls move into free space if ``is_certain``, else back into obstacles.
+        """Build the scene of a file. If ``is_certain``, walls move into free space, so what is visible surely is.
+
+        Otherwise, they move back into obstacles, so that rounding hides nothing.
 
         With ``hides_surely``, only what obstacles certainly hide is hidden: paths may pass between obstacles that
         touch, and walls of thin obstacles are left out.

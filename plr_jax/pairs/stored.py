@@ -130,7 +130,7 @@ class Outline:
         """Free space as a Shapely geometry: the faces from which a ray crosses an odd number of walls.
 
         Rings may touch themselves and one another, so they are not valid Shapely rings. ``ValueError`` if walls cross
-        more often than rounding to the lattice explains.
+        more often than rounding of points to multiples of ``step`` explains.
         """
         import shapely
 
@@ -154,12 +154,12 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return the ends of all walls after they move back into obstacles by a distance in workspace units.
+        """Return the ends of walls after they move back into obstacles by a distance in workspace units.
 
         If the distance is negative, walls move into free space instead. Walls that move back open gaps where
-        obstacles touch, and cut off tips. Pairs of opposite walls close both: they lead from the contact, or from
-        near the tip, to the point where the moved walls meet. With ``surely``, all walls move, even those of thin
-        obstacles, and nothing closes contacts and tips.
+        obstacles touch, and cut off tips. At each gap and tip, two walls are added, one segment in both directions:
+        it leads from the contact, or from near the tip, to the point where the moved walls meet. Walls of thin
+        obstacles stay. With ``surely``, they move too, and no walls are added.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         moved = self.positions - distance * self._moves(distance, surely)
@@ -192,11 +192,12 @@ class Outline:
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return vectors, for subtraction of ``distance`` times the vector from each point, that move all walls.
+        """Return a vector for each point: the moved point is the point minus ``distance`` times its vector.
 
-        The walls move by the distance into obstacles, or into free space if it is negative. If it is positive, points
-        between two thin walls stay, unless ``surely``. So do the ends of a wall that would change direction, as at
-        the end of an obstacle that is thinner than twice the distance.
+        Its walls then have moved by the distance into obstacles, or into free space if it is negative; at sharp
+        corners by less, as the vectors are limited. If the distance is positive, points between two thin walls stay,
+        unless ``surely``. So do the ends of a wall that would change direction, as at the end of an obstacle that is
+        thinner than twice the distance.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions

@@ -90,7 +90,7 @@ class PairTables:
 
 
 def table_size(num_corners: int) -> int:
-    """Return the number of rows of tables of corners: out of few sizes, with a row of ``inf`` for padding."""
+    """Return the number of corners, plus at least one row of ``inf``, rounded up to one of a few sizes."""
     return size_in_eighths(num_corners + 1)
 
 

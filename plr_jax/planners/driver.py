@@ -365,7 +365,7 @@ def num_bytes(problem: Problem, step: float) -> float:
 
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
-    """Estimate the time to test all motions of lattices of cell size ``step``; the unit is a test without turns."""
+    """Estimate the work to test all motions of lattices of cell size ``step``, in tests of motions without turns."""
     of_dof = {2: 1, 3: _TURNING}
     each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
     return (1 + len(PRIMITIVES)) * sum(each)

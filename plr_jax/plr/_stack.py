@@ -373,6 +373,6 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long, ``x`` is not real, or ``outside`` is invalid; or if
-            the type of the points resolves fewer than 64 positions along an axis of the domain.
+            the domain is so narrow for its distance from the origin that the type of the points cannot resolve it.
     """
     return plr(x, outside=outside)

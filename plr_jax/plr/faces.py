@@ -18,7 +18,7 @@ Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
-    """Find pairs of leaves by descending two trees at once: the larger node of a pair is replaced by its halves.
+    """Find pairs of leaves by descending two trees at once: kept halves replace the larger node of a pair.
 
     The rows of ``pairs`` are nodes of ``a``, nodes of ``b``, and maybe data that pairs of halves inherit. The result
     has the same rows, with leaves instead of nodes, numbered in the order of their tree.

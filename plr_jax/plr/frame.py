@@ -155,7 +155,8 @@ class Frame(IntEnum):
     Attributes:
         LO, HI: Corners, rounded outward.
         LO_REST, HI_REST: Distances (at least 0) from ``LO`` and ``HI`` to the exact corners.
-        START, SCALE: ``1 - LO_REST / width`` and ``1 / width``.
+        START, SCALE: ``1 - LO_REST / width`` and ``1 / width``. The bits of ``(x - LO) * SCALE + START``, a number
+            from 1 to below 2, locate a point ``x``.
         TOP: Largest fraction of the width for which ``TOP + START`` stays below 2.
     """
 

@@ -1,4 +1,4 @@
-"""Scenes of our experiments, the scene file format, readers of public map formats, and perturbed problems.
+"""Scenes of our experiments, the scene file format, readers of public map formats, and random variants.
 
 All readers raise ``OSError`` if a file cannot be read.
 """

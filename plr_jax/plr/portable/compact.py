@@ -366,7 +366,10 @@ _EXACT = 2**53  # doubles hold all integers up to here
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of smooth leaves, in level order and units of ``corners``; NaN if uncertain."""
+    """Return the coefficients of smooth leaves, in level order and units of ``corners``, as ``decoder.h`` finds them.
+
+    They are NaN where they depend on the order in which the decoder meets leaves, or where it gives up.
+    """
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]

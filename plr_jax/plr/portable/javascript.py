@@ -175,7 +175,11 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the search of a point's leaf in the tree; a grid lookup comes first unless the cell is needed."""
+    """Generate the search of a point's leaf in the tree.
+
+    It begins with a lookup in a grid, whose cells inside one leaf need no descent, unless ``of_cells``: only the
+    descent computes the leaf's cell.
+    """
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),

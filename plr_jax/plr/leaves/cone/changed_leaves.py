@@ -1,7 +1,7 @@
 """Cone leaves in which a change of the map changes all distances by one number.
 
-The proven bounds of a leaf tell to which sources (corners, or the goal) a shortest path from it can go first: those
-whose cones come down to the distance somewhere in the leaf. If all such paths are intact and changed by one number,
+The proven bounds of a leaf tell to which sources (corners, or the goal) a shortest path from it can go first: their
+cone is, somewhere in the leaf, as low as the distance can be. If all such paths are intact and changed by one number,
 no distance increased by more. If no other source of the new map comes down as low, no distance increased by less.
 """
 

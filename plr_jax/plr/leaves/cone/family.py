@@ -333,7 +333,7 @@ class FamilyTask:
     num_leaves: float
 
     def __call__(self, oracle: FamilyFn) -> FamilyTree | None:
-        """Return the best tree of cones for the oracle's goal; None if no sample reaches the goal."""
+        """Return the largest tree of cones within the limits for an oracle; None if no sample reaches its goal."""
         goal = goal_samples(oracle, self.shared)
         if (goal.source < 0).all():
             return None

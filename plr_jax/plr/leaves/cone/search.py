@@ -37,7 +37,7 @@ _MOST_TRIED = 4
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes, each with its best cone ``distance of source + |x - source|``.
+    """Boxes, each with the best of a few cones ``distance of source + |x - source|``.
 
     Attributes:
         negligible: Error up to which a box counts as exact.

@@ -343,7 +343,7 @@ class ConeSearch:
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
-    """Return the largest tree found within the limits; None if none is, or if the limits allow far more leaves."""
+    """Return the largest tree found within the limits; None if there is none, or if it should rather be rebuilt."""
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
