@@ -119,7 +119,7 @@ def estimates(seed: int, smoke: bool) -> dict[str, Any]:
             def build(cells=cells, cost_map=cost_map):
                 return solve_eikonal(space, GOAL, cost_map=cost_map, max_leaves=cells, certified=False)
 
-            plr, nodes = build(), int(np.sqrt(cells / 2))
+            plr, nodes = build(), 10 * round(np.sqrt(cells / 2) / 10)  # on the walls
             rival, march = marched(space, cost_map, nodes)
             rows.append(
                 {
@@ -146,15 +146,19 @@ def equal_seconds(seed: int, smoke: bool) -> dict[str, Any]:
 
         truth, off = _truth(space, cost_map, x, fine)
         plr, seconds = build(), median_seconds(build, _TURNS)
-        rival, its_nodes, its_seconds = _largest_march(space, cost_map, 0.01 if smoke else seconds)
+        rival, its_rows, its_seconds = _largest_march(space, cost_map, 0.01 if smoke else seconds)
+        # For extrapolation, two grids, one of half as many rows, that scikit-fmm marches in as many seconds.
+        fewer = max(20, int(0.85 * its_rows / 20) * 20)
+        finer, coarser = (marched(space, cost_map, each)[0](x) for each in (fewer, fewer // 2))
         rows.append(
             {
                 "map": name,
                 "bytes": plr.num_bytes,
                 "error": relative_error(np.asarray(plr(x), float), truth),
                 "seconds": seconds,
-                "nodes of scikit-fmm": its_nodes,
+                "nodes of scikit-fmm": (its_rows + 1) * (2 * its_rows + 1),
                 "its error": relative_error(rival(x), truth),
+                "its error, extrapolated": relative_error(2 * finer - coarser, truth),
                 "its seconds": its_seconds,
                 "of the truth": relative_error(truth + off, truth),
             }
@@ -163,7 +167,7 @@ def equal_seconds(seed: int, smoke: bool) -> dict[str, Any]:
 
 
 def _largest_march(space: PlaneSpace, cost_map: CostMap, seconds: float) -> tuple[Distance, int, float]:
-    """The largest grid with nodes on the walls that scikit-fmm marches in so many seconds, its nodes and seconds."""
+    """The largest grid with nodes on the walls that scikit-fmm marches in so many seconds, its rows and seconds."""
     tens, too_many = 4, _FINE
     while True:
         rows = 10 * tens
@@ -173,7 +177,7 @@ def _largest_march(space: PlaneSpace, cost_map: CostMap, seconds: float) -> tupl
         if taken > seconds:
             too_many, tens = tens, min(other, tens - 1)
         elif (other := min(other, too_many - 1)) <= tens:
-            return found, (rows + 1) * (2 * rows + 1), taken
+            return found, rows, taken
         else:
             tens = other
 

@@ -181,8 +181,8 @@ TASKS = (
             "from scipy.ndimage import distance_transform_edt, map_coordinates\n"
             f"parts, step = {parts}, 0.01 / {parts}\n"
             + _FILL
-            + "costs = given['costs'].repeat(parts, 0).repeat(parts, 1)\n"
-            "y, x = (np.mgrid[: 100 * parts, : 200 * parts] + 0.5) * step\n"
+            + "y, x = (np.mgrid[: 100 * parts, : 200 * parts] + 0.5) * step\n"
+            "costs = map_coordinates(given['costs'], [100 * y - 0.5, 100 * x - 0.5], order=1, mode='nearest')\n"
             "blocked = (x > 0.9) & (x < 1.0) & (y < 0.6)\n"
             "front = np.ma.MaskedArray(np.hypot(x - 0.2, y - 0.2) - 1.5 * step, blocked)\n"
             "time = skfmm.travel_time(front, 1 / costs, dx=step).data + 1.5 * step * costs[20 * parts, 20 * parts]\n"

@@ -172,8 +172,14 @@ class Judge:
         return ExactPlane(self.boundary)
 
     def free_space(self, rounded: Any):
-        """Count walls and gaps that vanished by rounding although they are thicker than documented."""
+        """Count walls and gaps that vanished by rounding although they are thicker than documented.
+
+        Also count outlines of free space that are not the walls by which bounds are judged.
+        """
         self.counts["free space: asked"] += 1
+        walls = shapely.multilinestrings(shapely.linestrings(self.boundary))
+        if shapely.length(shapely.symmetric_difference(walls, shapely.boundary(rounded))) > 1e-12 * walls.length:
+            self.fail("free space: other walls", None, None, None, None, None)
         solid = shapely.union_all([shapely.Polygon(ring) for ring in self.plan.obstacles])
         given = shapely.box(*np.ravel(self.plan.bounds)) - solid
         for kind, lost in (("wall", rounded - given), ("gap", given - rounded)):

@@ -97,8 +97,10 @@ class Routes(NamedTuple):
 
 
 def routes_of_cones(cones: PLR, x: Points, area: Workspace) -> list[Points]:
-    """Return the paths from points that are read from cones, none of which crosses a wall."""
+    """Return the paths from points that are read from cones; ``ValueError`` if one crosses a wall."""
     traces = trace(cones, x, area)
+    if not traces.arrived.all():
+        raise ValueError(f"Of {len(x)} starts, {(~traces.arrived).sum()} have no free path in the file: use descend.")
     return [path[:count] for path, count in zip(traces.paths, traces.counts, strict=True)]
 
 
@@ -118,14 +120,14 @@ def compare_routes(
 
 
 def _depths(area: Workspace, lines: Any) -> Float[np.ndarray, "n"]:
-    """Return the largest distance of each line's points to the walkable area, sampled every centimeter.
+    """Return the largest distance of each line's points to the walkable area, sampled every millimeter.
 
     Lines less than ``_SHALLOW`` outside count as inside.
     """
     grown = area.free_space.buffer(_SHALLOW)
     shapely.prepare(grown)
     depth, crossing = np.zeros(len(lines)), np.flatnonzero(~shapely.covers(grown, lines))
-    outside = shapely.segmentize(shapely.difference(lines[crossing], area.free_space), 0.01)
+    outside = shapely.segmentize(shapely.difference(lines[crossing], area.free_space), 0.001)
     points = [shapely.points(shapely.get_coordinates(each)) for each in outside]
     depth[crossing] = [shapely.distance(area.free_space, each).max(initial=0.0) for each in points]
     return depth
