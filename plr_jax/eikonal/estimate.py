@@ -1,9 +1,6 @@
 """An estimate of the cost-to-go on a regular grid, interpolated between its nodes.
 
-- If motions cost the same in every direction, scikit-fmm marches over the grid from the goal, to second order. Its
-  stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner. Behind corners the
-  error is proportional to the step. Richardson extrapolation from a march over every second node removes this part,
-  if the walls lie on these nodes and costs do not jump.
+- If motions cost the same in every direction, a front marches over the grid from the goal (``march.py``).
 - If costs depend on the direction, or are the sum of norms of several groups of axes (as for a body that turns),
   shortest paths over edges of several steps are the estimate. They are up to a few percent too long.
 
@@ -11,26 +8,22 @@ Walls are moved to the nearest nodes. Many nodes cost less time than a correctio
 
 With several goals, one front starts from all of them. Near the goals it is known to which of them the path of a node
 leads. Elsewhere this follows from the differences of costs.
-
-References:
-    Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
-    Richardson, "The deferred approach to the limit", 1927.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from math import gcd
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-import skfmm
-from jaxtyping import Bool, Float, Int, Int8
+from jaxtyping import Float, Int, Int8
 from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax.eikonal.goals import carried_goals, nearest_goals
+from plr_jax.eikonal.march import Costs, GoalIndex, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
 from plr_jax.spaces import (
@@ -56,24 +49,14 @@ _ROUND = 1e-9  # relative rounding error of a number of steps
 _REACH = {1: 1, 2: 3, 3: 2}  # steps of stencil edges along an axis, by the number of axes that share a norm
 _BLOCK = 8  # cells along each axis of the blocks that are classified first
 _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
-# Radius of the first front in shortest steps, by the number of axes. It is smaller if costs within differ from the
-# cost at the goal by more than the factor `_NEARLY`.
-_RADIUS, _NEARLY = {1: 100.0, 2: 32.0, 3: 12.0}, 1.1
-_NO_TIME = 1e-9  # of a step, for a node on the first front
-# Costs of two nodes two steps apart do not jump up to this factor. An error that differs by more than this share
-# between two grids does not fall as the step does.
-_NO_JUMP, _LARGEST_CHANGE = 1.35, 0.02
+_RADIUS = {1: 100.0, 2: 32.0, 3: 12.0}  # of balls around goals, in shortest steps, by the number of axes
 _NEAR_GOALS = 4  # most goals to which each node has a straight motion
 
 Points = Float[np.ndarray, "n dim"]
 Goals = Float[np.ndarray, "goals dim"]
 Shape = tuple[int, ...]
 CellStates = Int8[np.ndarray, "*shape"]
-IsOpen = Bool[np.ndarray, "*shape"]
 Nodes = Float[np.ndarray, "*shape dim"]
-Costs = Float[np.ndarray, "*shape"]
-Sides = Float[np.ndarray, "dim"]
-GoalIndex = Int[np.ndarray, "*shape"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,16 +236,15 @@ def grid_estimate(
             for corner in product((0, 1), repeat=2):
                 is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
         slowness = motion.blocks[0][1] * factor
-        start, level = _balls(
-            space, is_open, factor, at_nearest, straight, known, sees_nearest, lengths, radius, side
-        )
-        cost = _marched(is_open, slowness, start, level, side, domain.periodic)
+        at_goal = motion.blocks[0][1] * at_nearest
+        start, level = balls(is_open, slowness, at_goal, straight, known, sees_nearest, lengths, radius, side)
+        cost = marched(is_open, slowness, start, level, side, domain.periodic)
         if cost_map is None:
             cost = np.minimum(cost, straight)
         known = np.where(cost == straight, known, -1)
-        if not (domain.is_periodic or has_thin_walls) and _has_coarse_grid(is_open, is_clear, factor):
+        if not (domain.is_periodic or has_thin_walls) and has_coarse_grid(is_open, is_clear, factor):
             is_beyond = is_open & (~sees_nearest | (lengths >= 2 * radius))
-            cost = _extrapolated(cost, is_open, slowness, float(cost[is_beyond].min(initial=np.inf)), side)
+            cost = extrapolated(cost, is_open, slowness, float(cost[is_beyond].min(initial=np.inf)), side)
     else:
         cost, known = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, known, side)
     divisor = _divisors(space, goals, at_goals, flat).reshape(shape)
@@ -366,107 +348,6 @@ def _close_beside_walls(
         is_far = space.are_free(q, q + step / 2)
         closed[tuple(np.where(is_far[:, None], end, begin).T)] = True
     is_open &= ~closed
-
-
-def _balls(
-    space: ConfigurationSpace,
-    is_open: IsOpen,
-    factor: Costs,
-    at_goal: Costs,
-    straight: Costs,
-    goal: GoalIndex,
-    sees_nearest: IsOpen,
-    lengths: Costs,
-    radius: float,
-    side: Sides,
-) -> tuple[Costs, float]:
-    """Return costs of nodes in balls around the goals, in which paths are straight, and where to begin a march.
-
-    ``at_goal`` and ``lengths`` are the factor and the distance of the nearest goal, which ``sees_nearest`` nodes see.
-    Motions of costs ``straight`` lead to ``goal``. All nodes of a ball see the goal, and cost about as much as the
-    goal, except the cheapest node. The march begins at nodes up to the returned cost.
-    """
-    weight = space.motion_cost.blocks[0][1]
-    differs = (factor > _NEARLY * at_goal) | (_NEARLY * factor < at_goal)
-    stops = is_open & (~sees_nearest | differs | (lengths >= radius))
-    largest = np.minimum(straight, weight * at_goal * lengths)[stops].min(initial=np.inf)
-    near = goal >= 0
-    cheapest = np.full(goal.max(initial=-1) + 1, np.inf)
-    np.minimum.at(cheapest, goal[near], straight[near])
-    is_cheapest = near & (straight == cheapest[goal]) if near.any() else near
-    start = np.where(is_cheapest | ((straight < largest) & ~differs), straight, np.inf)
-    inside = np.isfinite(start)
-    step = weight * float(factor[inside].max(initial=0.0) * side.max())
-    level = min(largest, float(start[inside].max(initial=0.0))) - step
-    return start, max(level, float(cheapest[np.isfinite(cheapest)].max(initial=-np.inf)))
-
-
-def _marched(
-    is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
-) -> Costs:
-    """Return the costs of nodes by marching from those whose known costs, ``start``, are at most ``level``.
-
-    scikit-fmm begins at a surface that cuts edges between nodes. The times of the ends of these edges are their
-    distances to the surface, by a formula that errs by a share of a step, times their slowness, which serves for
-    nothing else. So these nodes get the slowness for which their times are right. Times inside count as negative.
-    """
-    is_core = start <= level
-    known, inverse_square = start.copy(), np.zeros(is_open.shape)
-    for axis, wraps in enumerate(periodic):
-        is_cut = np.zeros(is_open.shape, bool)
-        for step in (1, -1):
-            cut = is_open & np.roll(is_open, step, axis) & (is_core != np.roll(is_core, step, axis))
-            if not wraps:
-                cut[(slice(None),) * axis + (0 if step == 1 else -1,)] = False
-            is_cut |= cut
-            way = side[axis] * (slowness + np.roll(slowness, step, axis)) / 2
-            unknown = cut & np.isinf(start)
-            known[unknown] = np.minimum(known, np.roll(start, step, axis) + way)[unknown]
-        inverse_square += np.where(is_cut, 4 / side[axis] ** 2, 0.0)
-    front = inverse_square > 0
-    if not front.any():
-        return np.where(is_core, start, np.inf)
-    time = np.where(is_core[front], level - known[front], known[front] - level)
-    slowness = slowness.copy()
-    slowness[front] = np.maximum(time, _NO_TIME * slowness[front] * side.min()) * np.sqrt(inverse_square[front])
-    found = skfmm.travel_time(
-        np.ma.MaskedArray(np.where(is_core, -1.0, 1.0), ~is_open),
-        1 / slowness,
-        dx=side.tolist(),
-        order=2,
-        periodic=cast(Any, list(periodic)),
-    )
-    return np.where(is_core, start, np.ma.filled(found, np.inf) + level)
-
-
-def _has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
-    """Return whether every second node makes a grid with the same walls, and costs do not jump between nodes."""
-    if any(n % 2 == 0 for n in is_open.shape):
-        return False
-    for axis in range(is_open.ndim):
-        (here, between, there), (clear_here, _, clear_there), (cost_here, _, cost_there) = (
-            (nodes[:-2:2], nodes[1::2], nodes[2::2])
-            for nodes in (np.moveaxis(each, axis, 0) for each in (is_open, is_clear, factor))
-        )
-        jumps = np.maximum(cost_here, cost_there) > _NO_JUMP * np.minimum(cost_here, cost_there)
-        hides_wall = (clear_here & ~there) | (clear_there & ~here)  # which should lie on the other node
-        if (hides_wall | (here & there & (jumps | ~between))).any():
-            return False
-    return True
-
-
-def _extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, side: Sides) -> Costs:
-    """Remove the part of the error that is proportional to the step, by Richardson extrapolation.
-
-    March again over every second node, from the given costs up to ``level``, and add the difference of both results.
-    """
-    coarse = (slice(None, None, 2),) * is_open.ndim
-    cost_there = cost[coarse]
-    twice = _marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))
-    known = np.isfinite(twice) & np.isfinite(cost_there)
-    change = np.subtract(cost_there, twice, out=np.zeros(twice.shape), where=known)
-    change[np.abs(change) > _LARGEST_CHANGE * cost_there] = 0.0
-    return cost + ndimage.map_coordinates(change, np.indices(cost.shape) / 2, order=1)
 
 
 def _over_stencil(
