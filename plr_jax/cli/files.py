@@ -79,6 +79,12 @@ def query(
     if is_pairs and (gradient or which):
         raise ValueError(f"--gradient and --which need a file of a PLR, got pairs in {file}: leave them out.")
     reader, gradients = _reader(file, is_pairs), _gradients(file) if gradient else None
+    if which:
+        try:
+            reader.which(reader.domain.lo)
+        except ValueError as error:
+            remedy = "build it with --leaf cone and several --goal"
+            raise ValueError(f"{file} does not store which goal is nearest: {remedy}.") from error
     if bounds and not is_pairs and reader.max_error is None:
         raise ValueError(
             f"--bounds needs a file with proven bounds, such as plr-jax build writes, got {file} without any."

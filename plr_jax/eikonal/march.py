@@ -42,8 +42,8 @@ def balls(
     """Return costs of nodes in balls around the goals, in which paths are straight, and where to begin a march.
 
     ``at_goal`` and ``lengths`` are the slowness at the nearest goal, which ``sees_nearest`` nodes see, and the
-    distance from it. Motions of costs ``straight`` lead to ``goal``. All nodes of a ball see the goal, and cost about as much as the
-    goal, except the cheapest node. The march begins at nodes up to the returned cost.
+    distance from it. Motions of costs ``straight`` lead to ``goal``. All nodes of a ball see the goal, and cost about
+    as much as the goal, except the cheapest node. The march begins at nodes up to the returned cost.
     """
     differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
     stops = is_open & (~sees_nearest | differs | (lengths >= radius))

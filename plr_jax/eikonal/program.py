@@ -416,7 +416,6 @@ class _Poisson:
 
     With a single goal, all flow enters it, and the solution is unique up to a constant: the first unknown is 0.
 
-
     In up to two dimensions, and on small meshes in three, the matrix is factored. Otherwise conjugate gradients with
     algebraic multigrid improve the last solution.
     """

@@ -61,7 +61,7 @@ The tables of this header are 4 to 40 times as large as the file. `plr.c_header(
 export --compact`, writes the same functions for machines with little memory. Instead of tables, this header has
 bytes, in the plane at most about four times the file's size, and a decoder, which all compact headers in a program
 share. The decoder takes 1 to 4.5 KB of code and 1 KB of stack, a query on a PC 0.1 to 0.3 microseconds. Smooth leaves
-need 5 KB of stack and 2 microseconds. The decoder can also query bytes that a robot receives while it runs. If
+need several KB of stack and 2 microseconds. The decoder can also query bytes that a robot receives while it runs. If
 `plr_jax_open` accepts damaged bytes, answers may be wrong, but no query reads outside of the bytes. For planes and
 smooth leaves, the decoder computes in double precision.
 

@@ -26,7 +26,10 @@ class TraceStatus(IntEnum):
     OUTSIDE = 1
     """There is no path: the start is outside the domain, or a coordinate is NaN."""
     ENDED_ELSEWHERE = 2
-    """The path ends at a corner; the file has its distance to the goal, but not the next corner on the way."""
+    """The path ends at a corner; the file has its distance to the goal, but not the next corner on the way.
+
+    With a workspace, the start sees no other source with a free path to the goal either.
+    """
     CROSSES_WALL = 3
     """The path is not free in the given workspace, and the start sees no source with a free path to the goal."""
 
@@ -72,10 +75,10 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     many segments as there are sources, and is as long as the PLR says. Segments between sources cross no wall, but
     for rounding. The first segment may cross one, if the start does not see the source of its leaf.
 
-    With a workspace, no path that arrives crosses a wall: a start that does not see its leaf's source takes the
-    shortest path through a source that it sees. Without a workspace, no wall is known. Then a few paths cut corners,
-    and a start in an obstacle, or cut off from the goal, gets a path through walls. Computation is in double
-    precision.
+    With a workspace, no path that arrives crosses a wall. If a start does not see its leaf's source, or the path from
+    there does not lead to the goal, it takes the shortest path through another source that it sees. Without a
+    workspace, no wall is known. Then a few paths cut corners, and a start in an obstacle, or cut off from the goal,
+    gets a path through walls. Computation is in double precision.
 
     Args:
         plr: PLR with ``leaf="cone"``.

@@ -81,7 +81,7 @@ def test_several_goals_make_a_file_that_names_the_nearest(tmp_path):
         done("plot", path, "--kind", kind, "-o", tmp_path / "a.png")
     one = tmp_path / "one.plr"
     done("build", "maze", "-o", one, "--leaf", "cone", "--max-bytes", 300)
-    assert "does not store which goal is nearest" in mistake("query", one, "--which", input="0.1,0.1\n")
+    assert "build it with --leaf cone and several --goal" in mistake("query", one, "--which", input="0.1,0.1\n")
 
 
 def test_a_goal_beyond_the_polygons_of_geojson_is_told_of_the_bbox(path, tmp_path):
