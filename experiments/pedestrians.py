@@ -57,12 +57,12 @@ def walkable_areas(smoke: bool) -> dict[str, Workspace]:
     return {path.stem: scenes.read_workspace(path) for path in paths if path.exists()}
 
 
-def _bridge() -> Any:
-    """The bridge to JuPedSim; None, with a message, if JuPedSim is not installed."""
+def _bridge(name: str) -> Any:
+    """A module that uses JuPedSim; None, with a message, if JuPedSim is not installed."""
     if find_spec("jupedsim") is None:
         print("skipped: pip install jupedsim")
         return None
-    return importlib.import_module("experiments.environments.jupedsim")
+    return importlib.import_module(f"experiments.environments.{name}")
 
 
 def cones(seed: int, smoke: bool) -> dict[str, Any]:
@@ -92,7 +92,7 @@ def _built(area: Workspace, goal: np.ndarray) -> tuple[VisibilityGraph, Any]:
 
 def routes(seed: int, smoke: bool) -> dict[str, Any]:
     num_goals, num_starts = (2, 3) if smoke else (_GOALS, _STARTS)
-    rows, bridge = [], _bridge()
+    rows, bridge = [], _bridge("jupedsim_routes")
     for name, area in walkable_areas(smoke).items() if bridge else ():
         inflated = area.inflate(bridge.RADIUS)
         goals, starts = inflated.sample_free(num_goals, seed), inflated.sample_free(num_goals * num_starts, seed + 1)
@@ -142,7 +142,7 @@ def _microseconds(bridge: Any, area: Workspace, goal: np.ndarray, plr: PLR, x: n
 
 def evacuations(seed: int, smoke: bool) -> dict[str, Any]:
     num_agents, num_crowds = (5, 1) if smoke else (_AGENTS, _CROWDS)
-    rows, bridge = [], _bridge()
+    rows, bridge = [], _bridge("jupedsim")
     for name, area in walkable_areas(smoke).items() if bridge else ():
         seconds, exits = timed(partial(bridge.Exits, area, EXITS[name], MAX_BYTES))
         row: dict[str, Any] = {"map": name, "exits": len(exits.polygons), "agents": num_agents, "build": seconds}

@@ -151,7 +151,7 @@ def test_agents_of_jupedsim_walk_around_a_wall_to_the_nearest_exit():
 
 
 def test_routes_of_jupedsim_beside_exact_ones():
-    pedestrians = bridge("jupedsim", "jupedsim")
+    pedestrians = bridge("jupedsim_routes", "jupedsim")
     hall = Workspace(((0, 0), (12, 6)), [[(5, 0), (6, 0), (6, 4), (5, 4)]])
     found = pedestrians.compare_routes(hall, np.array([(7.0, 1.0)]), np.array([[(4.0, 1.0), (8.0, 3.0)]]), 512)
     exact = np.array([2 * np.hypot(1, 3) + 1, np.hypot(1, 2)])
