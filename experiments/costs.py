@@ -7,9 +7,9 @@ Four smooth costs and four rasters, which differ by factors of 2 to 50, around a
 proportional to the step. So the truth is extrapolated from marches of 3,201 x 1,601 nodes and of half as many along
 each axis; how far it may be off is told by the truth from half and a quarter as many. In ``estimates``, scikit-fmm
 gets a regular grid of about as many nodes as the PLR has cells, and is interpolated between them. In
-``equal_seconds``, the PLR has 8 KB, and scikit-fmm the largest grid that it marches in as many seconds. Seconds are
-of all cores, compiled before; of scikit-fmm those of the march alone, of a PLR those of ``solve_eikonal``, which asks
-costs and space too.
+``equal_seconds``, the PLR has 8 KB, and scikit-fmm the largest grid that it marches in as many seconds, or two grids
+for extrapolation. Seconds are of all cores, compiled before; of scikit-fmm those of the march alone, of a PLR those of
+``solve_eikonal``, which asks costs and space too.
 """
 
 from collections.abc import Callable
@@ -98,7 +98,7 @@ def marched(space: PlaneSpace, cost_map: CostMap, rows: int) -> tuple[Distance, 
     return RegularGridInterpolator((x, y), cost.T), march
 
 
-def _truth(space: PlaneSpace, cost_map: CostMap, x: Points, rows: int) -> tuple[Float[np.ndarray, "n"], ...]:
+def converged(space: PlaneSpace, cost_map: CostMap, x: Points, rows: int) -> tuple[Float[np.ndarray, "n"], ...]:
     """The cost-to-go extrapolated to steps of length 0, and how far it may be off."""
     fine, half, quarter = (marched(space, cost_map, rows // parts)[0](x) for parts in (1, 2, 4))
     return 2 * fine - half, np.abs(2 * fine - 3 * half + quarter)
@@ -113,7 +113,7 @@ def estimates(seed: int, smoke: bool) -> dict[str, Any]:
     maps = smooth() | rasters(seed)
     x = space.workspace.sample_free(POINTS, seed)
     for name, cost_map in list(maps.items())[:: 7 if smoke else 1]:
-        truth, off = _truth(space, cost_map, x, fine)
+        truth, off = converged(space, cost_map, x, fine)
         for cells in CELLS[:1] if smoke else CELLS:
 
             def build(cells=cells, cost_map=cost_map):
@@ -144,7 +144,7 @@ def equal_seconds(seed: int, smoke: bool) -> dict[str, Any]:
         def build(cost_map=cost_map):
             return solve_eikonal(space, GOAL, cost_map=cost_map, max_bytes=MOST_BYTES, certified=False)
 
-        truth, off = _truth(space, cost_map, x, fine)
+        truth, off = converged(space, cost_map, x, fine)
         plr, seconds = build(), median_seconds(build, _TURNS)
         rival, its_rows, its_seconds = _largest_march(space, cost_map, 0.01 if smoke else seconds)
         # For extrapolation, two grids, one of half as many rows, that scikit-fmm marches in as many seconds.
@@ -187,7 +187,7 @@ def bounds(seed: int, smoke: bool) -> dict[str, Any]:
     x = space.workspace.sample_free(1_000 if smoke else 50 * POINTS, seed)
     maps = smooth() | rasters(seed)
     for name in ("ramp",) if smoke else maps:
-        truth, off = _truth(space, maps[name], x, 200 if smoke else _FINE)
+        truth, off = converged(space, maps[name], x, 200 if smoke else _FINE)
         spare = np.nanmax(off)
         for cells in (300,) if smoke else (10_000, 40_000) if name == "ramp" else (10_000,):
             seconds, plr = timed(

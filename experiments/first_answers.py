@@ -25,7 +25,7 @@ from experiments._measures import relative_errors, timed
 from experiments._runner import Section, run
 from experiments.benchmarks._maps import load_maps
 from experiments.benchmarks._oracle import RIVALS_PYTHON, polygon_field, polygons_of
-from experiments.costs import BOUNDS, GOAL, WALL, marched, rasters
+from experiments.costs import BOUNDS, GOAL, WALL, converged, rasters
 from plr_jax import PlaneSpace, VisibilityGraph, Workspace, construct, construct_many, construct_pairs, scenes
 
 NUM_QUERIES, TURNS = 1_000, 3
@@ -239,7 +239,6 @@ def _questions(seed: int, smoke: bool) -> tuple[dict[str, Any], dict[str, np.nda
     x, y = problem.workspace.sample_free(2 * NUM_QUERIES, seed + 5).reshape(2, -1, 2)
     space, costs = PlaneSpace(Workspace(BOUNDS, [WALL])), rasters(seed)["noise 10"]
     of_costs = space.workspace.sample_free(NUM_QUERIES, seed + 6)
-    fine, _ = marched(space, costs, 200 if smoke else 1_600)
     free = np.random.default_rng(seed).random((11, 11)) < 0.75
     free[1, 1] = True
     cells = np.stack(np.meshgrid(np.arange(11) + 0.5, np.arange(11) + 0.5), axis=-1).reshape(-1, 2)
@@ -257,7 +256,7 @@ def _questions(seed: int, smoke: bool) -> tuple[dict[str, Any], dict[str, np.nda
         _POINT: oracle(x),
         _PAIR: oracle.between(x, y),
         _PATH: oracle(problem.starts),
-        _COST: fine(of_costs),
+        _COST: converged(space, costs, of_costs, 200 if smoke else 1_600)[0],
         _GRID: np.where(free.ravel(), of_cells(cells), np.inf),
     }
     lists = {name: np.asarray(each).tolist() for name, each in given.items()}
