@@ -79,7 +79,8 @@ def overview(
             "1",
             f"scikit-fmm {1 / max(ratios):.1f} to {1 / min(ratios):.0f}",
             f"**ours** for each stored number, by a finer march; scikit-fmm in time, {_two_digits(slower)} times. In "
-            f"equal CPU seconds, **ours** with 8 KB on {better[0]} fields, on {better[1]} if two marches are extrapolated",
+            f"equal CPU seconds, **ours** with 8 KB on {better[0]} fields, on {better[1]} if its marches are "
+            "extrapolated",
             "[without an oracle](#without-an-oracle)",
         ],
         [

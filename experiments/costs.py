@@ -8,8 +8,8 @@ proportional to the step. So the truth is extrapolated from marches of 3,201 x 1
 each axis; how far it may be off is told by the truth from half and a quarter as many. In ``estimates``, scikit-fmm
 gets a regular grid of about as many nodes as the PLR has cells, and is interpolated between them. In
 ``equal_seconds``, the PLR has 8 KB, and scikit-fmm the largest grid that it marches in as many seconds, or two grids
-for extrapolation. Seconds are of all cores, compiled before; of scikit-fmm those of the march alone, of a PLR those of
-``solve_eikonal``, which asks costs and space too.
+for extrapolation. Seconds are of all cores, compiled before; of scikit-fmm those of the march alone, of a PLR those
+of ``solve_eikonal``, which asks costs and space too.
 """
 
 from collections.abc import Callable
