@@ -24,7 +24,7 @@ class Routes(NamedTuple):
     def of(cls, paths: list[Points], exact: Float[np.ndarray, "n"], area: Workspace) -> "Routes":
         """Measure paths, given the exact distances between their ends."""
         index = np.repeat(np.arange(len(paths)), [*map(len, paths)])
-        lines = shapely.linestrings(np.concatenate(paths), indices=index)
+        lines = np.asarray(shapely.linestrings(np.concatenate(paths), indices=index))
         return cls(paths, shapely.length(lines) / exact, _depths(area, lines))
 
 
