@@ -17,11 +17,11 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, padded_size
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.graph import first_visible_in_parts
+from plr_jax.plr.sampling import lattice
 from plr_jax.spaces import (
     ConfigurationSpace,
     CostMap,
@@ -88,9 +88,7 @@ def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
             directions = np.eye(dim)
             if dim > 2:
                 num = 2 ** math.ceil(math.log2(_PER_AXIS * dim / 2))
-                share = qmc.Sobol(dim, scramble=False).random(2 * num)[
-                    num:
-                ]  # skips the first points, which include 0
+                share = lattice(num, np.full(dim, 0.5 / num))
                 directions = np.concatenate([directions, ndtri(share)])
                 directions = directions[np.linalg.norm(directions, axis=1) > 1e-9]
             directions = np.concatenate([directions, -directions])

@@ -26,7 +26,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
-from pyamg import smoothed_aggregation_solver
 from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array, vstack
 from scipy.sparse.linalg import cg, splu
 
@@ -433,6 +432,8 @@ class _Poisson:
             options = {"SymmetricMode": True}
             self._factors = splu(csc_matrix(self.matrix), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
         else:
+            from pyamg import smoothed_aggregation_solver  # its import takes 0.1 s, and few programs are so large
+
             self._multigrid = smoothed_aggregation_solver(
                 self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None
             ).aspreconditioner()

@@ -69,7 +69,7 @@ class Pattern:
 
 @lru_cache(maxsize=8)
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
-    """Make a pattern of samples in a cell: its center, Sobol points inside and on faces, and its corners if few.
+    """Make a pattern of samples in a cell: its center, points inside and on faces, and its corners if few.
 
     A third of the samples lie on the faces. They detect slivers of free space behind a wall, and the large errors
     that are frequent at the ends of a cell. Their weight is so small that the fit hardly changes. A ``margin`` moves
@@ -78,20 +78,27 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
     corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
-    faces = _sobol(dim, num_samples // 3, rng)
-    face = np.arange(len(faces)) % (2 * dim)
-    faces[np.arange(len(faces)), face // 2] = 2.0 * (face % 2) - 1
-    inside = _sobol(dim, num_samples - 1 - len(corners) - len(faces), rng)
-    u = np.concatenate([center, inside, corners, faces]) * (1 + 2 * margin)
-    weight = np.repeat([1.0, _FACE_WEIGHT], [1 + len(inside), len(corners) + len(faces)])
+    per_face = num_samples // (6 * dim)
+    sides = [(axis, side) for axis in range(dim) for side in (-1.0, 1.0)]
+    faces = [np.insert(2 * lattice(per_face, rng.random(dim - 1)) - 1, *side, axis=1) for side in sides]
+    num_inside = num_samples - 1 - len(corners) - len(faces) * per_face
+    inside = 2 * lattice(num_inside, rng.random(dim)) - 1
+    u = np.concatenate([center, inside, corners, *faces]) * (1 + 2 * margin)
+    weight = np.repeat([1.0, _FACE_WEIGHT], [1 + num_inside, len(u) - 1 - num_inside])
     return Pattern(u, weight)
 
 
-def _sobol(dim: int, num_points: int, rng: np.random.Generator) -> Float[np.ndarray, "n dim"]:
-    from scipy.stats import qmc  # the import takes a third of a second
+def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "num_points dim"]:
+    """Return evenly spread points in the unit cube, shifted modulo 1.
 
-    exponent = max(num_points - 1, 0).bit_length()
-    return 2 * qmc.Sobol(dim, rng=rng).random_base2(exponent)[:num_points] - 1
+    Their steps are equal along the first axis and those of Roberts' R sequence along the others. In the plane they
+    form a Fibonacci lattice. SciPy's Sobol sequence spreads points as well, but its import takes a third of a second.
+    """
+    dim, root = len(shift), 1.0
+    for _ in range(64 if dim > 1 else 0):  # root ** dim == root + 1: the golden ratio in the plane
+        root = (1 + root) ** (1 / dim)
+    steps = np.concatenate([[1 / max(num_points, 1)], root ** -np.arange(1.0, dim)])[:dim]
+    return (shift + np.arange(num_points)[:, None] * steps) % 1
 
 
 # COMPUTECOEFFICIENTS of Algorithm 1: batched least squares.
