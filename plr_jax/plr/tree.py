@@ -1,4 +1,4 @@
-"""The binary space partition of a PLR: batches of dyadic cells, and the tree whose leaves are such cells."""
+"""The binary space partition of a PLR: batches of dyadic cells, and the tree whose leaves partition the domain."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -15,7 +15,7 @@ PLACING = 2.0**-21  # largest distance of a point to the cell in which a 32-bit 
 
 
 class Rows:
-    """A base of dataclasses whose arrays have one row per item; indexing takes the same rows of all arrays."""
+    """A base of dataclasses whose arrays have one row for each item: an index takes the same rows of all arrays."""
 
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
@@ -34,15 +34,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Cells(Rows):
-    """A batch of dyadic cells of a domain ``[lo, hi]``: boxes that result from repeated halving along single axes.
-
-    Along each axis a cell is the interval ``lo + [position, position + 1] * (hi - lo) / 2**depth``. These integers
-    describe a partition exactly, in any units.
-
-    Attributes:
-        depth: Number of splits along each axis.
-        position: Index of the cell along each axis, from 0 to ``2**depth - 1``.
-    """
+    """Dyadic cells of a domain: along each axis, ``lo + [position, position + 1] * (hi - lo) / 2**depth``."""
 
     depth: Int[np.ndarray, "cells dim"]
     position: Int[np.ndarray, "cells dim"]
@@ -63,7 +55,7 @@ class Cells(Rows):
         return domain.at(self.position * size), domain.at((self.position + 1) * size)
 
     def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-        """Return lower and upper corners of boxes that contain every point a 32-bit query may assign to each cell."""
+        """Return corners of boxes with all points that a 32-bit query, by rounding, may assign to each cell."""
         lo, hi = self.boxes(domain)
         return lo - PLACING * domain.width, hi + PLACING * domain.width
 
@@ -71,7 +63,7 @@ class Cells(Rows):
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
-        """Return the points of each cell that have the local coordinates ``u``, from -1 to 1 across the cell."""
+        """Return the points with local coordinates ``u``, from -1 to 1 across each cell."""
         x = np.empty((len(self), *u.shape))
         for axis in range(self.dim):  # NumPy is slow if the last axis is short
             fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]
@@ -87,7 +79,7 @@ class Cells(Rows):
         return total
 
     def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":
-        """Halve each cell along its axis; the lower half of a cell comes directly before its upper half."""
+        """Halve each cell along its axis; its upper half follows its lower half."""
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         depth = np.repeat(self.depth + halved, 2, axis=0)
         position = np.repeat(self.position << halved, 2, axis=0)
@@ -100,7 +92,7 @@ class Cells(Rows):
 
 
 def grown_domain(domain: Box) -> Box:
-    """Return the box that contains every point a 32-bit query may assign to the domain."""
+    """Return a box of all points that a 32-bit query, by rounding, may assign to the domain."""
     lo, hi = Cells.root(domain.dim).grown_boxes(domain)
     return Box(lo[0], hi[0])
 
@@ -115,7 +107,7 @@ class Tree:
     Attributes:
         cells: Cell of each node.
         axis: Axis along which each node is halved, 0 for a leaf.
-        child: Index of each node's lower child, -1 for a leaf; the upper child is the next node.
+        child: Index of each node's lower child, which the upper child follows; -1 for a leaf.
         node_of_leaf: Node of each leaf, in left-to-right traversal order.
         splits: Indices of the split nodes, one array for each level.
         order: For each leaf in traversal order, its index among the cells from which :func:`tree_of` built the tree.
@@ -134,7 +126,6 @@ class Tree:
 
     @cached_property
     def leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
-        """Number of each leaf from left to right, by node; -1 for split nodes."""
         leaf = np.full(len(self.child), -1)
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf
@@ -193,5 +184,5 @@ def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
 
 
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
-    """Return the corners of a cell, one per row, in binary order; 0 is the lower end of an axis, 1 the upper."""
+    """Return the corners of the unit cube in binary order, one in each row."""
     return np.array(list(product((0, 1), repeat=dim)))
