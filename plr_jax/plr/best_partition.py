@@ -32,17 +32,11 @@ UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes with one number of halvings that a search has computed; their halves are in the next level.
+    """The boxes with one number of halvings that a search has computed; their halves are in the next level."""
 
-    Attributes:
-        boxes: Boxes in the plane with the errors that they would have as leaves, such as ``ConeBoxes``.
-        key: Hash of each box.
-        child: Index of each box's halves in the next level, by axis, half and box, or ``UNKNOWN`` or ``PRUNED``.
-    """
-
-    boxes: Any
-    key: UInt64[np.ndarray, "boxes"]
-    child: Int[np.ndarray, "2 2 boxes"]
+    boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
+    key: UInt64[np.ndarray, "boxes"]  # hash of each box
+    child: Int[np.ndarray, "2 2 boxes"]  # halves in the next level by axis, half and box, or UNKNOWN or PRUNED
 
     @staticmethod
     def of(boxes: Any, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
@@ -65,15 +59,10 @@ class BoxLevel:
 
 
 class TreeCosts(NamedTuple):
-    """Costs of the trees into which the boxes of one level may be split, with a price per leaf.
+    """Costs of the trees into which the boxes of one level may be split, with a price per leaf."""
 
-    Attributes:
-        best: Cost of each box's best tree of computed boxes, possibly of the box alone.
-        least: Cost that none of the box's trees is expected to fall below.
-    """
-
-    best: Float[np.ndarray, "boxes"]
-    least: Float[np.ndarray, "boxes"]
+    best: Float[np.ndarray, "boxes"]  # of each box's best tree of computed boxes, possibly the box alone
+    least: Float[np.ndarray, "boxes"]  # none of the box's trees is expected to cost less
 
     @staticmethod
     def of(level: BoxLevel, below: "TreeCosts | None", price: float, share: float, limits: Limits) -> "TreeCosts":

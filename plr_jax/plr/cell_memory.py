@@ -15,7 +15,7 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class CellMemory:
-    """A cache of the sources of a partition's cells: the goal, or corners to which shortest paths may go first."""
+    """A cache of the sources of a partition's cells: corners (or the goal) to which shortest paths may go first."""
 
     def __init__(self, oracle: CellwiseFn, domain: Box) -> None:
         self._domain = domain
@@ -53,9 +53,6 @@ class CellMemory:
                 is_leaf = np.flatnonzero(tree.child[nodes] < 0)
                 self.remember(tree.cells[nodes[is_leaf]], visible.of_cells(is_leaf))
         return self._recall(tree.leaves)
-
-    def distances(self, cells: Cells, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
-        return distances_in_cells(self.sources(cells), x)
 
     def _knows(self, cells: Cells) -> Bool[np.ndarray, "cells"]:
         hashes = cells.hashes()

@@ -106,9 +106,8 @@ def prove_bounds(
 ) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    ``visible`` has convex pieces of each leaf's free space, and for each piece the sources: the goal, or corners
-    where its shortest paths may turn first. Pieces are halved until bounds lie within those of ``sufficient``, a
-    function of the smallest and largest error that some point of each leaf attains. Its third argument is False if
+    Convex pieces of each leaf's free space (``visible``) are halved until bounds lie within those of ``sufficient``,
+    a function of the smallest and largest error that points of each leaf attain. Its third argument is False if
     bounds near its last ones will do. Bounds include ``visible.slack``, far more than the rounding of double
     precision.
     """
@@ -201,10 +200,9 @@ def classify_bounds(
 ) -> Integer[np.ndarray, "2 leaves"]:
     """Group leaves into classes that share bounds, and return each leaf's codes of lower and upper bound after that.
 
-    Classes are nearly as narrow as bounds of every leaf, in far fewer bits, as few leaves have large errors. A class
-    has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width of bounds,
-    weighted by volume, plus a price per bit; bisection finds the lowest price at which classes fit into ``max_bits``.
-    ``code_factor`` has the bound of each code.
+    A class has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width of
+    bounds (``code_factor``, by code), weighted by volume, plus a price per bit; bisection finds the lowest price at
+    which classes fit into ``max_bits``.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
@@ -307,16 +305,12 @@ _BYTES_A_BIT, _LEAST_BITS = 16, 80
 
 
 class Proof(IntEnum):
-    """The proof that a file stores: none, bounds that classes of leaves share, or bounds of each leaf.
-
-    Without room for classes, a file stores only the largest error. With ``OPEN_LEAVES``, leaves with the largest
-    upper code have no upper bound.
-    """
+    """The proof that a file stores: none, bounds that classes of leaves share, or bounds of each leaf."""
 
     NONE = 0
-    CLASSES = 1
+    CLASSES = 1  # or only the largest error of all leaves, if there is no room for classes
     LEAVES = 2
-    OPEN_LEAVES = 3
+    OPEN_LEAVES = 3  # leaves with the largest upper code have no upper bound
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
         """Return the most bits of this proof if the leaves take ``num_bytes``, without ``Certificate.straight``."""
@@ -332,15 +326,12 @@ def _room_for_classes(num_bytes: int) -> int:
 class Certificate:
     """Proven bounds of (distance - value of a PLR), as a file stores them.
 
-    Attributes:
-        scale: At least the largest finite bound, exact in 32 bits; codes stand for fractions of it. codes: Codes of
-        each leaf's lower and upper bound; None if only the scale is stored. straight: For ``Proof.OPEN_LEAVES``, goal
-        (relative to the domain's lower corner), rate and margin of the lower
-            bound ``rate * |x - goal| - margin`` of the distance, capped at the PLR's value; None without this bound.
+    ``straight`` has the goal (relative to the domain's lower corner), rate and margin of one more lower bound of the
+    distance, ``rate * |x - goal| - margin``, capped at the PLR's value; None without this bound.
     """
 
-    scale: float
-    codes: UInt8[np.ndarray, "2 leaves"] | None
+    scale: float  # at least the largest finite bound, exact in 32 bits; codes stand for fractions of it
+    codes: UInt8[np.ndarray, "2 leaves"] | None  # of lower and upper bounds; None if only the scale is stored
     proof: Proof
     straight: Float[np.ndarray, "numbers"] | None = None
 
@@ -397,10 +388,7 @@ class Certificate:
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
-        """Return bounds at which a proof may stop, from the least and largest error attained in each leaf.
-
-        They are slightly beyond these errors, or those of the narrowest class of leaves that contains these errors.
-        """
+        """Return bounds at which a proof may stop, from the least and largest error that each leaf attains."""
         if self.proof is not Proof.CLASSES:
             return tight_bounds(least, most)
         spare = _SPARE_OF_CLASS * self.scale

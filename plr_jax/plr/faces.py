@@ -192,12 +192,9 @@ _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces(Rows):
-    """Faces between a leaf ``lower`` below the face and a leaf ``upper`` above it along ``axis``.
+    """Faces between a leaf ``lower`` below the face and a leaf ``upper`` above it along ``axis``."""
 
-    Across the ends of a periodic axis, the lower leaf is at the upper end of the domain. A leaf that spans a periodic
-    axis shares a face with itself.
-    """
-
+    # Across the ends of a periodic axis, the lower leaf is at the upper end; a leaf that spans it is on both sides.
     lower: Int[np.ndarray, "faces"]
     upper: Int[np.ndarray, "faces"]
     axis: Int[np.ndarray, "faces"]
@@ -241,8 +238,7 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
     """Find the edge of a larger cell that a split halved at each leaf corner; return the edge's ends.
 
-    The ends are corners ``leaf * 2**dim + corner``. The second result is False for corners of the domain, which no
-    split made: their ends are arbitrary.
+    The ends are corners ``leaf * 2**dim + corner``. The second result is False for corners of the domain.
     """
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]

@@ -16,18 +16,12 @@ _CUT = 1e-9  # a mirror cuts the domain if more than this share of its width lie
 
 @dataclass(frozen=True, eq=False)
 class Folding:
-    """A map of points into one part of a domain: shift to a center, rotate to given axes, then mirror.
-
-    Attributes:
-        center: New origin of coordinates; all mirrors pass through it.
-        axes: Orthogonal matrix with a row for each folded coordinate; rows of periodic axes are unit vectors.
-        mirrors: For each mirror, whether it changes the sign of each coordinate.
-    """
+    """A map of points into one part of a domain: shift to a center, rotate to given axes, then mirror."""
 
     domain: Box
-    center: Float[np.ndarray, "dim"]
-    axes: Float[np.ndarray, "dim dim"]
-    mirrors: tuple[tuple[bool, ...], ...]
+    center: Float[np.ndarray, "dim"]  # new origin of coordinates; all mirrors pass through it
+    axes: Float[np.ndarray, "dim dim"]  # orthogonal, a row for each folded coordinate; unit vectors of periodic axes
+    mirrors: tuple[tuple[bool, ...], ...]  # whether each mirror changes the sign of each coordinate
 
     @property
     def is_turned(self) -> bool:
@@ -75,11 +69,12 @@ class Folding:
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, "n"]]]:
         """Yield, for each subset of mirrors, a point that folds to each ``z`` and whether the domain contains it."""
+        near = _CUT * self.domain.width
         for is_odd in self._reversals:
             mirrored = np.where(is_odd, -z, z)
             x = self.center + (mirrored @ self.axes if self.is_turned else mirrored)
-            x = np.where(self._is_at_end(x), np.clip(x, self.domain.lo, self.domain.hi), x)
-            x = self.domain.wrapped(x)
+            near_box = (x >= self.domain.lo - near) & (x <= self.domain.hi + near) & ~np.array(self.domain.periodic)
+            x = self.domain.wrapped(np.where(near_box, np.clip(x, self.domain.lo, self.domain.hi), x))
             yield x, self.domain.contains(x)
 
     @property
@@ -88,10 +83,6 @@ class Folding:
         num, dim = len(self.mirrors), self.domain.dim
         subsets = np.array(list(product((0, 1), repeat=num)), int).reshape(2**num, num)
         return subsets @ np.array(self.mirrors, int).reshape(num, dim) % 2 == 1
-
-    def _is_at_end(self, x: Points) -> Bool[np.ndarray, "n dim"]:
-        near = _CUT * self.domain.width
-        return (x >= self.domain.lo - near) & (x <= self.domain.hi + near) & ~np.array(self.domain.periodic)
 
     def unfold(self, z: Points) -> Points:
         """Return a point that folds to each ``z``, inside the domain if there is one."""

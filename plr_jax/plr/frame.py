@@ -46,9 +46,9 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return, for each leaf and block that overlap, both indices, and the first slot and number of slots by axis.
+    """Return overlapping pairs of a leaf and a block (cell of the coarse grid), and the leaf's slots (cells in it).
 
-    Blocks are cells of a coarse grid, slots are cells of a finer grid in each; ``shape`` has log2 of their numbers.
+    By axis, these are the first slot and the number of slots; ``shape`` has log2 of each block's slots.
     """
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
@@ -150,21 +150,16 @@ def as_outside(outside: str) -> Outside:
 class Frame(IntEnum):
     """Rows of the array ``(7, dim)`` that describes a domain in 32-bit floats.
 
-    Attributes:
-        LO, HI: Corners, rounded outward.
-        LO_REST, HI_REST: Distances (at least 0) from ``LO`` and ``HI`` to the exact corners.
-        START, SCALE: ``1 - LO_REST / width`` and ``1 / width``. The bits of ``(x - LO) * SCALE + START``, a number
-            from 1 to below 2, locate a point ``x``.
-        TOP: Largest fraction of the width for which ``TOP + START`` stays below 2.
+    The mantissa bits of ``(x - LO) * SCALE + START``, a number from 1 to below 2, locate a point ``x``.
     """
 
-    LO = 0
+    LO = 0  # lower corner, rounded outward
     HI = 1
-    LO_REST = 2
+    LO_REST = 2  # distance from LO to the exact corner, at least 0
     HI_REST = 3
-    START = 4
-    SCALE = 5
-    TOP = 6
+    START = 4  # 1 - LO_REST / width
+    SCALE = 5  # 1 / width
+    TOP = 6  # largest fraction of the width for which TOP + START stays below 2
 
 
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:

@@ -98,22 +98,15 @@ NEVER = -np.inf
 
 @dataclass(frozen=True, eq=False)
 class Nodes(Rows):
-    """The nodes of a growing tree, parents before children; ``len`` is the number of leaves.
-
-    Attributes:
-        error: Weighted mean absolute error over the samples in the node's cell that reach the goal.
-        share: Share of the domain's volume that these samples represent.
-        key: Priority of splitting the node, at most its parent's; ``-inf`` if it may not be split.
-        child: Index of the lower child, which the upper child follows; -1 for a leaf.
-    """
+    """The nodes of a growing tree, parents before children; ``len`` is the number of leaves."""
 
     cells: Cells
     coefficients: Float[np.ndarray, "nodes terms"]
-    error: Float[np.ndarray, "nodes"]
-    share: Float[np.ndarray, "nodes"]
+    error: Float[np.ndarray, "nodes"]  # weighted mean absolute error over samples that reach the goal
+    share: Float[np.ndarray, "nodes"]  # share of the domain's volume that these samples represent
     axis: Int[np.ndarray, "nodes"]
-    key: Float[np.ndarray, "nodes"]
-    child: Int[np.ndarray, "nodes"]
+    key: Float[np.ndarray, "nodes"]  # priority of splitting, at most the parent's; -inf if the node may not be split
+    child: Int[np.ndarray, "nodes"]  # the lower child, which the upper child follows; -1 for a leaf
 
     def __len__(self) -> int:
         return (len(self.key) + 1) // 2
@@ -271,19 +264,15 @@ FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
-    """Functions of nodes, the indices of the leaves among them, and the number of bits in which a file stores values.
+    """The bytes and the mean rounding error of a file, given nodes, which of them are leaves, and bits of values."""
 
-    ``choices`` are the numbers of bits to choose from, ``size`` is that of the file in bytes, and ``rounding_error``
-    is the root mean square.
-    """
-
-    choices: Sequence[int]
+    choices: Sequence[int]  # numbers of bits to choose from
     size: Callable[[Nodes, Int[np.ndarray, "leaves"], int], int]
     rounding_error: Callable[[Nodes, Int[np.ndarray, "leaves"], int], float]
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, "cells"]], Nodes]) -> FitNodes:
-    """Return a function that samples and fits cells, more densely those in which few samples reach the goal."""
+    """Return a function that samples and fits cells; cells in which few samples reach the goal get more samples."""
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
     def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:

@@ -13,7 +13,7 @@ from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.plr.cell_memory import CellMemory
+from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells, Rows
 
@@ -54,9 +54,9 @@ class Pattern:
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """Orthonormal bases of the functions that are a plane in each half of a cell, for each axis.
+        """Orthonormal bases of functions that are a plane in each half of a cell, for each axis.
 
-        Two planes explain ``np.square(values @ basis).sum()`` of the sum of squared values, weighted like fits.
+        Fitting both planes reduces the weighted sum of squared values by ``np.square(values @ basis).sum()``.
         """
         root = np.sqrt(self.weight)[:, None]
         bases = []
@@ -168,7 +168,6 @@ class CellFit(Rows):
     """Samples of a batch of cells and the plane fitted to each cell.
 
     Attributes:
-        cells: The cells.
         pattern: The sample pattern; its first sample is the center.
         max_axis_depth: Largest number of halvings of a cell along one axis.
         reachable: Whether each sample reaches the goal, ``(cells, k)``.
@@ -216,20 +215,16 @@ class CellFit(Rows):
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """A function that samples the distance in cells and fits a plane to the samples of each cell.
-
-    ``dense_pattern`` is for cells where few samples reach the goal. If there is a ``memory``, it computes distances
-    in cells instead of ``distance_fn``.
-    """
+    """A function that samples the distance in cells and fits a plane to the samples of each cell."""
 
     distance_fn: DistanceFn
     domain: Box
     weight_fn: WeightFn | None
     pattern: Pattern
-    dense_pattern: Pattern
+    dense_pattern: Pattern  # for cells where few samples reach the goal
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
-    memory: CellMemory | None = None
+    memory: CellMemory | None = None  # if there is one, it computes distances in cells instead of distance_fn
 
     def __call__(self, cells: Cells) -> CellFit:
         pattern = self.pattern
@@ -240,7 +235,7 @@ class Sampler:
         if self.memory is None or pattern.reaches_beyond:
             distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
         else:
-            distance = self.memory.distances(cells, points)
+            distance = distances_in_cells(self.memory.sources(cells), points)
         reachable = np.isfinite(distance)
         weight = reachable.astype(np.float64)
         if self.weight_fn is not None:
@@ -271,10 +266,7 @@ class Sampler:
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Give planes to cells in which some free space reaches the goal, but no sample does.
-
-    They are tangent to the distance at the center of the largest convex piece of this free space.
-    """
+    """Fit cells in which some free space, but no sample, reaches the goal: by a plane tangent to the distance."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):
         return fit

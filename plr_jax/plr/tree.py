@@ -102,23 +102,14 @@ MAX_DEPTH = 60  # a leaf's path from the root, one bit per split, fits a 64-bit 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """A binary tree of cells; nodes are stored level by level from the root, left (lower half) to right.
-
-    Attributes:
-        cells: Cell of each node.
-        axis: Axis along which each node is halved, 0 for a leaf.
-        child: Index of each node's lower child, which the upper child follows; -1 for a leaf.
-        node_of_leaf: Node of each leaf, in left-to-right traversal order.
-        splits: Indices of the split nodes, one array for each level.
-        order: For each leaf in traversal order, its index among the cells from which :func:`tree_of` built the tree.
-    """
+    """A binary tree of cells; nodes are stored level by level from the root, left (lower half) to right."""
 
     cells: Cells
-    axis: Int[np.ndarray, "nodes"]
-    child: Int[np.ndarray, "nodes"]
-    node_of_leaf: Int[np.ndarray, "leaves"]
-    splits: list[Int[np.ndarray, "_"]]
-    order: Int[np.ndarray, "leaves"]
+    axis: Int[np.ndarray, "nodes"]  # along which each node is halved, 0 for a leaf
+    child: Int[np.ndarray, "nodes"]  # each node's lower child, which the upper child follows; -1 for a leaf
+    node_of_leaf: Int[np.ndarray, "leaves"]  # in left-to-right traversal order
+    splits: list[Int[np.ndarray, "_"]]  # the split nodes of each level
+    order: Int[np.ndarray, "leaves"]  # index of each leaf among the cells from which tree_of built the tree
 
     @cached_property
     def leaves(self) -> Cells:

@@ -34,24 +34,16 @@ class LeafModel(ABC):
 
     Leaf data has three forms: *stored*, as in a file, for all leaves together; *coefficients*, which determine a
     leaf's function in its box (the constant ``inf`` if the first is ``inf``); *parameters*, the numbers that a query
-    reads.
-
-    Attributes:
-        num_samples: Default number of samples in a cell.
-        least_bytes: Least number of bytes of a leaf in a file, a power of two that may be a fraction.
-        has_deep_trees: Whether small files may have deep trees, whose lookup tables have pages (``plr/tables.py``).
-        is_cell_relative: Whether functions take coordinates from 0 to 1 in the leaf's cell. The first ``dim``
-            parameters are then the cell's number along each axis: 1 is the domain, ``2 i`` and ``2 i + 1`` halve
-            ``i``.
-        has_exact_cone_bounds: Whether :meth:`cone_minus_leaf_bounds` returns the exact least and largest difference.
+    reads. Those of a model that ``is_cell_relative`` begin with the cell's number along each axis: 1 is the domain,
+    ``2 i`` and ``2 i + 1`` halve ``i``.
     """
 
     name: str
-    num_samples: int = 96
-    least_bytes: int | float = 1
-    has_deep_trees: bool = False
-    is_cell_relative: bool = False
-    has_exact_cone_bounds: bool = False
+    num_samples: int = 96  # in a cell, by default
+    least_bytes: int | float = 1  # of a leaf in a file, a power of two that may be a fraction
+    has_deep_trees: bool = False  # whether small files may have deep trees, whose lookup tables have pages
+    is_cell_relative: bool = False  # whether functions take coordinates from 0 to 1 in the leaf's cell
+    has_exact_cone_bounds: bool = False  # whether cone_minus_leaf_bounds are the least and largest difference
 
     @abstractmethod
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]:

@@ -90,40 +90,6 @@ def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
     return values.astype(np.float32).view(np.int32).astype(np.int64)
 
 
-def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> None:
-    widths, stored = planes.widths(depth), ~planes.unreachable
-    body.write(np.array([planes.bits]), _BITS_BITS)
-    if planes.bits != FLOAT_BITS:
-        body.write_floats(np.array([planes.offset, planes.step]))
-    for axis_widths in widths:
-        body.write(axis_widths, _WIDTH_BITS)
-    body.write(planes.center, planes.bits)
-    for axis, axis_widths in enumerate(widths):
-        width = axis_widths[depth[stored, axis]]
-        body.write(planes.half[stored, axis] & ((1 << width) - 1), width)
-
-
-def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> StoredPlanes:
-    bits, offset, step = int(body.read_fixed_width(1, _BITS_BITS)[0]), 0.0, 1.0
-    if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
-        raise ValueError(f"it states {bits}-bit values")
-    if bits != FLOAT_BITS:
-        offset, step = body.read_floats(2).tolist()
-        if not (np.isfinite(offset) and 0 < step < np.inf):
-            raise ValueError(f"it states a step of {step} from {offset}")
-    widths = [body.read_fixed_width(int(deepest) + 1, _WIDTH_BITS) for deepest in depth.max(axis=0)]
-    if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
-        raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
-    center = body.read_fixed_width(len(depth), bits)
-    half = np.zeros(depth.shape, np.int64)
-    stored = center != unreachable_code(bits)
-    for axis, axis_widths in enumerate(widths):
-        width = axis_widths[depth[stored, axis]]
-        code = body.read(width)
-        half[stored, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
-    return StoredPlanes(bits, offset, step, center, half)
-
-
 def planes_bits(depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> int:
     stored = ~planes.unreachable
     bits = _BITS_BITS + (0 if planes.bits == FLOAT_BITS else 64) + len(depth) * planes.bits
@@ -203,10 +169,35 @@ class Plane(LinearLeafModel):
         return tree, stored(nodes, leaf[tree.order], bits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
-        write_planes(body, cells.depth, stored)
+        widths, reachable = stored.widths(cells.depth), ~stored.unreachable
+        body.write(np.array([stored.bits]), _BITS_BITS)
+        if stored.bits != FLOAT_BITS:
+            body.write_floats(np.array([stored.offset, stored.step]))
+        for axis_widths in widths:
+            body.write(axis_widths, _WIDTH_BITS)
+        body.write(stored.center, stored.bits)
+        for axis, axis_widths in enumerate(widths):
+            width = axis_widths[cells.depth[reachable, axis]]
+            body.write(stored.half[reachable, axis] & ((1 << width) - 1), width)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredPlanes:
-        return read_planes(body, cells.depth)
+        bits, offset, step = int(body.read_fixed_width(1, _BITS_BITS)[0]), 0.0, 1.0
+        if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
+            raise ValueError(f"it states {bits}-bit values")
+        if bits != FLOAT_BITS:
+            offset, step = body.read_floats(2).tolist()
+            if not (np.isfinite(offset) and 0 < step < np.inf):
+                raise ValueError(f"it states a step of {step} from {offset}")
+        widths = [body.read_fixed_width(int(deepest) + 1, _WIDTH_BITS) for deepest in cells.depth.max(axis=0)]
+        if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
+            raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
+        center, half = body.read_fixed_width(len(cells), bits), np.zeros(cells.depth.shape, np.int64)
+        reachable = center != unreachable_code(bits)
+        for axis, axis_widths in enumerate(widths):
+            width = axis_widths[cells.depth[reachable, axis]]
+            code = body.read(width)
+            half[reachable, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
+        return StoredPlanes(bits, offset, step, center, half)
 
     def coefficients(self, cells: Cells, stored: StoredPlanes) -> Coefficients:
         return np.column_stack(stored.decode())

@@ -32,22 +32,15 @@ _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Apexes of cones (corners and goals) as a file stores them: ``num_fine`` fine ones first, sorted by coordinates.
-
-    Attributes:
-        code: Coordinates, for fine sources in steps of ``2**exponent``, for others in steps of ``1 / fraction``.
-        parent: Index of the next source on the way to the goal; a root is its own parent.
-        root_offset: Distances of roots to the goal, exact in 32 bits; 0 for other sources.
-        goals: Index of the goal at each root; None if the file does not name goals.
-    """
+    """Apexes of cones (corners and goals) as a file stores them: fine ones first, each kind sorted by coordinates."""
 
     num_fine: int
-    exponent: int
-    fraction: int
+    exponent: int  # fine sources are multiples of 2**exponent
+    fraction: int  # other sources are multiples of 1 / fraction
     code: Int[np.ndarray, "sources dim"]
-    parent: Int[np.ndarray, "sources"]
-    root_offset: Float[np.ndarray, "sources"]
-    goals: Int[np.ndarray, "roots"] | None = None
+    parent: Int[np.ndarray, "sources"]  # next source on the way to the goal; a root is its own parent
+    root_offset: Float[np.ndarray, "sources"]  # distances of roots to the goal, exact in 32 bits; else 0
+    goals: Int[np.ndarray, "roots"] | None = None  # index of the goal at each root, if the file names goals
 
     @property
     def is_root(self) -> Bool[np.ndarray, "sources"]:
@@ -95,8 +88,8 @@ def store_sources(
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
     """Return sources (obstacle corners, goals) in their file form, without duplicates, and each source's new index.
 
-    ``is_off`` may give the result of :func:`off_lattices`. ``goals`` are the indices of several goals, which are the
-    first sources and the only roots.
+    ``is_off`` may give the result of :func:`off_lattices`. If there are several ``goals`` (their indices), they are
+    the first sources and the only roots.
     """
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:

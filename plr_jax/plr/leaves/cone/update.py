@@ -86,16 +86,13 @@ def _peak_share(tree: Tree, limits: Limits) -> float:
 
 
 class UpdatedCones(NamedTuple):
-    """Cone leaves after a change of the map; ``bounds`` are valid for leaves that are not ``rebuilt``.
-
-    ``visible`` has the sources (corners, or the goal) to which paths from rebuilt leaves may go first.
-    """
+    """Cone leaves after a change of the map, in tree order."""
 
     tree: Tree
     stored: StoredCones
-    bounds: LeafBounds
+    bounds: LeafBounds  # valid for leaves that are not rebuilt
     rebuilt: Int[np.ndarray, "rebuilt"]
-    visible: CellSources
+    visible: CellSources  # sources of the cells of rebuilt leaves
     node_costs: NodeCosts | None
 
 
@@ -164,23 +161,16 @@ class FoundTree:
 
 @dataclass(frozen=True, eq=False)
 class ConeSearch:
-    """A search for the best cone leaves after a change of the map.
-
-    Attributes:
-        nodes: Costs of the nodes of the old tree; ``inf`` where distances did not change by one number.
-        is_reopened: Which old leaves are searched again.
-        roots: Nodes of the old tree that are replaced by boxes, which the search halves.
-        levels: Levels of boxes; the first level begins with the roots, in their order.
-    """
+    """A search for the best cone leaves after a change of the map."""
 
     leaves: ConeLeaves
-    nodes: NodeCosts
+    nodes: NodeCosts  # of the old tree; inf where distances did not change by one number
     oracle: ChangingFn
     limits: Limits
     files: ConeFiles
-    is_reopened: Bool[np.ndarray, "leaves"]
-    roots: list[Int[np.ndarray, "_"]]
-    levels: list[BoxLevel]
+    is_reopened: Bool[np.ndarray, "leaves"]  # whether old leaves are searched again
+    roots: list[Int[np.ndarray, "_"]]  # nodes of the old tree that are replaced by boxes, which the search halves
+    levels: list[BoxLevel]  # the first level has the roots, in their order
 
     @staticmethod
     def of(
@@ -192,7 +182,6 @@ class ConeSearch:
         oracle: ChangingFn,
         limits: Limits,
     ) -> "ConeSearch":
-        """Start from each leaf's new source, and its change of all distances; NaN if changes may differ."""
         tree = leaves.tree
         least, most = np.empty((2, len(tree.child)))
         least[tree.node_of_leaf], most[tree.node_of_leaf] = change, change
