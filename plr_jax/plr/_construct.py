@@ -320,7 +320,7 @@ def _unreachable_warning(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class _BoxOracle:
-    """An oracle that computes the corners to which paths from ``box`` may go first only once."""
+    """An oracle that computes its sources for ``box``, the corners to which paths may go first, only once."""
 
     oracle: CellwiseFn
     box: Box

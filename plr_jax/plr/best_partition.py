@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, check_memory
-from plr_jax.plr.tree import MAX_DEPTH
+from plr_jax.plr.tree import leaf_order
 
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
 # Weight of a box's largest error (its peak) beside the integral of its error, in volumes of an average leaf.
@@ -80,10 +80,8 @@ class TreeCosts(NamedTuple):
 
 
 def cost_if_halved(peak: Float[np.ndarray, "boxes"], price: float) -> Float[np.ndarray, "boxes"]:
-    """Estimate the least cost of splitting a box, from its weighted largest error ``peak`` and the price of a leaf.
-
-    Each further leaf divides the peak by ``_MOST_DROP`` at best; the integral of the error may vanish.
-    """
+    """Estimate the least cost of a split box, from its weighted largest error ``peak`` and the price per leaf."""
+    # Each further leaf divides the peak by _MOST_DROP at best; the integral of the error may vanish.
     lowest = _MOST_DROP / (_MOST_DROP - 1)  # a peak of fewer prices is not worth another leaf
     more = np.ceil(np.log(np.maximum(peak / price / lowest, _MOST_DROP)) / np.log(_MOST_DROP))
     return (1 + more) * price + peak * _MOST_DROP**-more
@@ -303,18 +301,16 @@ class PriceSearch:
     def _best_tree(self, price: float, share: float) -> PricedTree:
         own = self._selected
         axes = best_axes(self.levels, own, price, share)
-        leaves, walked, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
-        for depth, ((box, child), choice) in enumerate(zip(own, axes, strict=True)):
+        leaves, walked, here = [], [], np.zeros(1, np.int64)
+        for (box, child), choice in zip(own, axes, strict=True):
             if not len(here):
                 break
             axis = choice[here]
             is_inner = axis >= 0
             leaves.append(box[here[~is_inner]])
-            paths.append(path[~is_inner])
             walked.append(axis)
             here = child[axis[is_inner], :, here[is_inner]].ravel()
-            path = (path[is_inner, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
-        return PricedTree(leaves, walked, np.argsort(np.concatenate(paths)), price)
+        return PricedTree(leaves, walked, leaf_order(walked), price)
 
 
 def best_axes(

@@ -87,7 +87,7 @@ Errors: TypeAlias = Float[np.ndarray, "leaves"]
 
 @dataclass(frozen=True, eq=False)
 class LeafBounds:
-    """Bounds of (distance - leaf function) for each leaf, over all its points that reach the goal."""
+    """Bounds of (distance to the goal - leaf function) for each leaf, over all its points that reach the goal."""
 
     lower: Errors
     upper: Errors
@@ -249,7 +249,7 @@ def requantize_bounds(
     code_factor: Float[np.ndarray, "codes"],
     max_bits: int,
 ) -> Integer[np.ndarray, "2 leaves"] | None:
-    """Return each leaf's codes in the narrowest class that contains its bounds; None if there is none, or no room."""
+    """Widen each leaf's bounds (codes) to the narrowest of the pairs ``classes``; None if no pair contains them."""
     classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
@@ -374,7 +374,7 @@ class Certificate:
         return float("inf") if np.isinf(self.bounds()).any() else self.scale
 
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
-        """Return lower and upper bounds (rows), to add to leaf values; one column if all leaves share them."""
+        """Return lower and upper bounds (rows) to add to leaf values; one column if all leaves share them."""
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
         lower, upper = _decode_bounds(self.codes, self.scale)

@@ -46,9 +46,9 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return overlapping pairs of a leaf and a block (cell of the coarse grid), and the leaf's slots (cells in it).
+    """Return overlapping pairs of a leaf and a block (cell of a coarse grid), and the leaf's slots (cells) in it.
 
-    By axis, these are the first slot and the number of slots; ``shape`` has log2 of each block's slots.
+    These are the first slot and the number of slots by axis; ``shape`` has log2 of each block's slots.
     """
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)

@@ -77,10 +77,7 @@ def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
 
 
 def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | None], limits: Limits) -> GrowingTree:
-    """Call ``split_some`` repeatedly until it returns None instead of a larger tree; return the last tree.
-
-    An interrupt (Ctrl-C) discards only the current round, and issues a ``ConstructionInterrupted`` warning.
-    """
+    """Call ``split_some`` until it returns None instead of a larger tree, or until Ctrl-C; return the last tree."""
     total = limits.max_leaves if limits.max_leaves < 1e9 else None
     with tqdm(desc="construct", unit=" leaves", total=total, delay=2, leave=False, disable=None) as progress:
         try:

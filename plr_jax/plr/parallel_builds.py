@@ -91,11 +91,8 @@ def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
 
 
 def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes:
-    """Return a digest that identifies a computation: release, domain, options, and distances at test points.
-
-    Goals of one workspace (:class:`FamilyFn`) share test points, and add the distances of corners. Numbers are
-    rounded to 32 bits, because machines round differently.
-    """
+    """Return a digest that identifies a computation: release, domain, options, and distances at test points."""
+    # Numbers are rounded to 32 bits, because machines round differently.
     digest = sha256(f"{plr_jax.__version__} {domain} {options} {len(oracles)}".encode())
     x, families = np.random.default_rng(0).uniform(domain.lo, domain.hi, (_NUM_POINTS, domain.dim)), set()
     for oracle in oracles:

@@ -155,23 +155,28 @@ def tree_of(cells: Cells) -> Tree:
 
 def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
     """Build a tree from the split axes of its nodes, one array for each level; -1 marks a leaf."""
-    num_nodes = sum(map(len, axes))
-    child, path = np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
+    child = np.full(sum(map(len, axes)), -1)
     nodes, parts, splits, first = Cells.root(dim), [], [], 0
-    for depth, axis in enumerate(axes):
+    for axis in axes:
         inner = np.flatnonzero(axis >= 0)
         split = first + inner
         first += len(axis)
         child[split] = first + 2 * np.arange(len(split))
-        path[child[split]] = path[split]
-        path[child[split] + 1] = path[split] | (1 << (MAX_DEPTH - depth))
         parts.append(nodes)
         splits.append(split)
         nodes = nodes[inner].split(axis[inner])
-    leaves = np.flatnonzero(child < 0)
-    node_of_leaf = leaves[np.argsort(path[leaves])]
+    node_of_leaf = np.flatnonzero(child < 0)[leaf_order(axes)]
     axis = np.maximum(np.concatenate(axes), 0)
-    return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(leaves)))
+    return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(node_of_leaf)))
+
+
+def leaf_order(axes: list[Int[np.ndarray, "_"]]) -> Int[np.ndarray, "leaves"]:
+    """Return the permutation of leaves level by level into leaves from left to right; ``-1`` in ``axes`` marks a leaf."""
+    paths, path = [], np.zeros(1, np.int64)
+    for depth, axis in enumerate(axes):
+        paths.append(path[axis < 0])
+        path = (path[axis >= 0, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
+    return np.argsort(np.concatenate(paths))
 
 
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:

@@ -30,7 +30,7 @@ _BITS_BITS, _WIDTH_BITS = 6, 6
 
 @dataclass(frozen=True, eq=False)
 class StoredPlanes:
-    """Planes ``offset + step * (center + half . u)`` as integers, or as bit patterns of floats if ``bits`` is 32."""
+    """Planes ``offset + step * (center + half . u)``, ``u`` from -1 to 1, in integers, or bit patterns of floats."""
 
     bits: int
     offset: float

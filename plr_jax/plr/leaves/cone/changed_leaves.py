@@ -51,10 +51,7 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Return the number by which all distances in each leaf changed; NaN if changes may differ within the leaf.
-
-        Also return the index in ``after`` of the apex of each leaf's cone, -1 if it is gone.
-        """
+        """Return by how much all distances in each leaf changed (NaN: they may differ), and its new source or -1."""
         from scipy.spatial import KDTree  # which no query needs
 
         apart, nearest = KDTree(before.points).query(self.stored.sources.points)

@@ -167,7 +167,7 @@ def write_goals(body: BitWriter, goals: Int[np.ndarray, "roots"]) -> BitWriter:
 
 
 def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"]) -> None:
-    """Append the rank of each leaf's source in a move-to-front list: 0 for the source of the leaf before."""
+    """Append the rank of each leaf's source (apex) in a move-to-front list: 0 for the source of the leaf before."""
     rank = np.zeros(len(source), np.int64)
     changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
     # Only used sources need lists, by time of use and sorted; unused ones follow in their order.
@@ -265,7 +265,7 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
 
 
 class ConeFiles:
-    """An encoder of cone leaves with given sources; it caches encoded tables, as trees often use the same sources."""
+    """An encoder of leaves with cones of given ``sources``; it caches tables, as trees often use the same sources."""
 
     def __init__(self, sources: Sources, domain: Box) -> None:
         self._sources, self._domain = sources, domain
@@ -280,7 +280,7 @@ class ConeFiles:
         return files
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """Encode leaves in tree order; -1 (no source) stands for the source of the leaf before, else of the next."""
+        """Encode leaves by their sources, in tree order; -1 (none) becomes that of the leaf before, else the next."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:

@@ -31,7 +31,7 @@ from plr_jax.plr.leaves.cone.search import (
     run_quietly,
 )
 from plr_jax.plr.sampling import Pattern, sample_pattern
-from plr_jax.plr.tree import MAX_DEPTH, Tree, grown_domain, tree_of_axes
+from plr_jax.plr.tree import Tree, grown_domain, leaf_order, tree_of_axes
 
 _ASKED, _SPARE = 128, 1e-6  # leaves at which the old oracle is tested; tolerance in units of the largest distance
 _MARGIN = 1.0  # pruning margin of expand
@@ -48,19 +48,19 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 @dataclass(frozen=True, eq=False)
 class NodeCosts:
-    """The best cone for each node of a tree as a leaf: the integral of its error, its largest error, and its apex."""
+    """The best cone that each node of a tree could have as a leaf: integral of the error, largest error, and apex."""
 
     integral: Float[np.ndarray, "nodes"]  # inf if unknown
     peak: Float[np.ndarray, "nodes"]
     source: Int[np.ndarray, "nodes"]
-    price: float  # price per leaf at which the tree has about the least sum of costs and prices
+    price: float  # penalty per leaf at which the tree has about the least sum of costs and penalties
 
     def costs(self, share: float) -> Float[np.ndarray, "nodes"]:
         return self.integral + share * self.peak
 
 
 def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> NodeCosts:
-    """Compute the errors that nodes would have as leaves, and a price per leaf at which few leaves would merge."""
+    """Compute the errors that nodes would have as leaves, and a penalty per leaf at which few leaves would merge."""
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
     (integral, peak), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
@@ -194,7 +194,7 @@ class ConeSearch:
         is_known = (most - least <= changed.rounding) & ((now >= 0) | (node_costs.source < 0))
         now[tree.node_of_leaf] = source
         integral, peak = (np.where(is_known, each, np.inf) for each in (node_costs.integral, node_costs.peak))
-        # Roots: the largest nodes without a leaf that holds.
+        # Roots: the largest nodes without a kept leaf.
         is_root = is_whole.copy()
         for split in tree.splits:
             whole = split[is_whole[split]]
@@ -274,16 +274,12 @@ class ConeSearch:
         axis, child = np.concatenate(axes), np.concatenate(children)
         place, roots = np.arange(len(axis)), np.concatenate(self.roots)
         place[roots] = num + np.arange(len(roots))
-        walked, nodes, paths = [], [place[:1]], [np.zeros(1, np.int64)]
+        walked, nodes = [], [place[:1]]
         while len(here := nodes[-1]):
-            inner = axis[here] >= 0
-            bit = 1 << (MAX_DEPTH - len(walked))
             walked.append(axis[here])
-            nodes.append(place[child[here[inner]]].ravel())
-            paths.append((paths[-1][inner, None] + np.array([0, bit])).ravel())
-        node, path = np.concatenate(nodes), np.concatenate(paths)
-        leaf = np.flatnonzero(axis[node] < 0)
-        leaf = node[leaf[np.argsort(path[leaf])]]
+            nodes.append(place[child[here[axis[here] >= 0]]].ravel())
+        node = np.concatenate(nodes)
+        leaf = node[axis[node] < 0][leaf_order(walked)]
         of_bytes = self.files.num_bytes(self.source(leaf), self.limits) / self.limits.max_bytes
         share = max(of_bytes, len(leaf) / self.limits.max_leaves)
         return FoundTree(price, walked, node, leaf, share)
