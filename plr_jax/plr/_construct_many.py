@@ -129,7 +129,7 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build files for goals of one workspace by their ``task``; build goals for which it finds no tree alone."""
+    """Build files for goals of one workspace together by ``task``; build those for which it finds no tree alone."""
     trees = {} if task is None else {i: tree for i, each in enumerate(oracles) if (tree := task(each)) is not None}
     found = [DecodedFile(task.domain, leaf, tree.tree, tree.stored) for tree in trees.values()] if task else []
     if task is not None and found and task.limits.proof is not Proof.NONE:

@@ -83,6 +83,8 @@ _SPARE_OF_CLASS = 1e-5  # this share of the scale for classes of leaves, whose b
 
 
 Errors: TypeAlias = Float[np.ndarray, "leaves"]
+Codes: TypeAlias = Integer[np.ndarray, "2 leaves"]
+"""Codes of lower and upper bounds, in the form of a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,12 +194,7 @@ _BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # bounds of a class, and its set
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
 
 
-def classify_bounds(
-    codes: Integer[np.ndarray, "2 leaves"],
-    code_factor: Float[np.ndarray, "codes"],
-    volume: Float[np.ndarray, "leaves"],
-    max_bits: int,
-) -> Integer[np.ndarray, "2 leaves"]:
+def classify_bounds(codes: Codes, code_factor: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
     """Group leaves into classes that share bounds, and return each leaf's codes of lower and upper bound after that.
 
     A class has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width of
@@ -219,7 +216,7 @@ def classify_bounds(
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
     width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
 
-    def best_classes(price: float) -> Integer[np.ndarray, "2 leaves"]:
+    def best_classes(price: float) -> Codes:
         costs, least, first = width + price * bits, np.zeros(number + 1), []
         for last in range(number):
             costs_to = least[: last + 1] + costs[last, : last + 1]
@@ -244,11 +241,8 @@ def classify_bounds(
 
 
 def requantize_bounds(
-    codes: Integer[np.ndarray, "2 leaves"],
-    classes: Integer[np.ndarray, "2 classes"],
-    code_factor: Float[np.ndarray, "codes"],
-    max_bits: int,
-) -> Integer[np.ndarray, "2 leaves"] | None:
+    codes: Codes, classes: Integer[np.ndarray, "2 classes"], code_factor: Float[np.ndarray, "codes"], max_bits: int
+) -> Codes | None:
     """Widen each leaf's bounds (codes) to the narrowest of the pairs ``classes``; None if no pair contains them."""
     classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
@@ -256,7 +250,7 @@ def requantize_bounds(
     return found if holds.any(axis=0).all() and _fits(found, max_bits) else None
 
 
-def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
+def _fits(codes: Codes, max_bits: int) -> bool:
     num_classes = len(np.unique(_class_keys(codes)))
     if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
         return False
@@ -265,7 +259,7 @@ def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
     return body.num_bits <= max_bits
 
 
-def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> None:
+def write_classes(body: BitWriter, codes: Codes) -> None:
     """Append the pairs of codes that occur (classes, the most frequent first), and the class of each leaf."""
     _, first, class_of, size = np.unique(
         _class_keys(codes), return_index=True, return_inverse=True, return_counts=True
@@ -278,11 +272,11 @@ def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> No
         place = place[place > each]
 
 
-def distinct_classes(codes: Integer[np.ndarray, "2 leaves"]) -> Integer[np.ndarray, "2 classes"]:
+def distinct_classes(codes: Codes) -> Integer[np.ndarray, "2 classes"]:
     return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
 
 
-def _class_keys(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
+def _class_keys(codes: Codes) -> Int[np.ndarray, "leaves"]:
     lower, upper = codes.astype(np.int64)
     return (lower << _CODE_BITS) + upper
 

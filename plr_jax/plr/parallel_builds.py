@@ -86,8 +86,7 @@ class Checkpoint:
 
 
 def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
-    heads = (_RECORD.pack(key, len(record), zlib.crc32(key + record)) for key, record in records.items())
-    return b"".join(part for both in zip(heads, records.values(), strict=True) for part in both)
+    return b"".join(_RECORD.pack(key, len(data), zlib.crc32(key + data)) + data for key, data in records.items())
 
 
 def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes:

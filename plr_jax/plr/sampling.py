@@ -70,8 +70,8 @@ class Pattern:
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
     """Make a pattern of samples in a cell: its center, Sobol points inside and on faces, and its corners if few.
 
-    The third on the faces detects slivers of free space behind a wall, and the large errors that are frequent there;
-    its small weight hardly changes the fit. A ``margin`` scales coordinates by ``1 + 2 * margin``.
+    The third of the samples on faces detects slivers of free space behind a wall, and the large errors that are
+    frequent there; its small weight hardly changes fits. A ``margin`` scales coordinates by ``1 + 2 * margin``.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))

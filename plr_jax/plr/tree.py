@@ -34,7 +34,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Cells(Rows):
-    """Dyadic cells of a domain: along each axis, ``lo + [position, position + 1] * (hi - lo) / 2**depth``."""
+    """Dyadic cells of a domain: intervals ``lo + (hi - lo) * [position, position + 1] / 2**depth`` along each axis."""
 
     depth: Int[np.ndarray, "cells dim"]
     position: Int[np.ndarray, "cells dim"]
@@ -171,7 +171,7 @@ def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
 
 
 def leaf_order(axes: list[Int[np.ndarray, "_"]]) -> Int[np.ndarray, "leaves"]:
-    """Return the permutation of leaves level by level into leaves from left to right; ``-1`` in ``axes`` marks a leaf."""
+    """Return the permutation of leaves level by level into left to right; ``axes`` is as in :func:`tree_of_axes`."""
     paths, path = [], np.zeros(1, np.int64)
     for depth, axis in enumerate(axes):
         paths.append(path[axis < 0])
