@@ -279,7 +279,7 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, share: float) -> None:
-        """Select the boxes that result from halving the root, and then every box that costs more than ``price``."""
+        """Select the boxes that result from the root if every box that costs more than ``price`` is halved."""
         here, own = np.zeros(1, np.int64), []
         for depth, level in enumerate(self.levels):
             if not len(here):

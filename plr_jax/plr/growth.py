@@ -322,7 +322,7 @@ def grow_best_first(
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Int[np.ndarray, "leaves"], int]:
-    """Choose the number of bits of least expected error, each with the largest tree that fits into the limits."""
+    """Choose the leaves and bits of least expected error; each number of bits has the largest tree that fits."""
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]

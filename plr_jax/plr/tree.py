@@ -34,7 +34,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Cells(Rows):
-    """Dyadic cells of a domain: intervals ``lo + (hi - lo) * [position, position + 1] / 2**depth`` along each axis."""
+    """Dyadic cells of a domain: along each axis, ``lo + (hi - lo) * [position, position + 1] / 2**depth``."""
 
     depth: Int[np.ndarray, "cells dim"]
     position: Int[np.ndarray, "cells dim"]

@@ -2,8 +2,8 @@
 
 The cone of a source (a corner, or the goal) is its distance to the goal plus the straight distance to it. A shortest
 path can go to a source first only if its cone is, somewhere in the leaf, as low as the leaf's proven upper bound. If
-all such paths are intact and changed by one number, no distance increased by more. If no cone of the new map comes
-down as low, no distance increased by less.
+all such paths are intact and changed by one number, no distance increased by more. If no other cone of the new map
+comes down as low, no distance increased by less.
 """
 
 from dataclasses import dataclass

@@ -39,7 +39,7 @@ class StoredSources:
     fraction: int  # other sources are multiples of 1 / fraction
     code: Int[np.ndarray, "sources dim"]
     parent: Int[np.ndarray, "sources"]  # next source on the way to the goal; a root is its own parent
-    root_offset: Float[np.ndarray, "sources"]  # distances of roots to the goal, exact in 32 bits; else 0
+    root_offset: Float[np.ndarray, "sources"]  # of roots: distance to the goal, exact in 32 bits
     goals: Int[np.ndarray, "roots"] | None = None  # index of the goal at each root, if the file names goals
 
     @property
