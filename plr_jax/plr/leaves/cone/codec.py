@@ -147,15 +147,17 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
-    fine, others = np.split(sources.code, [sources.num_fine])
-    body.write(np.array([len(fine)]), _COUNT_BITS)
-    if len(fine):
-        body.write(np.array([sources.exponent + _EXPONENT_BIAS]), _STEP_BITS)
-        _write_codes(body, fine, _origin_in_steps(domain.lo * 2.0**-sources.exponent))
-    body.write(np.array([len(others)]), _COUNT_BITS)
-    if len(others):
-        body.write(np.array([sources.fraction]), _STEP_BITS)
-        _write_codes(body, others, _origin_in_steps(domain.lo * sources.fraction))
+    (fine, others), exponent = np.split(sources.code, [sources.num_fine]), sources.exponent
+    kinds = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, sources.fraction, sources.fraction)
+    for code, step, scale in kinds:
+        body.write(np.array([len(code)]), _COUNT_BITS)
+        if len(code):
+            lowest = code.min(axis=0)
+            body.write(np.array([step]), _STEP_BITS).write_signed(lowest - _origin_in_steps(domain.lo * scale))
+            body.write_coded(np.diff(code[:, 0]))
+            for along in (code - lowest).T[1:]:
+                width = int(along.max()).bit_length()
+                body.write(np.array([width]), _WIDTH_BITS).write(along, width)
     body.write(sources.is_root.astype(np.int64), 1)
     body.write_floats(sources.root_offset[sources.is_root])
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
@@ -185,15 +187,6 @@ def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"]) -> None:
         body.write((rank == each).astype(np.int64), 1)
         rank = rank[rank > each]
     body.write_coded(rank - _ESCAPE)
-
-
-def _write_codes(body: BitWriter, code: Int[np.ndarray, "sources dim"], origin: Int[np.ndarray, "dim"]) -> None:
-    lowest = code.min(axis=0)
-    above = code - lowest
-    body.write_signed(lowest - origin).write_coded(np.diff(above[:, 0]))
-    for along in above.T[1:]:
-        width = int(along.max()).bit_length()
-        body.write(np.array([width]), _WIDTH_BITS).write(along, width)
 
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
