@@ -57,8 +57,8 @@ _MAX_SAMPLES = 2**16
 _NUM_ADVICE_POINTS = 1000  # random points that show which share of free space reaches the goal
 BEST = "best"
 _MOST_TIED_AXES = 6
-# leaf="best" tries cones if all corners take at most _CROWDED times the byte budget, and tries nothing else if they
-# take at most _ROOMY times the budget. Measured on random maps with 10 to 80 blocked cells.
+# leaf="best" tries cones if all corners take at most _CROWDED times the byte budget, and nothing else if they take at
+# most _ROOMY times the budget. Measured on random maps with 10 to 80 blocked cells.
 _CROWDED, _ROOMY = 4, 0.5
 _BYTES_A_SOURCE = 7
 _ERROR_POINTS = 4096
@@ -72,13 +72,14 @@ class BuildOptions:
     ``max_depth=9``, or ``should_split=center_error`` with a tolerance.
 
     Args:
-        compute_coefficients: Function that fits the plane of each cell: ``least_squares`` or your own. Continuous,
-            smooth and cone leaves ignore it.
+        compute_coefficients: Function that fits the plane of each cell: ``least_squares`` or your own. Only planes
+        use
+            it.
         should_split: Function from a ``CellFit`` to a priority for each cell: ``largest_error``, ``center_error``,
             ``maximum_depth`` or your own. The cell of the largest positive priority is split next.
         split: Function from a ``CellFit`` to a split axis for each cell: ``best_axis``, ``cyclic_axis`` or your own.
-        num_samples: Samples in each cell (center, inside and faces), at most 65,536. None: 192 for planes, 96 for
-            others. At least ``dim + 1`` for planes and cones, ``2**dim + 1`` for others; take several times as many.
+        num_samples: Samples in each cell, at most 65,536. None: 192 for planes, 96 for others. At least ``dim + 1``
+            for planes and cones, ``2**dim + 1`` for others; take several times as many.
         margin: Distance by which samples reach beyond their cell, as a fraction from 0 to 1 of its width. A margin
             averages out the noise of an oracle such as a roadmap.
         weight_fn: Function from points ``(n, dim)`` to error weights ``(n,)``, finite and >= 0. None: weight 1.
@@ -118,7 +119,7 @@ class BuildOptions:
 
     @property
     def names(self) -> str:
-        """Names of the rules, the number of samples and the margin: text that identifies them in a checkpoint."""
+        """Text that identifies the rules, the number of samples and the margin in a checkpoint."""
         rules = self.compute_coefficients, self.should_split, self.split, self.weight_fn
         names = " ".join(getattr(rule, "__qualname__", type(rule).__qualname__) for rule in rules)
         return f"{names} {self.num_samples} {self.margin}"
@@ -172,13 +173,12 @@ def construct(
 
     Leaf models:
         - ``"plane"``: one plane a leaf, fitted best-first. The function may jump between leaves.
-        - ``"continuous"``: values at the leaves' corners, shared across free faces, in up to 6 dimensions. Smaller
-          errors per byte than planes, but slower to build and to query.
+        - ``"continuous"``: values at the leaves' corners, shared by neighbors, in up to 6 dimensions. Smaller errors
+          per byte than planes, but slower to build and to query.
         - ``"smooth"``: the same with a continuous gradient, in 1 or 2 dimensions; slower than ``"continuous"``.
         - ``"cone"``: an offset plus the distance to a *source*, an obstacle corner or the goal. Exact except where
-          the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). The
-          partition minimizes error plus a price per leaf. Needs a distance function in the plane that answers for
-          whole cells.
+          the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). Needs a
+          distance function in the plane that answers for whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
           certified, else the geometric mean of the mean and the largest error at random points. A distance function
           that does not answer for whole cells gets ``"continuous"`` leaves, in more than 6 dimensions ``"plane"``.
@@ -293,7 +293,6 @@ def _folded_distances(distance_fn: DistanceFn, folding: Folding, z: Points) -> D
 
 
 def proof_of(certified: bool | str) -> Proof:
-    """Return the kind of proof that the argument ``certified`` of :func:`construct` asks for."""
     if isinstance(certified, str) and certified == "leaves":
         return Proof.LEAVES
     if not isinstance(certified, bool | np.bool):
@@ -321,7 +320,7 @@ def _unreachable_warning(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
 
 @dataclass(frozen=True, eq=False)
 class _BoxOracle:
-    """An oracle that computes its sources (the goal, and corners where paths may turn) for ``box`` only once."""
+    """An oracle that computes its sources for ``box``, the corners to which paths may go first, only once."""
 
     oracle: CellwiseFn
     box: Box
@@ -352,9 +351,9 @@ def build_best_model(
 ) -> tuple[DecodedFile, bool]:
     """Build leaves of all suitable models; return the best ones, and whether Ctrl-C ended the search.
 
-    A model for which ``build`` raises ``ValueError`` is skipped. Models are compared by their largest proven error,
-    or without a proof by the error at random points. ``only_bytes`` tells that neither ``max_leaves`` nor
-    ``max_depth`` is given, and that ``weight_fn``, ``should_split`` and ``split`` are the defaults.
+    Models are compared by their largest proven error, or without a proof by the error at random points. Models for
+    which ``build`` raises ``ValueError`` are skipped. ``only_bytes`` tells that ``max_bytes`` is the only limit and
+    all rules are the defaults.
     """
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
         distance_fn = _BoxOracle(distance_fn, grown_domain(domain))
@@ -399,11 +398,8 @@ def build_best_model(
 def _models_to_try(
     distance_fn: DistanceFn, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
 ) -> list[str]:
-    """Return the names of the leaf models to compare.
-
-    On all maps of the experiments, cones had 10 to 1,000 times smaller mean errors than other leaves if all corners
-    took at most ``_ROOMY * max_bytes``. Above ``_CROWDED * max_bytes``, a few cones could err far more than others.
-    """
+    # On all maps of the experiments, cones had 10 to 1,000 times smaller mean errors than other leaves if all corners
+    # took at most _ROOMY * max_bytes. Above _CROWDED * max_bytes, a few cones could err far more than others.
     cones = [name for name in leaf_names() if isinstance(leaf_model(name), Cone)]
     others = [name for name in leaf_names() if name not in cones]
     if proof is Proof.NONE:
@@ -431,10 +427,10 @@ def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) ->
 def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
     """Prove bounds of the error of an existing PLR.
 
-    No point is sampled: for whole cells, the oracle tells by which sources (corners, or the goal) shortest paths may
-    go, and which sources all points see. The proof holds for all points of the domain that reach the goal. An error
-    of the oracle itself, for example by an inflated workspace, is not included. Where two parts of free space touch
-    at a point, the cell there covers both, so the proven error is at least half of the jump between them.
+    No point is sampled: the oracle tells to which corners shortest paths from a whole cell may go first. The proof
+    holds for all points of the domain that reach the goal. It excludes an error of the oracle itself, for example by
+    an inflated workspace. Where two parts of free space touch at a point, the cell there covers both, so the proven
+    error is at least half of the jump between them.
 
     Args:
         plr: A PLR in the plane, of any leaf model.
@@ -469,7 +465,6 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
-    """Return the oracle if its distances can be proven on this domain; raise ``ValueError`` otherwise."""
     if domain.dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "

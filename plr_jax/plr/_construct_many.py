@@ -48,10 +48,10 @@ def construct_many(
         plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=1024)
 
     Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
-    chosen by their mean errors at samples, a grid of up to 512 x 512 points that all goals share, not by proven
-    errors as in :func:`construct`. This is faster, and mean errors are mostly smaller. A file may be smaller than
-    ``max_bytes`` if no sample has an error. Other PLRs are built one by one with :func:`construct`; so are cones of a
-    family if the limits allow more than about 8,000 leaves, or a tolerance is given.
+    chosen by their mean errors at a grid of up to 512 x 512 points that all goals share, not by proven errors as in
+    :func:`construct`. This is faster, and mean errors are mostly smaller. A file may be smaller than ``max_bytes`` if
+    these points have no error. Other PLRs are built one by one with :func:`construct`; so are cones of a family if
+    the limits allow more than about 8,000 leaves, or a tolerance is given.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -99,18 +99,8 @@ def construct_many(
     if checkpoint is not None:
         rules = "" if options == DEFAULT_OPTIONS else f" {options.names}"
         checkpoint_file = Checkpoint(checkpoint, digest_of(oracles, domain, f"{model} {limits} {int(seed)}{rules}"))
-    alone = partial(
-        construct,
-        domain=domain,
-        leaf=leaf,
-        max_bytes=max_bytes,
-        max_leaves=max_leaves,
-        max_depth=max_depth,
-        tolerance=tolerance,
-        certified=certified,
-        seed=seed,
-        options=options,
-    )
+    most = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
+    alone = partial(construct, domain=domain, leaf=leaf, **most, certified=certified, seed=seed, options=options)
     done = BuildResults(len(oracles), checkpoint_file)
     families: dict[int, list[int]] = {}
     for number in (number for number, file in enumerate(done.results) if file is None):
@@ -124,14 +114,9 @@ def construct_many(
         work = partial(_files, alone, task, leaf_model(model.name))
         split = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
         chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in split]
+    total = len(oracles)
     with tqdm(
-        desc="construct_many",
-        unit=" PLRs",
-        total=len(oracles),
-        initial=done.count,
-        delay=2,
-        leave=False,
-        disable=None,
+        desc="construct_many", unit=" PLRs", total=total, initial=done.count, delay=2, leave=False, disable=None
     ) as progress:
         try:
             done.build(chunks, executor, progress)
@@ -144,26 +129,20 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build the files of oracles of one family by its ``task``; build oracles for which it finds no tree alone."""
-    trees = [None if task is None else task(oracle) for oracle in oracles]
-    if task is None or all(tree is None for tree in trees):
-        return [alone(oracle).to_bytes() for oracle in oracles]
-    members = [number for number, tree in enumerate(trees) if tree is not None]
-    found = [DecodedFile(task.domain, leaf, tree.tree, tree.stored) for tree in trees if tree is not None]
-    if task.limits.proof is not Proof.NONE:
-        sources = [tree.source for tree in trees if tree is not None]
-        found = _certified(found, [oracles[number] for number in members], sources, task.limits.proof)
-    contents = dict(zip(members, found, strict=True))
-    return [
-        encode(contents[number]) if number in contents else alone(oracle).to_bytes()
-        for number, oracle in enumerate(oracles)
-    ]
+    """Build files for goals of one workspace together by ``task``; build those for which it finds no tree alone."""
+    trees = {} if task is None else {i: tree for i, each in enumerate(oracles) if (tree := task(each)) is not None}
+    found = [DecodedFile(task.domain, leaf, tree.tree, tree.stored) for tree in trees.values()] if task else []
+    if task is not None and found and task.limits.proof is not Proof.NONE:
+        sources = [tree.source for tree in trees.values()]
+        found = _certified(found, [oracles[i] for i in trees], sources, task.limits.proof)
+    files = dict(zip(trees, map(encode, found), strict=True))
+    return [files.get(i) or alone(oracle).to_bytes() for i, oracle in enumerate(oracles)]
 
 
 def _certified(
     contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
 ) -> list[DecodedFile]:
-    """Prove error bounds of PLRs of one family; ``sources`` has each leaf's index in its oracle's sources."""
+    """Prove error bounds of PLRs of cones for goals of one workspace; ``sources`` has the apex of each leaf."""
     for oracle in oracles:
         require_certifiable(oracle, contents[0].domain)
     # Cells that several members have as leaves are cut into free pieces once.

@@ -1,10 +1,8 @@
-"""Find the best partition of the plane for cones: a tree of halved boxes that minimizes error plus a price per leaf.
+"""Find the tree of halved boxes that minimizes error plus a price per leaf, for leaves that are cones.
 
 The price is the Lagrange multiplier of the limits of a file: a lower price gives a larger tree with a smaller error.
-
-Dynamic programming works upward from the smallest boxes: a box is a leaf, or is halved along the axis of lower cost.
-Very narrow boxes are excluded. The price is lowered, and more boxes are computed, until the best tree exceeds the
-limits. Then interpolation approaches the lowest price at which the tree is within the limits.
+Dynamic programming works upward from the smallest boxes. The price is lowered, and more boxes are computed, until the
+best tree exceeds the limits. Then interpolation approaches the lowest price at which the tree is within the limits.
 
 References:
     Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
@@ -20,13 +18,13 @@ from jaxtyping import Bool, Float, Int, UInt64
 
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, check_memory
-from plr_jax.plr.tree import MAX_DEPTH
+from plr_jax.plr.tree import leaf_order
 
 MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
-# Weight of a box's peak (its largest error) beside the integral of its error, in volumes of an average leaf.
+# Weight of a box's largest error (its peak) beside the integral of its error, in volumes of an average leaf.
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
-# One more leaf is expected to divide a box's peak by this factor at most. Measured for certified cones: without this
-# assumption a quarter more boxes are computed for errors as small; with a factor of 2, some bounds are less narrow.
+# One more leaf is expected to divide a box's peak by this factor at most. Measured: without this assumption, a
+# quarter more boxes are computed for errors as small; with a factor of 2, some bounds are less narrow.
 _MOST_DROP = 3.0
 BOXES_PER_BATCH = 1 << 14
 UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or excluded to save time
@@ -34,24 +32,18 @@ UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes of one level (number of halvings) that a search has computed; their halves are in the next level.
+    """The boxes with one number of halvings that a search has computed; their halves are in the next level."""
 
-    Attributes:
-        boxes: Boxes in the plane with the errors that they would have as leaves, such as ``ConeBoxes``.
-        key: A key that identifies each box.
-        child: Index of each box's halves in the next level, by axis, half and box, or ``UNKNOWN`` or ``PRUNED``.
-    """
-
-    boxes: Any
-    key: UInt64[np.ndarray, "boxes"]
-    child: Int[np.ndarray, "2 2 boxes"]
+    boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
+    key: UInt64[np.ndarray, "boxes"]  # hash of each box
+    child: Int[np.ndarray, "2 2 boxes"]  # halves in the next level by axis, half and box, or UNKNOWN or PRUNED
 
     @staticmethod
     def of(boxes: Any, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
         return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
     def costs(self, share: float) -> Float[np.ndarray, "boxes"]:
-        """Return each box's cost as a leaf: integral of its error plus ``share`` times its peak (largest error)."""
+        """Return each box's cost as a leaf: the integral of its error plus ``share`` times its largest error."""
         return self.boxes.integral + share * self.boxes.peak
 
     def is_open(self, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
@@ -67,19 +59,14 @@ class BoxLevel:
 
 
 class TreeCosts(NamedTuple):
-    """Costs of the trees into which the boxes of one level may be split, with a price per leaf.
+    """Costs of the trees into which the boxes of one level may be split, with a price per leaf."""
 
-    Attributes:
-        best: Cost of each box's best tree of computed boxes, possibly of the box alone.
-        least: Cost that none of the box's trees is expected to fall below.
-    """
-
-    best: Float[np.ndarray, "boxes"]
-    least: Float[np.ndarray, "boxes"]
+    best: Float[np.ndarray, "boxes"]  # of each box's best tree of computed boxes, possibly the box alone
+    least: Float[np.ndarray, "boxes"]  # none of the box's trees is expected to cost less
 
     @staticmethod
     def of(level: BoxLevel, below: "TreeCosts | None", price: float, share: float, limits: Limits) -> "TreeCosts":
-        """Compute the costs of a level from the costs of the next level, if there is one."""
+        """Compute the costs of a level from those of the next level, ``below``, if there is one."""
         best = level.costs(share) + price
         halved = cost_if_halved(share * level.boxes.peak, price)
         least = np.where(level.is_open(limits).any(axis=0), np.minimum(best, halved), best)
@@ -93,23 +80,18 @@ class TreeCosts(NamedTuple):
 
 
 def cost_if_halved(peak: Float[np.ndarray, "boxes"], price: float) -> Float[np.ndarray, "boxes"]:
-    """Estimate from a box's weighted peak the least cost of its trees that have several leaves.
-
-    Integrals may vanish. Each leaf but the first costs a price and divides the peak by ``_MOST_DROP`` at best.
-    """
+    """Estimate the least cost of a split box, from its weighted largest error ``peak`` and the price per leaf."""
+    # Each further leaf divides the peak by _MOST_DROP at best; the integral of the error may vanish.
     lowest = _MOST_DROP / (_MOST_DROP - 1)  # a peak of fewer prices is not worth another leaf
     more = np.ceil(np.log(np.maximum(peak / price / lowest, _MOST_DROP)) / np.log(_MOST_DROP))
     return (1 + more) * price + peak * _MOST_DROP**-more
 
 
 def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits, margin: float = np.inf) -> None:
-    """Compute the halves of boxes that may be split at a price per leaf, level by level, and add them to ``levels``.
+    """Compute the halves of boxes that the best tree at a price per leaf may split, and add them to ``levels``.
 
-    Halves are pruned if they cost more than ``margin`` times the halves along the other axis. In costs, peaks
-    (largest errors) have the weight ``share``.
-
-    ``most`` is the cost that a box's tree must not exceed as part of a tree that is better than all computed ones. A
-    box is halved only if its trees may fall below ``most`` and below the cost of its best computed tree.
+    In costs, largest errors have the weight ``share``. Halves are pruned if they cost more than ``margin`` times the
+    halves along the other axis.
     """
     costs: dict[int, TreeCosts] = {}
 
@@ -118,6 +100,8 @@ def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits, m
 
     for depth in reversed(range(len(levels))):
         update_costs(depth)
+    # A box is halved only if its trees may cost less than its best computed tree and less than ``most``: at a higher
+    # cost, no tree that contains them beats the computed ones.
     most = np.full(len(levels[0].key), np.inf)
     for depth, level in enumerate(levels):  # including the levels that are added meanwhile
         axis, parent = np.nonzero(level.is_open(limits) & (np.minimum(costs[depth].best, most) > costs[depth].least))
@@ -176,37 +160,31 @@ _ATTEMPTS, _AIM, _FULL = 12, 0.9985, 0.997
 _LAST = 1e-4  # factor of the price once no box is left to halve; not 0, so that the smaller of equal trees is chosen
 
 Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
-"""For each level, starting with the first, the indices of the boxes that are leaves of a tree."""
+"""For each level, the indices of the boxes that are leaves of a tree."""
 
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """The best tree at a price per leaf; its nodes and leaves are listed level by level.
-
-    Attributes:
-        axes: Split axis of each node; -1 for a leaf.
-        order: Permutation of the leaves into the order of the tree's traversal.
-        is_final: Whether the search for a larger tree is over.
-    """
+    """The tree of least error plus price per leaf; its nodes and leaves are listed level by level."""
 
     leaves: Leaves
-    axes: list[Int[np.ndarray, "_"]]
-    order: Int[np.ndarray, "leaves"]
+    axes: list[Int[np.ndarray, "_"]]  # split axis of each node; -1 for a leaf
+    order: Int[np.ndarray, "leaves"]  # permutation of the leaves into the order of the tree's traversal
     price: float
     num_bytes: int = 0
-    is_final: bool = False
+    is_final: bool = False  # whether the search for a larger tree is over
 
     def __len__(self) -> int:
         return len(self.order)
 
 
 def peak_share(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of peaks (largest errors; without a proof, these times the sides of boxes) in costs."""
+    """Return the weight of a leaf's largest error in its cost, next to the integral of its error."""
     return LEAST_SHARE_PROVEN / num_leaves if is_proven else LEAST_SHARE / float(np.sqrt(num_leaves))
 
 
 class SelectedBoxes(NamedTuple):
-    """Boxes of one level that a tree may contain; ``child`` has indices into the next level's selected boxes."""
+    """Boxes of one level that a tree may contain, and the indices of their halves in the next level's selection."""
 
     box: Int[np.ndarray, "own"]
     child: Int[np.ndarray, "2 2 own"]
@@ -215,8 +193,8 @@ class SelectedBoxes(NamedTuple):
 class PriceSearch:
     """A search for the largest tree within the limits that has the least error plus price per leaf, at some price.
 
-    The root is the only box of the first level. ``size(tree)`` returns the bytes of a tree's file. ``num_sources`` is
-    the number of points that may be the apex of a leaf's cone; it only affects the choice of the first price.
+    The root is the only box of the first level. ``size(tree)`` returns the bytes of a tree's file. ``num_sources``,
+    the number of points that a leaf's cone may have as apex, only affects the first price.
     """
 
     def __init__(
@@ -259,7 +237,7 @@ class PriceSearch:
         )
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
-        """Return the next price, for a larger tree, and the weight of peaks (largest errors) in costs."""
+        """Return the next price per leaf, for a larger tree, and the weight of largest errors in costs."""
         # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
@@ -284,7 +262,7 @@ class PriceSearch:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, fits: PricedTree, beyond: PricedTree, share: float) -> PricedTree:
-        """Return the largest tree found within the limits, at prices between those of ``fits`` and ``beyond``."""
+        """Return the largest tree within the limits that is found at prices between those of two trees."""
         largest = fits
         for attempt in range(_ATTEMPTS):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
@@ -321,21 +299,18 @@ class PriceSearch:
         self._selected = own
 
     def _best_tree(self, price: float, share: float) -> PricedTree:
-        """Return the tree of selected boxes that has the least total cost plus price per leaf."""
         own = self._selected
         axes = best_axes(self.levels, own, price, share)
-        leaves, walked, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
-        for depth, ((box, child), choice) in enumerate(zip(own, axes, strict=True)):
+        leaves, walked, here = [], [], np.zeros(1, np.int64)
+        for (box, child), choice in zip(own, axes, strict=True):
             if not len(here):
                 break
             axis = choice[here]
             is_inner = axis >= 0
             leaves.append(box[here[~is_inner]])
-            paths.append(path[~is_inner])
             walked.append(axis)
             here = child[axis[is_inner], :, here[is_inner]].ravel()
-            path = (path[is_inner, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
-        return PricedTree(leaves, walked, np.argsort(np.concatenate(paths)), price)
+        return PricedTree(leaves, walked, leaf_order(walked), price)
 
 
 def best_axes(

@@ -1,4 +1,4 @@
-"""Compute and cache the *sources* of cells: the goal or corners to which shortest paths from a cell may go first."""
+"""Compute and cache the *sources* of cells: corners (or the goal) to which paths from a cell may go first."""
 
 from collections.abc import Iterator
 
@@ -15,7 +15,7 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class CellMemory:
-    """A cache of the sources (the goal, or corners where paths may turn) of the cells of a growing partition."""
+    """A cache of the sources of a partition's cells: corners (or the goal) to which shortest paths may go first."""
 
     def __init__(self, oracle: CellwiseFn, domain: Box) -> None:
         self._domain = domain
@@ -32,7 +32,7 @@ class CellMemory:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells, each of which is in the cache or is a half of a cached cell."""
+        """Return the sources of cells in the cache, or of halves of cells in the cache."""
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # Halve cached cells along the first axis if possible, else along the second.
@@ -48,15 +48,11 @@ class CellMemory:
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
-        """Return the sources of a tree's leaves; if a leaf is not in the cache, search from the root of the tree."""
         if not self._knows(tree.leaves).all():
             for nodes, visible in sources_by_level(tree, self.sources(Cells.root(2)), self._domain):
                 is_leaf = np.flatnonzero(tree.child[nodes] < 0)
                 self.remember(tree.cells[nodes[is_leaf]], visible.of_cells(is_leaf))
         return self._recall(tree.leaves)
-
-    def distances(self, cells: Cells, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
-        return distances_in_cells(self.sources(cells), x)
 
     def _knows(self, cells: Cells) -> Bool[np.ndarray, "cells"]:
         hashes = cells.hashes()
@@ -74,7 +70,7 @@ class CellMemory:
 def sources_by_level(
     tree: Tree, root: CellSources, domain: Box
 ) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
-    """Yield the nodes of each level of a tree with the sources of their cells; ``root`` has the domain's sources."""
+    """Yield the nodes of each level of a tree, with corners (or the goal) to which paths from them may go first."""
     nodes, visible = np.zeros(1, np.int64), root
     while len(nodes):
         yield nodes, visible

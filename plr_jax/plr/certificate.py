@@ -1,21 +1,6 @@
-"""Certificates: proven bounds of (distance - leaf function) in each leaf of a PLR, and their file format.
+"""Prove bounds of (distance - leaf function) in each leaf of a PLR by branch and bound, and encode them in its file.
 
-Bounds come from branch and bound over convex pieces of the leaves' free space. Bounds of a piece hold for all of it.
-The error at its center is *attained*, so bounds of the leaf must include it. Pieces whose bounds are close to
-attained errors are finished; the others are halved, which tightens bounds. Where only a bound of the distance at a
-center is known, bounds may be less tight.
-
-A file stores a certificate as bits, after the leaves:
-
-    largest error, a 32-bit float; negative if classes, or a straight-line bound, follow
-    classes: number of classes less one, 4 bits; codes of their lower, then of their upper bounds, 8 bits each;
-      for every class but the last, the largest class first: which of the leaves that are in no earlier class are
-      not in this class either (a set as in ``coding.py``)
-    bounds of every leaf: codes of all lower, then of all upper bounds, 8 bits each
-    if the proof is OPEN_LEAVES and the largest error is negative: ``Certificate.straight``, 32-bit floats
-
-A bound is ``scale * 2**((code - 255) / 12)``, below or above the leaf's value: one code more is 6 % more, and the
-smallest bound is 4e-7 of the largest. All bounds are rounded away from zero.
+The bits in the file are described in ``portable/FORMAT.md``.
 """
 
 from collections.abc import Callable
@@ -32,24 +17,21 @@ from plr_jax._types import CellSources
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 
-# Bounds over a piece of a leaf, a convex part of its free space.
-#
-# The cone of a source (the goal, or a corner where paths turn) is its distance to the goal plus the straight distance
-# to it. The distance is at most the cone of a source that all of the piece sees, and at least the least cone of all
-# sources that some of its points may use. If no source is seen by all of the piece, the upper bound is the distance
-# of the piece's center plus the straight path to it, which is free.
-
 ConeBoundsFn: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
-"""Function of convex pieces, apexes, offsets and rows that bounds (cone - leaf function) over each piece.
-
-Each piece has one cone, ``offset + |x - apex|``; its row identifies the leaf function.
-"""
+"""Function of pieces, apexes, offsets, rows: bounds of ``offset + |x - apex|`` minus the leaf function of a row."""
 
 
 def bounds_of_pieces(
     visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return lower and upper bounds of (distance - leaf function) over convex pieces, without ``visible.slack``."""
+    """Return lower and upper bounds of (distance to the goal - leaf function) over convex pieces of free space.
+
+    Points reach the goal by way of *sources*: the goal itself, or corners where paths turn first. The cone of a
+    source is its distance to the goal plus ``|x - source|``. The distance is at least the least cone of all sources
+    that some of the piece may use, and at most the cone of a source that all of the piece sees. Without such a
+    source, it is at most the distance of the piece's center plus the straight path to it. ``visible.slack``, the
+    uncertainty of distances, is not included.
+    """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
     pairs, row = take_ragged(visible.first_pair, piece)
@@ -60,25 +42,21 @@ def bounds_of_pieces(
     first = np.flatnonzero(np.append(True, row[1:] != row[:-1]))
     lower = np.minimum.reduceat(lowest, first)
     upper = np.minimum.reduceat(np.where(visible.by_all[pairs], highest, np.inf), first)
-    hidden = np.flatnonzero(np.isinf(upper))
-    if len(hidden):
-        of = piece[hidden]
-        _, upper[hidden] = cones_above(visible.pieces[:, of], visible.center[of], visible.distance[of], hidden)
+    unseen = np.flatnonzero(np.isinf(upper))
+    if len(unseen):
+        of = piece[unseen]
+        _, upper[unseen] = cones_above(visible.pieces[:, of], visible.center[of], visible.distance[of], unseen)
     return lower, upper
 
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
-    """The functions of leaves, given by their model (a :class:`LeafModel`), boxes and finite coefficients."""
-
-    model: Any
+    model: Any  # a LeafModel, which this file may not import
     lo: Float[np.ndarray, "leaves dim"]
     hi: Float[np.ndarray, "leaves dim"]
     coefficients: Float[np.ndarray, "leaves terms"]
 
     def cone_minus_leaf_bounds(self, leaf: Int[np.ndarray, "n"]) -> ConeBoundsFn:
-        """Return a function that bounds (cone - leaf function); its rows are indices into ``leaf``."""
-
         def of_rows(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
             functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
@@ -95,30 +73,29 @@ class LeafFunctions:
         return errors
 
 
-# Most rounds in which pieces of a leaf are halved, and most pieces in a round. If they do not suffice, bounds are
-# valid, but not tight.
+# Most rounds in which pieces of a leaf are halved, and most pieces in a round; more would only tighten bounds.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
-# Bounds of leaves are tight enough if they exceed attained errors by at most this share of the range of a leaf's
-# errors, clipped to these shares of the largest error of all leaves.
+# Bounds are tight enough if they exceed attained errors by this share of the range of a leaf's errors, clipped to
+# these shares of the largest error of all leaves.
 _OF_RANGE = 0.04
 _LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
 _SPARE_OF_CLASS = 1e-5  # this share of the scale for classes of leaves, whose bounds few leaves determine
 
 
+Errors: TypeAlias = Float[np.ndarray, "leaves"]
+Codes: TypeAlias = Integer[np.ndarray, "2 leaves"]
+"""Codes of lower and upper bounds, in the form of a file."""
+
+
 @dataclass(frozen=True, eq=False)
 class LeafBounds:
-    """Bounds of (distance - leaf function) for each leaf, over all its points that reach the goal."""
+    """Bounds of (distance to the goal - leaf function) for each leaf, over all its points that reach the goal."""
 
-    lower: Float[np.ndarray, "leaves"]
-    upper: Float[np.ndarray, "leaves"]
-
-
-Errors: TypeAlias = Float[np.ndarray, "leaves"]
-"""Values or bounds of (distance - leaf function), one for each leaf."""
+    lower: Errors
+    upper: Errors
 
 
 def tight_bounds(least: Errors, most: Errors, anew: bool = True) -> tuple[Errors, Errors]:
-    """Return bounds that are tight enough, a little beyond the smallest and largest attained error of each leaf."""
     largest = max(most.max(initial=0.0), -least.min(initial=0.0))
     spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
     return least - spare, most + spare
@@ -129,12 +106,12 @@ def prove_bounds(
     visible: CellSources,
     sufficient: Callable[[Errors, Errors, bool], tuple[Errors, Errors]] = tight_bounds,
 ) -> LeafBounds:
-    """Prove bounds of (distance - leaf function) for each leaf, from the sources of the leaves' cells (``visible``).
+    """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    A source is the goal or a corner where paths may turn. ``sufficient`` maps the smallest and largest error attained
-    in each leaf to bounds that are tight enough. Its third argument is True if it must choose these bounds anew,
-    False if bounds near its last ones will do. Rounding in double precision is far below ``visible.slack``, which the
-    bounds include.
+    Convex pieces of each leaf's free space (``visible``) are halved until bounds lie within those of ``sufficient``,
+    a function of the smallest and largest error that points of each leaf attain. Its third argument is False if
+    bounds near its last ones will do. Bounds include ``visible.slack``, far more than the rounding of double
+    precision.
     """
     num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -148,9 +125,9 @@ def prove_bounds(
         return ((below < low[leaf]) | (above > high[leaf])) & (rounds[leaf] < _MOST_ROUNDS)
 
     while True:
-        # 1. Bound the errors of pieces, and collect attained errors: at centers, and if all of a piece sees all its
-        #    sources, at corners, as the distance is the least of their cones. Then exact lower bounds are attained
-        #    too; exact upper bounds, if there is only one source.
+        # 1. Bound the errors of pieces. Attained errors are those at centers. If all of a piece sees all its sources,
+        #    its distance is the least of their cones: then errors at corners are attained, and exact lower bounds; of
+        #    a single source, exact upper bounds too.
         here = functions.lo[leaf], functions.hi[leaf], functions.coefficients[leaf]
         met = visible.distance - functions.model.values(*here, visible.center)
         np.minimum.at(least, leaf, met)
@@ -211,32 +188,23 @@ def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellS
     return alone.parts(parent, axis[parent], is_upper, los, his)
 
 
-# Classes of leaves with common bounds are nearly as narrow as bounds of every leaf, for few bits: most leaves have
-# far smaller errors than the few worst, such as leaves where walls touch.
-
 _COUNT_BITS = 4
 _BITS_OF_SET = 37  # the least bits of a set; of the last class, none is written
 _BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # bounds of a class, and its set
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
 
 
-def classify_bounds(
-    codes: Integer[np.ndarray, "2 leaves"],
-    code_factor: Float[np.ndarray, "codes"],
-    volume: Float[np.ndarray, "leaves"],
-    max_bits: int,
-) -> Integer[np.ndarray, "2 leaves"]:
-    """Group leaves into classes that share bounds of small mean width, weighted by volume; return all new codes.
+def classify_bounds(codes: Codes, code_factor: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
+    """Group leaves into classes that share bounds, and return each leaf's codes of lower and upper bound after that.
 
-    A class has the leaves whose larger code (of lower and upper bound) is in one range. Dynamic programming finds the
-    best ranges at a price per bit; bisection finds the lowest price at which the classes fit into ``max_bits``.
-    ``code_factor`` has the bound for each code, in units of the scale.
+    A class has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width of
+    bounds (``code_factor``, by code), weighted by volume, plus a price per bit; bisection finds the lowest price at
+    which classes fit into ``max_bits``.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
 
     def of_ranges(of_rank: Shaped[np.ndarray, "ranks"], fold: np.ufunc) -> Shaped[np.ndarray, "ranks ranks"]:
-        """Reduce values over all ranges of ranks, by first and last rank."""
         return fold.accumulate(np.triu(np.broadcast_to(of_rank, (number, number))), axis=1)
 
     highest = np.zeros((2, number), codes.dtype)
@@ -248,7 +216,7 @@ def classify_bounds(
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
     width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
 
-    def best_classes(price: float) -> Integer[np.ndarray, "2 leaves"]:
+    def best_classes(price: float) -> Codes:
         costs, least, first = width + price * bits, np.zeros(number + 1), []
         for last in range(number):
             costs_to = least[: last + 1] + costs[last, : last + 1]
@@ -273,22 +241,16 @@ def classify_bounds(
 
 
 def requantize_bounds(
-    codes: Integer[np.ndarray, "2 leaves"],
-    classes: Integer[np.ndarray, "2 classes"],
-    code_factor: Float[np.ndarray, "codes"],
-    max_bits: int,
-) -> Integer[np.ndarray, "2 leaves"] | None:
-    """Return each leaf's codes in the narrowest of given ``classes`` that contains its bounds.
-
-    Return None if a leaf has no such class, or if the classes do not fit into ``max_bits``.
-    """
+    codes: Codes, classes: Integer[np.ndarray, "2 classes"], code_factor: Float[np.ndarray, "codes"], max_bits: int
+) -> Codes | None:
+    """Widen each leaf's bounds (codes) to the narrowest of the pairs ``classes``; None if no pair contains them."""
     classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
     return found if holds.any(axis=0).all() and _fits(found, max_bits) else None
 
 
-def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
+def _fits(codes: Codes, max_bits: int) -> bool:
     num_classes = len(np.unique(_class_keys(codes)))
     if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
         return False
@@ -297,8 +259,8 @@ def _fits(codes: Integer[np.ndarray, "2 leaves"], max_bits: int) -> bool:
     return body.num_bits <= max_bits
 
 
-def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> None:
-    """Append the codes of the bounds of at most 16 classes, and the class of each leaf."""
+def write_classes(body: BitWriter, codes: Codes) -> None:
+    """Append the pairs of codes that occur (classes, the most frequent first), and the class of each leaf."""
     _, first, class_of, size = np.unique(
         _class_keys(codes), return_index=True, return_inverse=True, return_counts=True
     )
@@ -310,17 +272,16 @@ def write_classes(body: BitWriter, codes: Integer[np.ndarray, "2 leaves"]) -> No
         place = place[place > each]
 
 
-def distinct_classes(codes: Integer[np.ndarray, "2 leaves"]) -> Integer[np.ndarray, "2 classes"]:
+def distinct_classes(codes: Codes) -> Integer[np.ndarray, "2 classes"]:
     return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
 
 
-def _class_keys(codes: Integer[np.ndarray, "2 leaves"]) -> Int[np.ndarray, "leaves"]:
+def _class_keys(codes: Codes) -> Int[np.ndarray, "leaves"]:
     lower, upper = codes.astype(np.int64)
     return (lower << _CODE_BITS) + upper
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
-    """Read each leaf's codes, as :func:`write_classes` appended them; ``ValueError`` describes damaged data."""
     count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
     classes = body.read_fixed_width(2 * count, _CODE_BITS).reshape(2, count)
     place, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
@@ -333,22 +294,20 @@ def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"
 _CODE_BITS, _MOST, _CODES_A_DOUBLING = 8, 255, 12
 _A_CODE = 2.0 ** (1 / _CODES_A_DOUBLING)
 _MAX_ERROR_BITS = 32
-# Classes get one bit for each 16 bytes of leaves (1/128 of their size); with fewer than 80 bits there are none.
+# Classes get one bit for each 16 bytes of leaves; with fewer than 80 bits there are none.
 _BYTES_A_BIT, _LEAST_BITS = 16, 80
 
 
 class Proof(IntEnum):
-    """The kinds of proof that a file can store, with their numbers in files."""
+    """The proof that a file stores: none, bounds that classes of leaves share, or bounds of each leaf."""
 
     NONE = 0
-    CLASSES = 1
-    """Bounds that classes of leaves share, or only the largest error if there is no room for classes."""
+    CLASSES = 1  # or only the largest error of all leaves, if there is no room for classes
     LEAVES = 2
-    OPEN_LEAVES = 3
-    """Bounds of every leaf; the largest upper code means that there is no upper bound."""
+    OPEN_LEAVES = 3  # leaves with the largest upper code have no upper bound
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
-        """Return the most bits of this proof, without a straight-line bound, if the leaves take ``num_bytes``."""
+        """Return the most bits of this proof if the leaves take ``num_bytes``, without ``Certificate.straight``."""
         of_leaves = _MAX_ERROR_BITS + 2 * _CODE_BITS * num_leaves
         return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
 
@@ -361,34 +320,28 @@ def _room_for_classes(num_bytes: int) -> int:
 class Certificate:
     """Proven bounds of (distance - value of a PLR), as a file stores them.
 
-    Attributes:
-        scale: At least the largest finite bound, exact in 32 bits; codes stand for fractions of it.
-        codes: Codes of each leaf's lower and upper bound; None if only the scale is stored.
-        proof: Whether leaves share bounds, and whether upper bounds may be missing.
-        straight: Goal (relative to the domain's lower corner), rate and margin of the lower bound ``rate * |x - goal|
-            - margin`` of the distance, capped at the PLR's value; 32-bit floats. None if there is no such bound, as
-            for all proofs but ``Proof.OPEN_LEAVES``.
+    ``straight`` has the goal (relative to the domain's lower corner), rate and margin of one more lower bound of the
+    distance, ``rate * |x - goal| - margin``, capped at the PLR's value; None without this bound.
     """
 
-    scale: float
-    codes: UInt8[np.ndarray, "2 leaves"] | None
+    scale: float  # at least the largest finite bound, exact in 32 bits; codes stand for fractions of it
+    codes: UInt8[np.ndarray, "2 leaves"] | None  # of lower and upper bounds; None if only the scale is stored
     proof: Proof
     straight: Float[np.ndarray, "numbers"] | None = None
 
     @staticmethod
     def of(
         bounds: LeafBounds,
-        rounding: Float[np.ndarray, "leaves"],
+        rounding: Errors,
         proof: Proof,
-        volume: Float[np.ndarray, "leaves"] | float = 1.0,
+        volume: Errors | float = 1.0,
         num_bytes: int = 0,
         before: "Certificate | None" = None,
     ) -> "Certificate":
-        """Encode bounds, of which upper ones may be ``inf``, widened by the ``rounding`` of queries.
+        """Encode bounds of each leaf, widened by the ``rounding`` of queries; upper bounds may be ``inf``.
 
-        Classes (pairs of bounds that leaves share) of ``before`` are used again if they contain all bounds, fit into
-        a share of ``num_bytes``, and the largest bound hardly changed. Otherwise new classes have a small mean width,
-        weighted by ``volume``.
+        For ``Proof.CLASSES``, leaves share the bounds of a few classes, which take a share of ``num_bytes``. Classes
+        of the certificate ``before`` are used again if they contain all bounds and the largest bound hardly changed.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
@@ -412,11 +365,10 @@ class Certificate:
 
     @property
     def max_error(self) -> float:
-        """The largest proven error of all leaves; ``inf`` if a leaf has no upper bound."""
         return float("inf") if np.isinf(self.bounds()).any() else self.scale
 
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
-        """Return the bounds (rows) to add to leaf values, exact in 32 bits; one column if all leaves share them."""
+        """Return lower and upper bounds (rows) to add to leaf values; one column if all leaves share them."""
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
         lower, upper = _decode_bounds(self.codes, self.scale)
@@ -429,13 +381,8 @@ class Certificate:
         bounds = self.bounds() if self.codes is None else replace(self, codes=distinct_classes(self.codes)).bounds()
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
-    def sufficient_bounds(
-        self,
-        least: Float[np.ndarray, "leaves"],
-        most: Float[np.ndarray, "leaves"],
-        rounding: Float[np.ndarray, "leaves"],
-    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves"]]:
-        """Return bounds that are tight enough: slightly beyond attained errors, or their narrowest class's bounds."""
+    def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
+        """Return bounds at which a proof may stop, from the least and largest error that each leaf attains."""
         if self.proof is not Proof.CLASSES:
             return tight_bounds(least, most)
         spare = _SPARE_OF_CLASS * self.scale
@@ -459,7 +406,6 @@ class Certificate:
 
 
 def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -> Certificate | None:
-    """Read a certificate, or return None for ``Proof.NONE``; ``ValueError`` describes damaged data."""
     if proof is Proof.NONE:
         return None
     scale, codes, straight = float(body.read_floats(1)[0]), None, None
@@ -477,7 +423,6 @@ def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -
 
 
 def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
-    """Return the absolute bounds that codes stand for, rounded up to 32-bit floats."""
     exact = scale * 2.0 ** ((code.astype(np.float64) - _MOST) / _CODES_A_DOUBLING)
     return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
 

@@ -10,7 +10,7 @@ _BITS, _MOST_BYTES = 7, 10  # bits of the value in each byte of a varint; most b
 
 
 def varint(value: int) -> bytes:
-    """Encode an integer >= 0 as LEB128: seven bits per byte, lowest first; the high bit is 1 if more bytes follow."""
+    """Encode an integer >= 0 as LEB128."""
     more, last = [], value
     while last >> _BITS:
         more.append(1 << _BITS | last & (1 << _BITS) - 1)
@@ -71,7 +71,6 @@ class BitWriter:
         return self
 
     def write_unary(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
-        """Append each value ``v`` as ``v`` zeros and a one."""
         widths = np.stack([values, np.ones_like(values)], axis=1).ravel()
         return self.write(np.arange(len(widths)) % 2, widths)
 
@@ -84,10 +83,10 @@ class BitWriter:
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
     def write_coded(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
-        """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
+        """Append Exp-Golomb codes of integers >= 0.
 
-        The order ``k``, chosen for the shortest total, comes first, in 5 bits. Then follow the numbers of extra bits
-        of all values in unary, and then the binary parts of all values in ``k + extra`` bits each.
+        First comes their order ``k`` in 5 bits; then the numbers of extra bits of all values in unary (``v`` zeros
+        and a one), then the binary parts of all values in ``k + extra`` bits each. An empty array appends nothing.
         """
         if not len(values):
             return self
@@ -107,7 +106,6 @@ class BitWriter:
         return self.write_coded(2 * np.abs(values) - (values > 0))
 
     def to_bytes(self) -> bytes:
-        """Return the written bits, padded with zeros to whole bytes."""
         bits = [_bits_of(values, widths) for values, widths in self._written]
         return np.packbits(np.concatenate(bits), bitorder="little").tobytes()
 
@@ -149,13 +147,12 @@ class BitReader:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
-        """Read a subset of ``range(size)`` as a mask; ``ValueError`` if a member is ``size`` or more."""
         member = np.zeros(size, bool)
         member[self.read_members(size)] = True
         return member
 
     def read_members(self, size: int) -> Int[np.ndarray, "members"]:
-        """Read a subset of ``range(size)`` as sorted members, without memory for the rest of the range."""
+        """Read a subset of ``range(size)`` as sorted members, in memory for these only."""
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")
@@ -193,7 +190,6 @@ class BitReader:
 
 
 def floats_of_bits(bits: Int[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """Convert bit patterns of 32-bit floats to double-precision numbers."""
     with np.errstate(invalid="ignore"):  # a signaling NaN becomes a quiet one
         return bits.astype(np.uint32).view(np.float32).astype(np.float64)
 
@@ -218,7 +214,6 @@ def write_tree(body: BitWriter, tree: Tree) -> None:
 
 
 def read_tree(body: BitReader, dim: int) -> Tree:
-    """Read what :func:`write_tree` wrote; raise ``ValueError`` if a tree is too deep or splits an unknown axis."""
     axes, num_nodes = [], 1
     while num_nodes:
         if len(axes) > MAX_DEPTH:

@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Function ``keep(pairs, side, half, axis)``: which node pairs to keep after halves along ``axis`` replaced a row."""
+"""Function ``keep(pairs, side, half, axis)``: which pairs stay after halves along ``axis`` replaced row ``side``."""
 
 
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
-    """Find pairs of leaves by descending two trees at once: kept halves replace the larger node of a pair.
+    """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
-    The rows of ``pairs`` are nodes of ``a``, nodes of ``b``, and maybe data that pairs of halves inherit. The result
-    has the same rows, with leaves instead of nodes, numbered in the order of their tree.
+    Both halves of the larger node replace a pair, and ``keep`` drops pairs. The rows of ``pairs`` are nodes of ``a``,
+    nodes of ``b``, and data that halves inherit, if any. In the result, numbers of leaves replace those of nodes.
     """
     trees, found = (a, b), []
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
@@ -62,7 +62,7 @@ ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples 
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Return the matrix from free values to all values, given the direct dependencies (rows) of the other values."""
+    """Return the matrix that maps free values to all values; row i of ``step`` gives value i from other values."""
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -72,15 +72,12 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
     return step
 
 
-def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], most: int) -> "csr_array":
-    """Return a square matrix ``m`` for which ``rows @ m`` is 0, by solving each row for one group (tied corners).
-
-    This is its group of the highest ``level``. Raises ``ValueError`` if that takes more than ``most`` weights.
-    """
+def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "variables"], most_weights: int) -> "csr_array":
+    """Return a square matrix ``m`` with ``rows @ m == 0``: solve each row for a variable of the highest ``level``."""
     from scipy.sparse import csr_array
 
-    solved: dict[int, dict[int, float]] = {}  # eliminated group -> combination of others
-    uses: dict[int, set[int]] = {}  # group -> eliminated groups that use it
+    solved: dict[int, dict[int, float]] = {}  # eliminated variable -> combination of others
+    uses: dict[int, set[int]] = {}  # variable -> eliminated variables that use it
     rows.data[np.abs(rows.data) <= ZERO] = 0
     rows.eliminate_zeros()
     work = 0
@@ -88,7 +85,7 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "groups"], m
         row: dict[int, float] = {}
         for index, weight in zip(rows.indices[start:end].tolist(), rows.data[start:end].tolist(), strict=True):
             work += _add(row, weight, solved.get(index, {index: 1.0}))
-        check_num_weights(work, most)
+        check_num_weights(work, most_weights)
         if not row:
             continue
         pivot = max(row, key=lambda index: (level[index], abs(row[index]), -index))
@@ -135,7 +132,7 @@ def neighbor_of_largest_contact(
     reachable: Int[np.ndarray, "reachable"],
     periodic: tuple[bool, ...] = (),
 ) -> Int[np.ndarray, "unreachable"]:
-    """Return, for each unreachable leaf, the first reachable leaf of largest contact; -1 if it touches none."""
+    """Return which reachable leaf shares the largest face, edge or corner with each unreachable leaf; -1 if none."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
     mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
@@ -152,7 +149,6 @@ def neighbor_of_largest_contact(
 def touching_leaves(
     tree: Tree, some: Int[np.ndarray, "some"], others: Int[np.ndarray, "others"], periodic: tuple[bool, ...] = ()
 ) -> Int[np.ndarray, "2 pairs"]:
-    """Return all pairs of a leaf in ``some`` and a leaf in ``others`` that share a face, an edge or a corner."""
     is_periodic = np.isin(np.arange(tree.cells.dim), np.flatnonzero(periodic))
     finest = tree.cells.depth.max(axis=0)
     holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
@@ -175,7 +171,7 @@ def _contacts(
     b: Int[np.ndarray, "n"],
     is_periodic: Bool[np.ndarray, "dim"],
 ) -> Float[np.ndarray, "n"]:
-    """Return the size of each pair's contact: largest for faces, then edges, then corners; 0 if there is none."""
+    """Return the size of the face that two cells share; tiny for an edge or a corner, 0 if the cells are apart."""
     contact = np.ones(len(a))
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
@@ -196,12 +192,9 @@ _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces(Rows):
-    """Faces between two leaves: along ``axis``, the leaf ``lower`` lies below the face, the leaf ``upper`` above.
+    """Faces between a leaf ``lower`` below the face and a leaf ``upper`` above it along ``axis``."""
 
-    At the seam of a periodic axis, the lower leaf is at the upper end of the domain. A leaf that spans a periodic
-    axis shares a face with itself.
-    """
-
+    # Across the ends of a periodic axis, the lower leaf is at the upper end; a leaf that spans it is on both sides.
     lower: Int[np.ndarray, "faces"]
     upper: Int[np.ndarray, "faces"]
     axis: Int[np.ndarray, "faces"]
@@ -211,7 +204,6 @@ class SharedFaces(Rows):
 
 
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
-    """Return all shared faces, sorted by lower leaf, upper leaf and axis; ``ValueError`` if they are too many."""
     most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
     # Start at the halves of every split, and at the root with itself across each periodic seam.
     split = np.flatnonzero(tree.child >= 0)
@@ -233,7 +225,7 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
-    """Return points of faces in fractions of the domain; ``w`` has their places in a face, from 0 to 1 by axis."""
+    """Return points of each face in fractions of the domain; ``w`` has coordinates in a face, from 0 to 1."""
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])
@@ -244,9 +236,9 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return the ends of the edge that a split halved at each leaf corner, and whether there is such a split.
+    """Find the edge of a larger cell that a split halved at each leaf corner; return the edge's ends.
 
-    The ends are corners ``leaf * 2**dim + corner``. Corners of the domain have no such split, and arbitrary ends.
+    The ends are corners ``leaf * 2**dim + corner``. The second result is False for corners of the domain.
     """
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]

@@ -1,4 +1,4 @@
-"""Use mirror symmetries: a *folding* maps all points into one part of the domain, whose leaves a PLR stores."""
+"""Use mirror symmetries of a distance function: a *folding* maps all points into one part of the domain."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,22 +16,12 @@ _CUT = 1e-9  # a mirror cuts the domain if more than this share of its width lie
 
 @dataclass(frozen=True, eq=False)
 class Folding:
-    """A map of points into one part of a domain: shift to a center, rotate to given axes, then mirror.
-
-    A mirror changes the sign of some coordinates. One of these coordinates, the mirror's *pivot*, is not periodic and
-    no other mirror changes it. If the pivot of a point is negative, the point is mirrored. So the pivots of folded
-    points are never negative.
-
-    Attributes:
-        center: New origin of coordinates; all mirrors pass through it.
-        axes: Orthogonal matrix with a row for each folded coordinate; rows of periodic axes are unit vectors.
-        mirrors: For each mirror, whether it changes the sign of each coordinate.
-    """
+    """A map of points into one part of a domain: shift to a center, rotate to given axes, then mirror."""
 
     domain: Box
-    center: Float[np.ndarray, "dim"]
-    axes: Float[np.ndarray, "dim dim"]
-    mirrors: tuple[tuple[bool, ...], ...]
+    center: Float[np.ndarray, "dim"]  # new origin of coordinates; all mirrors pass through it
+    axes: Float[np.ndarray, "dim dim"]  # orthogonal, a row for each folded coordinate; unit vectors of periodic axes
+    mirrors: tuple[tuple[bool, ...], ...]  # whether each mirror changes the sign of each coordinate
 
     @property
     def is_turned(self) -> bool:
@@ -39,7 +29,7 @@ class Folding:
 
     @cached_property
     def pivots(self) -> tuple[int, ...]:
-        """Pivot axis of each mirror; raises ``ValueError`` if a mirror has none."""
+        """Axis of each mirror, neither periodic nor reversed by another mirror, whose negative side is mirrored."""
         alone = np.sum(self.mirrors, axis=0) == 1
         may_be = np.array(self.mirrors, bool).reshape(-1, self.domain.dim) & alone & ~np.array(self.domain.periodic)
         if not may_be.any(axis=1).all():
@@ -48,7 +38,7 @@ class Folding:
 
     @cached_property
     def box(self) -> Box:
-        """Box that contains all folded (shifted, rotated, mirrored) points; the leaves partition it."""
+        """Box of all folded points, which a PLR's leaves partition."""
         lo, hi = self._range_before_mirroring
         largest = np.maximum(np.abs(lo), np.abs(hi))
         is_reversed = np.any(np.array(self.mirrors).reshape(-1, self.domain.dim), axis=0)
@@ -60,7 +50,6 @@ class Folding:
 
     @property
     def cutting_mirrors(self) -> tuple[tuple[bool, ...], ...]:
-        """Mirrors that have points of the domain on both sides."""
         lo, hi = self._range_before_mirroring
         least = _CUT * (hi - lo)
         pairs = zip(self.mirrors, self.pivots, strict=True)
@@ -72,7 +61,6 @@ class Folding:
         return np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
-        """Shift, rotate and mirror points; along axes that are not periodic, clip the results to ``box``."""
         z = np.asarray(x, np.float64) - self.center
         z = z @ self.axes.T if self.is_turned else z
         for mirror, pivot in zip(self.mirrors, self.pivots, strict=True):
@@ -80,21 +68,24 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, "n"]]]:
-        """Yield, for each subset of mirrors, a preimage of each folded point and whether the domain contains it."""
-        for chosen in product((False, True), repeat=len(self.mirrors)):
-            reversals = np.sum([m for m, use in zip(self.mirrors, chosen, strict=True) if use], axis=0)
-            mirrored = np.where(np.mod(reversals, 2) == 1, -z, z)
+        """Yield, for each subset of mirrors, a point that folds to each ``z`` and whether the domain contains it."""
+        near = _CUT * self.domain.width
+        for is_odd in self._reversals:
+            mirrored = np.where(is_odd, -z, z)
             x = self.center + (mirrored @ self.axes if self.is_turned else mirrored)
-            x = np.where(self._is_at_end(x), np.clip(x, self.domain.lo, self.domain.hi), x)
-            x = self.domain.wrapped(x)
+            near_box = (x >= self.domain.lo - near) & (x <= self.domain.hi + near) & ~np.array(self.domain.periodic)
+            x = self.domain.wrapped(np.where(near_box, np.clip(x, self.domain.lo, self.domain.hi), x))
             yield x, self.domain.contains(x)
 
-    def _is_at_end(self, x: Points) -> Bool[np.ndarray, "n dim"]:
-        near = _CUT * self.domain.width
-        return (x >= self.domain.lo - near) & (x <= self.domain.hi + near) & ~np.array(self.domain.periodic)
+    @property
+    def _reversals(self) -> Bool[np.ndarray, "subsets dim"]:
+        """Whether each subset of the mirrors reverses each axis."""
+        num, dim = len(self.mirrors), self.domain.dim
+        subsets = np.array(list(product((0, 1), repeat=num)), int).reshape(2**num, num)
+        return subsets @ np.array(self.mirrors, int).reshape(num, dim) % 2 == 1
 
     def unfold(self, z: Points) -> Points:
-        """Return a preimage of each folded point, inside the domain if there is one."""
+        """Return a point that folds to each ``z``, inside the domain if there is one."""
         found, missing = None, np.ones(len(z), bool)
         for x, inside in self.images(z):
             found = x if found is None else np.where((missing & inside)[:, None], x, found)
@@ -107,20 +98,15 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
-        """Return corners of leaves and their mirror images, and each box's leaf; ``ValueError`` for rotated axes."""
+        """Return lower and upper corners of leaves and all their mirror images, and the leaf of each box."""
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "
                 "Use plr.cells with plr.folded_domain."
             )
-        lows, highs = [], []
-        for chosen in product((False, True), repeat=len(self.mirrors)):
-            reversals = np.sum([m for m, use in zip(self.mirrors, chosen, strict=True) if use], axis=0)
-            is_odd = np.mod(reversals, 2) == 1
-            lows.append(self.center + np.where(is_odd, -hi, lo))
-            highs.append(self.center + np.where(is_odd, -lo, hi))
+        low = np.concatenate([self.center + np.where(is_odd, -hi, lo) for is_odd in self._reversals])
+        high = np.concatenate([self.center + np.where(is_odd, -lo, hi) for is_odd in self._reversals])
         periodic = np.array(self.domain.periodic)
-        low, high = np.concatenate(lows), np.concatenate(highs)
         low, high = (np.where(periodic, x, np.clip(x, self.domain.lo, self.domain.hi)) for x in (low, high))
         kept = (high > low).all(axis=1)
         return low[kept], high[kept], np.flatnonzero(kept) % len(lo)
@@ -131,7 +117,7 @@ _SAME_PLACE = 1e-9  # tolerance for points, relative to a coordinate or to the d
 
 
 def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
-    """Return a folding by the mirror symmetries of a distance function; None if none makes the domain smaller."""
+    """Return a folding by the symmetries of a distance function; None if no folding makes the domain smaller."""
     # 1. Keep symmetric involutions that commute and do not mix periodic axes with others.
     symmetries: list[Symmetry] = []
     for symmetry in distance_fn.symmetries if isinstance(distance_fn, SymmetricFn) else ():
@@ -180,7 +166,7 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
 def _assign_pivots(
     mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, "dim"]
 ) -> tuple[tuple[bool, ...], ...]:
-    """Combine mirrors until each has a pivot (the reduced row echelon form modulo 2); drop mirrors without one."""
+    """Combine mirrors until each reverses an axis alone (reduced row echelon form modulo 2); drop all others."""
     rows, done = mirrors.copy(), 0
     for axis in np.flatnonzero(may_pivot):
         below = np.flatnonzero(rows[done:, axis])

@@ -1,8 +1,7 @@
 """The layout that all readers of a PLR share: its domain in 32-bit floats, and the sizes of its lookup tables.
 
-The *fraction bits* of a point along an axis are its position in units of ``2**-23`` of the domain's width; the
-highest bits identify its dyadic cell. A *block* is a cell of a coarse grid (``2**block_bits`` cells per axis). A
-*slot* is a cell of the finer grid in a block, and has one entry in a lookup table. This module does not need JAX.
+Two grids locate a point's leaf. A *block* is a cell of the coarse grid, with ``2**block_bits`` cells along each axis.
+A *slot* is a cell of the finer grid in a block, and has one entry in a lookup table. This module does not need JAX.
 """
 
 from enum import IntEnum
@@ -29,7 +28,7 @@ _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """Return how often to halve each block (one of ``2**block_bits`` by axis) by axis to separate its leaves."""
+    """Return log2 of the slots that each block of the coarse grid needs along each axis to separate its leaves."""
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
@@ -38,7 +37,7 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nda
 
 
 def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
-    """Return the number of pairs of a leaf and a block, one of ``2**block_bits`` per axis, that overlap."""
+    """Return the number of pairs of a leaf and a block (a cell of the coarse grid) that overlap."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
@@ -47,9 +46,9 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return, for each leaf and block that overlap, both indices, and the overlap's first slot and size by axis.
+    """Return overlapping pairs of a leaf and a block (cell of a coarse grid), and the leaf's slots (cells) in it.
 
-    ``shape`` has log2 of the slots of each block's grid by axis.
+    These are the first slot and the number of slots by axis; ``shape`` has log2 of each block's slots.
     """
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
@@ -61,7 +60,7 @@ def slots_in_blocks(
 def leaves_in_blocks(
     cells: Cells, block_bits: Int[np.ndarray, "dim"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """Return, for each leaf and block that overlap, the leaf's index and the block's position in the coarse grid."""
+    """Return pairs of a leaf and a block (cell of the coarse grid) that overlap: index, and position by axis."""
     first = np.where(
         cells.depth >= block_bits,
         cells.position >> np.maximum(cells.depth - block_bits, 0),
@@ -73,7 +72,7 @@ def leaves_in_blocks(
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Enumerate the integer points of boxes; return the index of each point's box, and its coordinates."""
+    """Return all integer points in boxes, as the index of each point's box and the point's coordinates."""
     box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
@@ -100,24 +99,23 @@ def row_major(
 
 
 def byte_class(num_bytes: int) -> int:
-    """Return a file's size class: log2 of its bytes, rounded up, at least 8."""
     return max(MIN_CLASS, (num_bytes - 1).bit_length())
 
 
 def rows_of_class(of_class: int, least_bytes: int | float) -> int:
-    """Return the largest number of leaves, of at least ``least_bytes`` bytes each, in a file of a size class."""
+    """Return the most leaves, of at least ``least_bytes`` each, in a file of up to ``2**of_class`` bytes."""
     return int((1 << of_class) / least_bytes)
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Return log2 of the least number of slots of lookup tables for a size class with room for ``rows`` leaves."""
+    """Return log2 of the entries that lookup tables have at least, in files with room for ``rows`` leaves."""
     return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
 
 
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
-    """Return how often a cell may be halved along one axis in files of a size class, or of any size for None.
+    """Return how often a cell may be halved along one axis in files of up to ``2**of_class`` bytes (None: any size).
 
-    ``is_deep`` allows more halvings in small files of the plane, as tables with pages do.
+    ``is_deep`` allows more halvings in small files, whose lookup tables then have pages.
     """
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
@@ -126,7 +124,7 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
 
 
 def max_entries(num_bytes: int) -> int:
-    """Return the largest number of lookup-table entries for a file of this size; it limits the memory of loading."""
+    """Return the most entries of lookup tables for a file of this size, a limit of the memory that loading takes."""
     bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
@@ -150,27 +148,22 @@ def as_outside(outside: str) -> Outside:
 
 
 class Frame(IntEnum):
-    """Names of the rows of a *frame*, the array ``(7, dim)`` that describes a domain in 32-bit floats.
+    """Rows of the array ``(7, dim)`` that describes a domain in 32-bit floats.
 
-    Attributes:
-        LO, HI: Corners, rounded outward.
-        LO_REST, HI_REST: Distances (at least 0) from ``LO`` and ``HI`` to the exact corners.
-        START, SCALE: ``1 - LO_REST / width`` and ``1 / width``. The bits of ``(x - LO) * SCALE + START``, a number
-            from 1 to below 2, locate a point ``x``.
-        TOP: Largest fraction of the width for which ``TOP + START`` stays below 2.
+    The mantissa bits of ``(x - LO) * SCALE + START``, a number from 1 to below 2, locate a point ``x``.
     """
 
-    LO = 0
+    LO = 0  # lower corner, rounded outward
     HI = 1
-    LO_REST = 2
+    LO_REST = 2  # distance from LO to the exact corner, at least 0
     HI_REST = 3
-    START = 4
-    SCALE = 5
-    TOP = 6
+    START = 4  # 1 - LO_REST / width
+    SCALE = 5  # 1 / width
+    TOP = 6  # largest fraction of the width for which TOP + START stays below 2
 
 
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
-    """Return the domain's corners as 32-bit floats, rounded outward; ``ValueError`` if they do not fit."""
+    """Return the domain's corners as 32-bit floats, rounded outward."""
     if np.abs([domain.lo, domain.hi]).max() > LARGEST or domain.width.min() < 1 / LARGEST:
         raise ValueError(
             f"A domain's coordinates must be below {LARGEST:g} and its width above {1 / LARGEST:g}, got {domain}."
@@ -191,7 +184,6 @@ def unresolved_types(domain: Box) -> tuple[str, ...]:
 
 
 def require_resolved(dtype: np.dtype, unresolved: tuple[str, ...]) -> None:
-    """Raise ``ValueError`` if points of this type are too coarse for the domain."""
     if str(dtype) in unresolved:
         also = " or enable jax_enable_x64," if unresolved == ("float32",) else ""
         raise ValueError(
@@ -224,17 +216,15 @@ def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
 
 
 def corner_if_far(domain: Box) -> Corner | None:
-    """Return the domain's lower corner, as the origin of points, if the domain is far from 0 (:func:`is_far`)."""
     return domain.lo if is_far(domain) else None
 
 
 def folding_numbers(
     folding: Folding, origin: Corner
 ) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
-    """Return a folding's center relative to ``origin``, and the corners of its box of points, as 32-bit floats.
+    """Return a folding's center minus ``origin``, as a sum of two 32-bit floats, and the corners of its box.
 
-    The center is the sum of two rows. Corners are infinite along periodic axes, else rounded inward, so that points
-    clipped to them are inside the box.
+    Corners are infinite along periodic axes, else rounded inward to 32 bits, so points clipped to them are inside.
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)
@@ -250,6 +240,6 @@ def folding_numbers(
 
 
 def mirrored_axes(folding: Folding) -> tuple[tuple[int, tuple[int, ...]], ...]:
-    """Return the pivot axis of each mirror, and the axes that the mirror reverses."""
+    """Return, for each mirror, the axis on whose negative side points are mirrored, and all axes it reverses."""
     reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
     return tuple(zip(folding.pivots, reversed_axes, strict=True))

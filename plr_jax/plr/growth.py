@@ -1,9 +1,8 @@
 """Grow the partition of a PLR by splitting its worst leaves (Algorithm 1 of the paper), within the user's limits.
 
-The module has the rules that decide which leaves to split along which axis, and the limits of a construction. Each
-round splits many leaves at once; splits beyond the limits are undone at the end. The tree is the same as if a
-priority queue split one leaf at a time. Under a byte budget, the final tree has the first splits in the order of that
-queue; their number is chosen together with the number of bits for each coefficient.
+Each round splits many leaves at once; splits beyond the limits are undone at the end. The tree is the same as if a
+priority queue split one leaf at a time. Under a byte budget, the number of splits is chosen together with the number
+of bits of each coefficient.
 """
 
 import os
@@ -46,22 +45,18 @@ class ConstructionInterrupted(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """The limits of a construction, mostly arguments of :func:`construct`.
-
-    ``max_axis_depth`` limits how often a cell is halved along one axis, and so the size of lookup tables.
-    ``frame_bytes`` is the size of a file without its bit stream of leaves and proof.
-    """
+    """The limits of a construction, mostly arguments of :func:`construct`."""
 
     max_depth: int
-    max_axis_depth: int
+    max_axis_depth: int  # most halvings of a cell along one axis, which limit the size of lookup tables
     max_leaves: int
     max_bytes: float
     tolerance: float
     proof: Proof
-    frame_bytes: int
+    frame_bytes: int  # size of a file without its bit stream of leaves and proof
 
     def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
-        """Return the largest size, in bytes, of a file with its proof, if its leaves take ``num_bits`` bits."""
+        """Return the largest size in bytes of a file with its proof, if its leaves take ``num_bits`` bits."""
         of_proof = self.proof.num_bits(num_leaves, body_size(dim, num_leaves, num_bits))
         return self.frame_bytes + body_size(dim, num_leaves, num_bits + of_proof)
 
@@ -82,10 +77,7 @@ def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
 
 
 def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | None], limits: Limits) -> GrowingTree:
-    """Call ``split_some`` repeatedly until it returns None instead of a larger tree; return the last tree.
-
-    An interrupt (Ctrl-C) discards only the current round, and issues a ``ConstructionInterrupted`` warning.
-    """
+    """Call ``split_some`` until it returns None instead of a larger tree, or until Ctrl-C; return the last tree."""
     total = limits.max_leaves if limits.max_leaves < 1e9 else None
     with tqdm(desc="construct", unit=" leaves", total=total, delay=2, leave=False, disable=None) as progress:
         try:
@@ -103,22 +95,15 @@ NEVER = -np.inf
 
 @dataclass(frozen=True, eq=False)
 class Nodes(Rows):
-    """The nodes of a growing tree, parents before children; ``len`` is the number of leaves.
-
-    Attributes:
-        error: Weighted mean absolute error over the samples in the node's cell that reach the goal.
-        share: Share of the domain's volume that these samples represent.
-        key: Priority of splitting the node, at most its parent's key; ``-inf`` if the node may not be split.
-        child: Index of the lower child; the upper child is the next node. -1 for a leaf.
-    """
+    """The nodes of a growing tree, parents before children; ``len`` is the number of leaves."""
 
     cells: Cells
     coefficients: Float[np.ndarray, "nodes terms"]
-    error: Float[np.ndarray, "nodes"]
-    share: Float[np.ndarray, "nodes"]
+    error: Float[np.ndarray, "nodes"]  # weighted mean absolute error over samples that reach the goal
+    share: Float[np.ndarray, "nodes"]  # share of the domain's volume that these samples represent
     axis: Int[np.ndarray, "nodes"]
-    key: Float[np.ndarray, "nodes"]
-    child: Int[np.ndarray, "nodes"]
+    key: Float[np.ndarray, "nodes"]  # priority of splitting, at most the parent's; -inf if the node may not be split
+    child: Int[np.ndarray, "nodes"]  # the lower child, which the upper child follows; -1 for a leaf
 
     def __len__(self) -> int:
         return (len(self.key) + 1) // 2
@@ -132,7 +117,7 @@ class Nodes(Rows):
 
 
 def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
-    """Return the nodes that are split or may be split, in the order in which a priority queue would split them."""
+    """Return the nodes that are split, or may be, in the order in which a priority queue would split them."""
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
 
@@ -145,7 +130,7 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Make nodes of fitted cells from the split rules' ``priority`` and ``axis``; ``bound`` has the parents' keys."""
+    """Make tree nodes of fitted cells; ``bound`` has the priorities of the parents."""
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
@@ -195,7 +180,7 @@ MAX_ASPECT_BITS = 3
 
 
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each cell's largest weighted absolute error over its samples, so that the worst leaf is split first.
+    """Return each cell's largest weighted absolute error over its samples: the worst leaf is split first.
 
     Returns:
         A priority for each cell, in units of distance; 0 (never split) if the goal cannot be reached from any sample.
@@ -249,7 +234,6 @@ def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
-    """Return, for each cell and axis, the sum of squared residuals if both halves were fitted separately."""
     residual, masked = fit.residual, fit.masked
     weight = fit.weight[masked] * fit.pattern.weight
     total = row_products(np.square(residual), fit.pattern.weight)
@@ -277,19 +261,15 @@ FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
-    """The sizes and rounding errors of files that store independently fitted leaves with different numbers of bits.
+    """The bytes and the mean rounding error of a file, given nodes, which of them are leaves, and bits of values."""
 
-    ``choices`` are possible numbers of bits per center value. ``size`` (in bytes) and ``rounding_error`` (root mean
-    square) are functions of nodes, the indices of the leaves among the nodes, and the number of bits.
-    """
-
-    choices: Sequence[int]
+    choices: Sequence[int]  # numbers of bits to choose from
     size: Callable[[Nodes, Int[np.ndarray, "leaves"], int], int]
     rounding_error: Callable[[Nodes, Int[np.ndarray, "leaves"], int], float]
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, "cells"]], Nodes]) -> FitNodes:
-    """Return a function that samples and fits cells, more densely those in which few samples reach the goal."""
+    """Return a function that samples and fits cells; cells in which few samples reach the goal get more samples."""
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
     def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
@@ -313,7 +293,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 def grow_best_first(
     root: Nodes, fit_nodes: FitNodes, limits: Limits, encoding: Encoding
 ) -> tuple[Nodes, Int[np.ndarray, "leaves"], int]:
-    """Grow a tree to its limits; return all nodes, the indices of the leaves, and the bits per stored center."""
+    """Grow a tree to its limits; return all nodes, the indices of the leaves, and the bits of each stored value."""
 
     def split_some(nodes: Nodes) -> Nodes | None:
         # Split half of the leaves that would be split next, since their children may be more urgent than the rest.
@@ -342,10 +322,7 @@ def grow_best_first(
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Int[np.ndarray, "leaves"], int]:
-    """Choose the leaves, and the bits per stored center value, of least expected error within the limits.
-
-    For each number of bits, only the tree with the most splits that fits into the limits is considered.
-    """
+    """Choose the leaves and bits of least expected error; each number of bits has the largest tree that fits."""
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]

@@ -33,7 +33,7 @@ _NUM_POINTS = 256  # test points whose distances identify a distance function
 
 
 class Checkpoint:
-    """A checkpoint file with finished ``records`` by key; ``ValueError`` for a file without this ``digest``."""
+    """A checkpoint file with finished ``records`` by key, of the computation that ``digest`` identifies."""
 
     def __init__(self, path: str | os.PathLike, digest: bytes):
         if not isinstance(path, str | os.PathLike):
@@ -61,7 +61,7 @@ class Checkpoint:
         self._append(_encode_records(records))
 
     def finish(self) -> None:
-        """Sort the records, so that the file does not depend on the order in which workers finished."""
+        # Sort the records, so that the file does not depend on the order in which workers finished.
         write_atomically(self._path, self._head + _encode_records(dict(sorted(self.records.items()))))
 
     def _append(self, data: bytes) -> None:
@@ -86,17 +86,12 @@ class Checkpoint:
 
 
 def _encode_records(records: Mapping[bytes, bytes]) -> bytes:
-    heads = (_RECORD.pack(key, len(record), zlib.crc32(key + record)) for key, record in records.items())
-    return b"".join(part for both in zip(heads, records.values(), strict=True) for part in both)
+    return b"".join(_RECORD.pack(key, len(data), zlib.crc32(key + data)) + data for key, data in records.items())
 
 
 def digest_of(oracles: Sequence[DistanceFn], domain: Box, options: str) -> bytes:
-    """Return a digest that identifies a computation: release, domain, options, and distances at test points.
-
-    For oracles of one family (:class:`FamilyFn`), only the first is evaluated at test points; each adds its sources
-    (the goal and the corners where paths may turn). Numbers are rounded to 32 bits, because machines round
-    differently.
-    """
+    """Return a digest that identifies a computation: release, domain, options, and distances at test points."""
+    # Numbers are rounded to 32 bits, because machines round differently.
     digest = sha256(f"{plr_jax.__version__} {domain} {options} {len(oracles)}".encode())
     x, families = np.random.default_rng(0).uniform(domain.lo, domain.hi, (_NUM_POINTS, domain.dim)), set()
     for oracle in oracles:
@@ -166,10 +161,7 @@ class BuildResults:
         return sum(result is not None for result in self.results)
 
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
-        """Compute chunks on the executor; threads of this process do so if it is None, or if a worker dies.
-
-        After an interrupt (Ctrl-C), ``results`` has what is finished.
-        """
+        """Compute chunks on the executor; threads of this process do so if it is None, or if a worker dies."""
         threads = ThreadPoolExecutor(num_cores())
         try:
             left = chunks if executor is None else self._build_by(executor, chunks, progress)

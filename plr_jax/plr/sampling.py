@@ -13,7 +13,7 @@ from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.plr.cell_memory import CellMemory
+from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells, Rows
 
@@ -37,27 +37,26 @@ class Pattern:
 
     @cached_property
     def design(self) -> Float[np.ndarray, "k terms"]:
-        """The design matrix ``[1 u]``: a plane's values at the samples are ``design @ [center half]``."""
+        """Matrix ``[1 u]``: a plane's values at the samples are ``design @ [center half]``."""
         return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
 
     @cached_property
     def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """The matrix that maps the values at all samples to the least-squares plane ``[center half]``."""
+        """Matrix from the values at all samples to the least-squares plane ``[center half]``."""
         root = np.sqrt(self.weight)
         return np.linalg.pinv(self.design * root[:, None]) * root
 
     @cached_property
     def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis, the design matrix of separate planes in the lower and the upper half of a cell."""
+        """Design matrices of separate planes in the lower and the upper half of a cell, for each axis."""
         uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
         return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis, an orthonormal basis of the functions that are a plane in each half of a cell.
+        """Orthonormal bases of functions that are a plane in each half of a cell, for each axis.
 
-        The basis includes the fit weights: two planes explain ``np.square(values @ basis).sum()`` of the weighted sum
-        of squared values.
+        Fitting both planes reduces the weighted sum of squared values by ``np.square(values @ basis).sum()``.
         """
         root = np.sqrt(self.weight)[:, None]
         bases = []
@@ -71,9 +70,8 @@ class Pattern:
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
     """Make a pattern of samples in a cell: its center, points inside and on faces, and its corners if few.
 
-    A third of the samples lie on the faces. They detect slivers of free space behind a wall, and the large errors
-    that are frequent at the ends of a cell. Their weight is so small that the fit hardly changes. A ``margin`` moves
-    all samples outward: it scales coordinates by ``1 + 2 * margin``.
+    The third of the samples on faces detects slivers of free space behind a wall, and the large errors that are
+    frequent there; its small weight hardly changes fits. A ``margin`` scales coordinates by ``1 + 2 * margin``.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
@@ -101,11 +99,8 @@ def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarra
     return (shift + np.arange(num_points)[:, None] * steps) % 1
 
 
-# COMPUTECOEFFICIENTS of Algorithm 1: batched least squares.
-#
-# In the local coordinates ``u`` of a cell (from -1 to 1 along every axis) a plane is ``L(u) = center + half . u``:
-# the value at the cell's center, and half of the rise across the cell along each axis. Cells whose samples all reach
-# the goal have the same design matrix and share one pseudo-inverse.
+# COMPUTECOEFFICIENTS of Algorithm 1: batched least squares for planes ``center + half . u`` in local coordinates
+# ``u``. Cells whose samples all reach the goal have the same design matrix and share one pseudo-inverse.
 
 # Ridge on the slope, relative to the sum of weights. It changes a fit that samples determine by less than 1e-8, and
 # makes the slope zero along directions in which no sample varies.
@@ -115,7 +110,7 @@ FitRule: TypeAlias = Callable[
     [Pattern, Float[np.ndarray, "cells k"], Float[np.ndarray, "cells k"]],
     tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]],
 ]
-"""COMPUTECOEFFICIENTS of Algorithm 1: a function that fits planes, called like :func:`least_squares`."""
+"""Function that fits planes, called like :func:`least_squares`."""
 
 
 def least_squares(
@@ -162,7 +157,7 @@ def normal_matrices(
 def solve_planes(
     normal: Float[np.ndarray, "cells terms terms"], projection: Float[np.ndarray, "cells terms"]
 ) -> Float[np.ndarray, "cells terms"]:
-    """Solve normal equations of planes, overwriting ``normal``; slopes are 0 along directions without variation."""
+    """Solve normal equations of planes and overwrite ``normal``; slopes are 0 along directions without samples."""
     terms, total = normal.shape[-1], normal[:, 0, 0].copy()
     ridge = np.where(total > 0, _RIDGE * total, 1.0)
     normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
@@ -180,7 +175,6 @@ class CellFit(Rows):
     """Samples of a batch of cells and the plane fitted to each cell.
 
     Attributes:
-        cells: The cells.
         pattern: The sample pattern; its first sample is the center.
         max_axis_depth: Largest number of halvings of a cell along one axis.
         reachable: Whether each sample reaches the goal, ``(cells, k)``.
@@ -207,7 +201,7 @@ class CellFit(Rows):
 
     @cached_property
     def masked(self) -> Int[np.ndarray, "masked"]:
-        """Indices of the cells with a sample whose weight is not 1, such as a sample that does not reach the goal."""
+        """Indices of the cells with a sample whose weight is not 1, such as one that does not reach the goal."""
         return masked_cells(self.weight)
 
     @property
@@ -228,20 +222,16 @@ class CellFit(Rows):
 
 @dataclass(frozen=True, eq=False)
 class Sampler:
-    """A function that samples the distance in cells and fits a plane to the samples of each cell.
-
-    ``dense_pattern`` places the samples of cells where few samples reach the goal. ``memory``, a cache of the cells'
-    sources, computes distances in cells if there is one; ``distance_fn`` computes all others.
-    """
+    """A function that samples the distance in cells and fits a plane to the samples of each cell."""
 
     distance_fn: DistanceFn
     domain: Box
     weight_fn: WeightFn | None
     pattern: Pattern
-    dense_pattern: Pattern
+    dense_pattern: Pattern  # for cells where few samples reach the goal
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
-    memory: CellMemory | None = None
+    memory: CellMemory | None = None  # if there is one, it computes distances in cells instead of distance_fn
 
     def __call__(self, cells: Cells) -> CellFit:
         pattern = self.pattern
@@ -252,7 +242,7 @@ class Sampler:
         if self.memory is None or pattern.reaches_beyond:
             distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
         else:
-            distance = self.memory.distances(cells, points)
+            distance = distances_in_cells(self.memory.sources(cells), points)
         reachable = np.isfinite(distance)
         weight = reachable.astype(np.float64)
         if self.weight_fn is not None:
@@ -270,10 +260,7 @@ class Sampler:
         return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self, pieces_suffice: bool = False) -> CellFit:
-        """Sample the domain as one cell; ``ValueError`` if no sample reaches the goal.
-
-        With ``pieces_suffice``, there is no error either if ``memory`` knows free space that reaches the goal.
-        """
+        """Sample the domain as one cell; ``ValueError`` if no sample (or no known free point) reaches the goal."""
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces):
@@ -286,10 +273,7 @@ class Sampler:
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Give planes to cells in which some free space reaches the goal, but no sample does.
-
-    The plane is tangent to the distance at the center of the cell's largest piece of such free space.
-    """
+    """Fit cells in which some free space, but no sample, reaches the goal: by a plane tangent to the distance."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):
         return fit
@@ -308,7 +292,6 @@ def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
 
 
 def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
-    """Return checked distances at points; masked entries become ``inf``."""
     try:
         answer = distance_fn(x.copy())  # a copy, since the function may write to its argument
     except Exception as error:
@@ -348,7 +331,7 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
-    """Return the largest error weight of all points of the domain that fold to each point ``z``; 0 if none do."""
+    """Return the largest error weight of all points of the domain whose mirror image is ``z``; 0 without any."""
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):
         weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])

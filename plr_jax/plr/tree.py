@@ -1,4 +1,4 @@
-"""The binary space partition of a PLR: batches of dyadic cells, and the tree whose leaves are such cells."""
+"""The binary space partition of a PLR: batches of dyadic cells, and the tree whose leaves partition the domain."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -15,7 +15,7 @@ PLACING = 2.0**-21  # largest distance of a point to the cell in which a 32-bit 
 
 
 class Rows:
-    """A base of dataclasses whose arrays have one row per item; indexing takes the same rows of all arrays."""
+    """A base of dataclasses whose arrays have one row for each item: an index takes the same rows of all arrays."""
 
     def __getitem__(self, index: Any) -> Self:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
@@ -34,15 +34,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Cells(Rows):
-    """A batch of dyadic cells of a domain ``[lo, hi]``: boxes that result from repeated halving along single axes.
-
-    Along each axis a cell is the interval ``lo + [position, position + 1] * (hi - lo) / 2**depth``. These integers
-    describe a partition exactly, in any units.
-
-    Attributes:
-        depth: Number of splits along each axis.
-        position: Index of the cell along each axis, from 0 to ``2**depth - 1``.
-    """
+    """Dyadic cells of a domain: along each axis, ``lo + (hi - lo) * [position, position + 1] / 2**depth``."""
 
     depth: Int[np.ndarray, "cells dim"]
     position: Int[np.ndarray, "cells dim"]
@@ -63,7 +55,7 @@ class Cells(Rows):
         return domain.at(self.position * size), domain.at((self.position + 1) * size)
 
     def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
-        """Return lower and upper corners of boxes that contain every point a 32-bit query may assign to each cell."""
+        """Return corners of boxes with all points that a 32-bit query, by rounding, may assign to each cell."""
         lo, hi = self.boxes(domain)
         return lo - PLACING * domain.width, hi + PLACING * domain.width
 
@@ -71,7 +63,7 @@ class Cells(Rows):
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
-        """Return the points of each cell that have the local coordinates ``u``, from -1 to 1 across the cell."""
+        """Return the points with local coordinates ``u``, from -1 to 1 across each cell."""
         x = np.empty((len(self), *u.shape))
         for axis in range(self.dim):  # NumPy is slow if the last axis is short
             fraction = (self.position[:, axis, None] + 0.5) + 0.5 * u[:, axis]
@@ -87,7 +79,7 @@ class Cells(Rows):
         return total
 
     def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":
-        """Halve each cell along its axis; the lower half of a cell comes directly before its upper half."""
+        """Halve each cell along its axis; its upper half follows its lower half."""
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         depth = np.repeat(self.depth + halved, 2, axis=0)
         position = np.repeat(self.position << halved, 2, axis=0)
@@ -100,7 +92,7 @@ class Cells(Rows):
 
 
 def grown_domain(domain: Box) -> Box:
-    """Return the box that contains every point a 32-bit query may assign to the domain."""
+    """Return a box of all points that a 32-bit query, by rounding, may assign to the domain."""
     lo, hi = Cells.root(domain.dim).grown_boxes(domain)
     return Box(lo[0], hi[0])
 
@@ -110,23 +102,14 @@ MAX_DEPTH = 60  # a leaf's path from the root, one bit per split, fits a 64-bit 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """A binary tree of cells; nodes are stored level by level from the root, left (lower half) to right.
-
-    Attributes:
-        cells: Cell of each node.
-        axis: Axis along which each node is halved, 0 for a leaf.
-        child: Index of each node's lower child, -1 for a leaf; the upper child is the next node.
-        node_of_leaf: Node of each leaf, in left-to-right traversal order.
-        splits: Indices of the split nodes, one array for each level.
-        order: For each leaf in traversal order, its index among the cells from which :func:`tree_of` built the tree.
-    """
+    """A binary tree of cells; nodes are stored level by level from the root, left (lower half) to right."""
 
     cells: Cells
-    axis: Int[np.ndarray, "nodes"]
-    child: Int[np.ndarray, "nodes"]
-    node_of_leaf: Int[np.ndarray, "leaves"]
-    splits: list[Int[np.ndarray, "_"]]
-    order: Int[np.ndarray, "leaves"]
+    axis: Int[np.ndarray, "nodes"]  # along which each node is halved, 0 for a leaf
+    child: Int[np.ndarray, "nodes"]  # each node's lower child, which the upper child follows; -1 for a leaf
+    node_of_leaf: Int[np.ndarray, "leaves"]  # in left-to-right traversal order
+    splits: list[Int[np.ndarray, "_"]]  # the split nodes of each level
+    order: Int[np.ndarray, "leaves"]  # index of each leaf among the cells from which tree_of built the tree
 
     @cached_property
     def leaves(self) -> Cells:
@@ -134,7 +117,6 @@ class Tree:
 
     @cached_property
     def leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
-        """Number of each leaf from left to right, by node; -1 for split nodes."""
         leaf = np.full(len(self.child), -1)
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf
@@ -173,25 +155,30 @@ def tree_of(cells: Cells) -> Tree:
 
 def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
     """Build a tree from the split axes of its nodes, one array for each level; -1 marks a leaf."""
-    num_nodes = sum(map(len, axes))
-    child, path = np.full(num_nodes, -1), np.zeros(num_nodes, np.int64)
+    child = np.full(sum(map(len, axes)), -1)
     nodes, parts, splits, first = Cells.root(dim), [], [], 0
-    for depth, axis in enumerate(axes):
+    for axis in axes:
         inner = np.flatnonzero(axis >= 0)
         split = first + inner
         first += len(axis)
         child[split] = first + 2 * np.arange(len(split))
-        path[child[split]] = path[split]
-        path[child[split] + 1] = path[split] | (1 << (MAX_DEPTH - depth))
         parts.append(nodes)
         splits.append(split)
         nodes = nodes[inner].split(axis[inner])
-    leaves = np.flatnonzero(child < 0)
-    node_of_leaf = leaves[np.argsort(path[leaves])]
+    node_of_leaf = np.flatnonzero(child < 0)[leaf_order(axes)]
     axis = np.maximum(np.concatenate(axes), 0)
-    return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(leaves)))
+    return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(node_of_leaf)))
+
+
+def leaf_order(axes: list[Int[np.ndarray, "_"]]) -> Int[np.ndarray, "leaves"]:
+    """Return the permutation of leaves level by level into left to right; ``axes`` is as in :func:`tree_of_axes`."""
+    paths, path = [], np.zeros(1, np.int64)
+    for depth, axis in enumerate(axes):
+        paths.append(path[axis < 0])
+        path = (path[axis >= 0, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
+    return np.argsort(np.concatenate(paths))
 
 
 def corner_bits(dim: int) -> Int[np.ndarray, "corners dim"]:
-    """Return the corners of a cell, one per row, in binary order; 0 is the lower end of an axis, 1 the upper."""
+    """Return the corners of the unit cube in binary order, one in each row."""
     return np.array(list(product((0, 1), repeat=dim)))

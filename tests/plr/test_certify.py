@@ -15,7 +15,7 @@ from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
 from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
 from plr_jax.plr._plr import plr_of_leaves, with_certificate
-from plr_jax.plr.cell_memory import CellMemory
+from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.certificate import (
     Certificate,
     Proof,
@@ -38,7 +38,7 @@ def test_distances_are_the_oracles(kind, domain):
             x = cells.points(u, domain)
             exact = oracle(x.reshape(-1, 2)).reshape(x.shape[:2])
             clear = np.abs(workspace.clearance(x.reshape(-1, 2)).reshape(x.shape[:2])) > 10 * workspace.tolerance
-            found = memory.distances(cells, x)
+            found = distances_in_cells(memory.sources(cells), x)
             np.testing.assert_allclose(found[clear], exact[clear], atol=10 * workspace.tolerance)
             assert np.isfinite(exact).any() or len(cells) < 100
             split = rng.permutation(len(cells))[: 1 + len(cells) // 2]
@@ -52,9 +52,10 @@ def test_many_pairs_are_looked_at_in_parts(monkeypatch):
     oracle = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
     domain, cells = Box((0, 0), (10, 10)), Cells.root(2)
     x = cells.points(rng.uniform(-1, 1, (200, 2)), domain)
-    whole = CellMemory(oracle, domain).distances(cells, x)
+    visible = CellMemory(oracle, domain).sources(cells)
+    whole = distances_in_cells(visible, x)
     monkeypatch.setattr("plr_jax.plr.cell_memory._PAIRS_AT_ONCE", 1)
-    np.testing.assert_array_equal(CellMemory(oracle, domain).distances(cells, x), whole)
+    np.testing.assert_array_equal(distances_in_cells(visible, x), whole)
 
 
 LEAVES = ("plane", "continuous", "smooth", "cone")

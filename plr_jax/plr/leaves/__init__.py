@@ -1,4 +1,4 @@
-"""The kinds of functions that leaves of a PLR can hold (leaf models), with their names and their codes in files."""
+"""The kinds of functions that leaves of a PLR can hold (leaf models), with their names and codes in files."""
 
 from plr_jax._arrays import shortened
 from plr_jax.plr.container import PAIRS_CODE
@@ -28,7 +28,6 @@ def leaf_names() -> list[str]:
 
 
 def leaf_model(leaf: LeafModel | str) -> LeafModel:
-    """Return the leaf model of a name, or a given model itself; ``ValueError`` for anything else."""
     models = {model.name: model for model in _MODELS}
     if isinstance(leaf, str) and leaf in models:
         return models[leaf]

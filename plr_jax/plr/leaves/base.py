@@ -1,13 +1,14 @@
-"""The interface of leaf models: how the functions of leaves are fitted, stored, evaluated and bounded."""
+"""The interface of leaf models, such as planes: how functions of leaves are fitted, stored, evaluated and bounded."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from plr_jax._arrays import as_finite, product_in_order, require_integer
+from plr_jax._types import Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces
 from plr_jax.plr.certificate import Proof
@@ -16,6 +17,8 @@ from plr_jax.plr.frame import Corner, byte_class, is_far, max_axis_depth, rows_o
 from plr_jax.plr.growth import DEFAULT_MAX_LEAVES, Limits, ShouldSplitRule, SplitRule, check_memory
 from plr_jax.plr.sampling import Sampler
 from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree
+
+Coefficients: TypeAlias = Float[np.ndarray, "n terms"]
 
 
 class Rules(NamedTuple):
@@ -27,68 +30,44 @@ UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
 
 class LeafModel(ABC):
-    """A kind of leaf, such as planes; immutable and hashable, because the cache of compiled queries uses it as a key.
+    """A kind of leaf, such as planes; immutable and hashable, as it is a key of the cache of compiled queries.
 
-    The same leaf data has three forms. *Stored* data is the form in a file, for all leaves together; only the model
-    interprets it. The *coefficients* of a leaf determine its function in its box; if the first coefficient is
-    ``inf``, the value is ``inf``. The *parameters* of a leaf are the numbers that a query reads.
-
-    Attributes:
-        name: Name for ``construct(leaf=...)``.
-        num_samples: Default number of samples in a cell.
-        least_bytes: Least number of bytes of a leaf in a file, a power of two that may be a fraction.
-        has_deep_trees: Whether small files may have deep trees, whose lookup tables have pages (``plr/tables.py``).
-        is_cell_relative: Whether functions take coordinates from 0 to 1 in the leaf's cell. The first ``dim``
-            parameters are then the cell's number along each axis: 1 is the domain, and ``2 i`` and ``2 i + 1`` are
-            the halves of ``i``.
-        has_exact_cone_bounds: Whether :meth:`cone_minus_leaf_bounds` returns the exact least and largest difference.
+    Leaf data has three forms: *stored*, as in a file, for all leaves together; *coefficients*, which determine a
+    leaf's function in its box (the constant ``inf`` if the first is ``inf``); *parameters*, the numbers that a query
+    reads. Those of a model that ``is_cell_relative`` begin with the cell's number along each axis: 1 is the domain,
+    ``2 i`` and ``2 i + 1`` halve ``i``.
     """
 
     name: str
-    num_samples: int = 96
-    least_bytes: int | float = 1
-    has_deep_trees: bool = False
-    is_cell_relative: bool = False
-    has_exact_cone_bounds: bool = False
+    num_samples: int = 96  # in a cell, by default
+    least_bytes: int | float = 1  # of a leaf in a file, a power of two that may be a fraction
+    has_deep_trees: bool = False  # whether small files may have deep trees, whose lookup tables have pages
+    is_cell_relative: bool = False  # whether functions take coordinates from 0 to 1 in the leaf's cell
+    has_exact_cone_bounds: bool = False  # whether cone_minus_leaf_bounds are the least and largest difference
 
     @abstractmethod
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]:
         """Grow a partition; return its tree, and the stored form of its leaves in the tree's order."""
-        ...
 
     @abstractmethod
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None: ...
 
     @abstractmethod
-    def read(self, body: BitReader, domain: Box, cells: Cells) -> Any:
-        """Read what :meth:`write` appended; ``ValueError`` describes damaged data."""
-        ...
+    def read(self, body: BitReader, domain: Box, cells: Cells) -> Any: ...
 
     @abstractmethod
-    def coefficients(self, cells: Cells, stored: Any) -> Float[np.ndarray, "leaves terms"]:
+    def coefficients(self, cells: Cells, stored: Any) -> Coefficients:
         """Return the coefficients of all leaves; ``inf`` and zeros for leaves that are stored as unreachable."""
-        ...
 
     @abstractmethod
-    def values(
-        self,
-        lo: Float[np.ndarray, "n dim"],
-        hi: Float[np.ndarray, "n dim"],
-        coefficients: Float[np.ndarray, "n terms"],
-        x: Float[np.ndarray, "n dim"],
-    ) -> Float[np.ndarray, "n"]:
+    def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
         """Return the value of each leaf's function at one point, for finite coefficients."""
-        ...
 
     @abstractmethod
     def leaf_parameters(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
-    ) -> Float[np.ndarray, "leaves count"]:
-        """Return the numbers that a query reads for each leaf, for coordinates relative to ``corner``.
-
-        The function of a leaf whose first coefficient is ``inf`` is the constant ``inf``.
-        """
-        ...
+        self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner
+    ) -> Float[np.ndarray, "n count"]:
+        """Return the numbers that a query reads for each leaf, for coordinates relative to ``corner``."""
 
     @abstractmethod
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
@@ -98,27 +77,16 @@ class LeafModel(ABC):
         and the coordinates (``place``) of the point, in the leaf's cell from 0 to 1 if the model
         ``is_cell_relative``, else relative to the domain's rounded lower corner. ``root`` is the square root.
         """
-        ...
 
     @abstractmethod
     def cone_minus_leaf_bounds(
-        self,
-        lo: Float[np.ndarray, "n 2"],
-        hi: Float[np.ndarray, "n 2"],
-        coefficients: Float[np.ndarray, "n terms"],
-        pieces: Pieces,
-        apex: Float[np.ndarray, "n 2"],
-        offset: Float[np.ndarray, "n"],
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
+    ) -> tuple[Distances, Distances]:
         """Return lower and upper bounds of ``(offset + |x - apex|) - leaf function`` over convex pieces of leaves."""
-        ...
 
     @abstractmethod
-    def rounding_bounds(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
-    ) -> Float[np.ndarray, "leaves"]:
+    def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
         """Bound the difference between a 32-bit query at a point of any precision and each leaf's exact function."""
-        ...
 
     def num_leaf_parameters(self, dim: int) -> int:
         return 1 + dim
@@ -131,16 +99,11 @@ class LeafModel(ABC):
         return self.num_leaf_parameters(dim)
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Return the file size in bytes that determines the depth limit, unless ``max_bytes`` is smaller."""
+        """Return the file size that limits the halvings of cells if no smaller ``max_bytes`` is given."""
         return int(2 * self.least_bytes * num_leaves)
 
-    def mean_planes(
-        self,
-        lo: Float[np.ndarray, "leaves dim"],
-        hi: Float[np.ndarray, "leaves dim"],
-        coefficients: Float[np.ndarray, "leaves terms"],
-    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-        """Return a mean plane of each leaf: its value at the center, and half of its rise between face centers."""
+    def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
+        """Return the value at each leaf's center, and half of the rise between opposite face centers."""
         center, half = (lo + hi) / 2, np.empty_like(lo)
         for axis in range(lo.shape[1]):
             step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
@@ -150,33 +113,19 @@ class LeafModel(ABC):
 
 
 class LinearLeafModel(LeafModel):
-    """A leaf model whose functions are linear in their coefficients, such as planes.
-
-    In local coordinates ``u``, from -1 to 1 along every axis of the leaf, a function is ``basis(u) @ coefficients``.
-    """
+    """A leaf model with functions ``basis(u) @ coefficients`` of coordinates ``u`` from -1 to 1 across the leaf."""
 
     @abstractmethod
-    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]: ...
+    def basis(self, u: Points) -> Coefficients: ...
 
     @abstractmethod
-    def coefficients_of_planes(
-        self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
-    ) -> Float[np.ndarray, "leaves terms"]:
+    def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
         """Return coefficients of planes, given by their center values and half of their rise along each axis."""
-        ...
 
-    def values(
-        self,
-        lo: Float[np.ndarray, "n dim"],
-        hi: Float[np.ndarray, "n dim"],
-        coefficients: Float[np.ndarray, "n terms"],
-        x: Float[np.ndarray, "n dim"],
-    ) -> Float[np.ndarray, "n"]:
+    def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
         return np.sum(self.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
 
-    def mean_planes(
-        self, lo: Any, hi: Any, coefficients: Float[np.ndarray, "leaves terms"]
-    ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+    def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
         ends = np.eye(lo.shape[1])
         half = product_in_order(coefficients, (self.basis(ends) - self.basis(-ends)).T) / 2
         return product_in_order(coefficients, self.basis(0 * ends[:1]).T)[:, 0], half
@@ -228,6 +177,5 @@ def check_limits(
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
-    """Return the largest absolute coordinate along each axis that a query rounds to 32 bits."""
-    # In a domain far from the origin, a query subtracts the corner before it rounds.
+    """Return the largest coordinates that a query rounds to 32 bits; in a far domain it first subtracts a corner."""
     return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)

@@ -8,34 +8,19 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import sum_of_columns
+from plr_jax._types import Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.certificate import LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.frame import LARGEST, MOST_ROWS, Corner, table_corners
 from plr_jax.plr.growth import Encoding, Limits, Nodes, fit_sampled, grow_best_first, largest_error, nodes_of_fit
-from plr_jax.plr.leaves.base import (
-    UNIT,
-    LinearLeafModel,
-    Rules,
-    largest_coordinates,
-)
+from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Rules, largest_coordinates
 from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
-# The file format of planes: 32-bit floats, or integer multiples of one step.
-#
-# In the local coordinates ``u`` of its cell, from -1 to 1 along every axis, a plane is ``center + half . u``. Its
-# *half-differences* ``half`` are half of its rise across the cell along each axis. As integers, the value is ``offset
-# + step * center + step * half . u``. Half-differences shrink with their cell, so the file has a bit width for each
-# axis and depth. Rounding moves a plane by at most ``(1 + dim) * step / 2`` in its cell. The bits are:
-#
-#     number of bits of a center value, 6 bits; 32 means floats
-#     unless numbers are floats: offset and step as 32-bit floats
-#     for every axis and every depth up to the deepest leaf's: bit width of a half-difference, 6 bits
-#     center of every leaf; all bits set (inf, if floats) mark a leaf without a sample that reaches the goal
-#     for every axis, for all other leaves: half-difference in two's complement (or a float's bits), in the bit width
-#       of the leaf's depth along that axis
+# The bits in the file are described in ``portable/FORMAT.md``. Half of a plane's rise across its cell along each axis
+# (``half``) shrinks with the cell, so the file has a bit width for each axis and depth.
 
 FLOAT_BITS = 32
 MIN_BITS, MAX_BITS = 4, 20
@@ -45,7 +30,7 @@ _BITS_BITS, _WIDTH_BITS = 6, 6
 
 @dataclass(frozen=True, eq=False)
 class StoredPlanes:
-    """Planes as integer codes, or as bit patterns of floats, exactly as in the file."""
+    """Planes ``offset + step * (center + half . u)``, ``u`` from -1 to 1, in integers, or bit patterns of floats."""
 
     bits: int
     offset: float
@@ -58,7 +43,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
-        """Return the bit width of half-differences for each axis and depth: 0 if all are 0, but 32 for floats."""
+        """Return the number of bits of ``half`` for each axis and depth."""
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)
@@ -78,10 +63,7 @@ def unreachable_code(bits: int) -> int:
     return _FLOAT_INF if bits == FLOAT_BITS else (1 << bits) - 1
 
 
-def encode_planes(
-    center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"], bits: int
-) -> StoredPlanes:
-    """Round planes to the form in a file; a center of ``inf`` marks an unreachable leaf."""
+def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
     reachable = np.isfinite(center)
     if max(np.abs(center[reachable]).max(initial=0.0), np.abs(half[reachable]).max(initial=0.0)) > LARGEST:
         raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
@@ -97,7 +79,7 @@ def encode_planes(
 def _offset_and_step(
     center: Float[np.ndarray, "reachable"], half: Float[np.ndarray, "leaves dim"], bits: int
 ) -> tuple[float, float]:
-    """Choose offset and step, both exact in 32 bits, so that half-differences take at most ``bits + 9`` bits."""
+    """Choose offset and step, both exact in 32 bits, so that ``half`` takes at most ``bits + 9`` bits."""
     offset = np.nextafter(np.float32(center.min()), np.float32(-np.inf))
     spread = max(center.max() - float(offset), np.abs(half).max(initial=0.0) * 2**-8)
     step = np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf))
@@ -106,40 +88,6 @@ def _offset_and_step(
 
 def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
     return values.astype(np.float32).view(np.int32).astype(np.int64)
-
-
-def write_planes(body: BitWriter, depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> None:
-    widths, stored = planes.widths(depth), ~planes.unreachable
-    body.write(np.array([planes.bits]), _BITS_BITS)
-    if planes.bits != FLOAT_BITS:
-        body.write_floats(np.array([planes.offset, planes.step]))
-    for axis_widths in widths:
-        body.write(axis_widths, _WIDTH_BITS)
-    body.write(planes.center, planes.bits)
-    for axis, axis_widths in enumerate(widths):
-        width = axis_widths[depth[stored, axis]]
-        body.write(planes.half[stored, axis] & ((1 << width) - 1), width)
-
-
-def read_planes(body: BitReader, depth: Int[np.ndarray, "leaves dim"]) -> StoredPlanes:
-    bits, offset, step = int(body.read_fixed_width(1, _BITS_BITS)[0]), 0.0, 1.0
-    if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
-        raise ValueError(f"it states {bits}-bit values")
-    if bits != FLOAT_BITS:
-        offset, step = body.read_floats(2).tolist()
-        if not (np.isfinite(offset) and 0 < step < np.inf):
-            raise ValueError(f"it states a step of {step} from {offset}")
-    widths = [body.read_fixed_width(int(deepest) + 1, _WIDTH_BITS) for deepest in depth.max(axis=0)]
-    if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
-        raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
-    center = body.read_fixed_width(len(depth), bits)
-    half = np.zeros(depth.shape, np.int64)
-    stored = center != unreachable_code(bits)
-    for axis, axis_widths in enumerate(widths):
-        width = axis_widths[depth[stored, axis]]
-        code = body.read(width)
-        half[stored, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
-    return StoredPlanes(bits, offset, step, center, half)
 
 
 def planes_bits(depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> int:
@@ -176,10 +124,7 @@ class Plane(LinearLeafModel):
     has_exact_cone_bounds = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Return the bytes of the coefficients, but at least 32 KB.
-
-        In the plane, 32 KB allow 9 halvings along an axis. Deeper cells next to the goal have smaller errors.
-        """
+        # 32 KB allow 9 halvings along each axis of the plane; deep cells next to the goal have smaller errors.
         return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, int(MOST_ROWS * self.least_bytes))
 
     def __post_init__(self):
@@ -224,46 +169,61 @@ class Plane(LinearLeafModel):
         return tree, stored(nodes, leaf[tree.order], bits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
-        write_planes(body, cells.depth, stored)
+        widths, reachable = stored.widths(cells.depth), ~stored.unreachable
+        body.write(np.array([stored.bits]), _BITS_BITS)
+        if stored.bits != FLOAT_BITS:
+            body.write_floats(np.array([stored.offset, stored.step]))
+        for axis_widths in widths:
+            body.write(axis_widths, _WIDTH_BITS)
+        body.write(stored.center, stored.bits)
+        for axis, axis_widths in enumerate(widths):
+            width = axis_widths[cells.depth[reachable, axis]]
+            body.write(stored.half[reachable, axis] & ((1 << width) - 1), width)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredPlanes:
-        return read_planes(body, cells.depth)
+        bits, offset, step = int(body.read_fixed_width(1, _BITS_BITS)[0]), 0.0, 1.0
+        if not (bits == FLOAT_BITS or MIN_BITS <= bits <= MAX_BITS):
+            raise ValueError(f"it states {bits}-bit values")
+        if bits != FLOAT_BITS:
+            offset, step = body.read_floats(2).tolist()
+            if not (np.isfinite(offset) and 0 < step < np.inf):
+                raise ValueError(f"it states a step of {step} from {offset}")
+        widths = [body.read_fixed_width(int(deepest) + 1, _WIDTH_BITS) for deepest in cells.depth.max(axis=0)]
+        if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
+            raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
+        center, half = body.read_fixed_width(len(cells), bits), np.zeros(cells.depth.shape, np.int64)
+        reachable = center != unreachable_code(bits)
+        for axis, axis_widths in enumerate(widths):
+            width = axis_widths[cells.depth[reachable, axis]]
+            code = body.read(width)
+            half[reachable, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
+        return StoredPlanes(bits, offset, step, center, half)
 
-    def coefficients(self, cells: Cells, stored: StoredPlanes) -> Float[np.ndarray, "leaves terms"]:
+    def coefficients(self, cells: Cells, stored: StoredPlanes) -> Coefficients:
         return np.column_stack(stored.decode())
 
-    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+    def basis(self, u: Points) -> Coefficients:
         return np.concatenate([np.ones((len(u), 1)), u], axis=1)
 
-    def coefficients_of_planes(
-        self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
-    ) -> Float[np.ndarray, "leaves terms"]:
+    def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
         return np.column_stack([center, half])
 
     def leaf_parameters(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
-    ) -> Float[np.ndarray, "leaves terms"]:
+        self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner
+    ) -> Float[np.ndarray, "n terms"]:
         lo, hi = cells.boxes(domain)
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         to_center = (lo + hi) / 2 - corner
         return np.column_stack([coefficients[:, 0] - sum_of_columns(slope * to_center), slope])
 
     def cone_minus_leaf_bounds(
-        self,
-        lo: Float[np.ndarray, "n 2"],
-        hi: Float[np.ndarray, "n 2"],
-        coefficients: Float[np.ndarray, "n terms"],
-        pieces: Pieces,
-        apex: Float[np.ndarray, "n 2"],
-        offset: Float[np.ndarray, "n"],
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
+    ) -> tuple[Distances, Distances]:
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         intercept = coefficients[:, 0] - (slope * (lo + hi)).sum(axis=1) / 2
         return cone_above_plane(pieces, apex, offset, slope, intercept)
 
-    def rounding_bounds(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
-    ) -> Float[np.ndarray, "leaves"]:
+    def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
         parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
         terms = parameters[:, 0] + parameters[:, 1:] @ domain.width
         return 1.01 * UNIT * ((3 + domain.dim) * terms + parameters[:, 1:] @ largest_coordinates(domain))

@@ -1,8 +1,9 @@
-"""Cone leaves in which a change of the map changes all distances by one number.
+"""Find the cone leaves in which a change of the map changes all distances by one number.
 
-The proven bounds of a leaf tell to which sources (corners, or the goal) a shortest path from it can go first: their
-cone is, somewhere in the leaf, as low as the distance can be. If all such paths are intact and changed by one number,
-no distance increased by more. If no other source of the new map comes down as low, no distance increased by less.
+The cone of a source (a corner, or the goal) is its distance to the goal plus the straight distance to it. A shortest
+path can go to a source first only if its cone is, somewhere in the leaf, as low as the leaf's proven upper bound. If
+all such paths are intact and changed by one number, no distance increased by more. If no other cone of the new map
+comes down as low, no distance increased by less.
 """
 
 from dataclasses import dataclass
@@ -50,10 +51,7 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Return the number by which all distances in each leaf changed, NaN if changes may differ within the leaf.
-
-        Also return the index in ``after`` of each leaf's source (the apex of its cone), -1 if it is gone.
-        """
+        """Return by how much all distances in each leaf changed (NaN: they may differ), and its new source or -1."""
         from scipy.spatial import KDTree  # which no query needs
 
         apart, nearest = KDTree(before.points).query(self.stored.sources.points)
@@ -101,14 +99,12 @@ class ConeLeaves:
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Find pairs of a leaf and a source whose cone comes as low in the leaf as distances there may be.
+        """Find pairs of a leaf and a source to which a shortest path from the leaf may go first.
 
         ``leaf`` and ``triangle`` are pairs that intersect; leaves that ``differ`` are skipped. ``pairs`` has the
         sources of each triangle. Upper bounds of distances in a leaf have risen by ``grown``.
         """
-        first = np.searchsorted(
-            pairs.triangle, np.arange(triangle.max(initial=-1) + 2)
-        )  # first pair of each triangle
+        first = np.searchsorted(pairs.triangle, np.arange(triangle.max(initial=-1) + 2))  # of each triangle
         rows, met = take_ragged(first, triangle)
         of, is_open = leaf[met], ~differ[leaf[met]]
         of, rows = of[is_open], rows[is_open]
@@ -127,7 +123,6 @@ class ConeLeaves:
     def _may_cross_changes(
         self, leaf: Indices, pairs: TriangleSources, sources: Sources, changed: ChangedDistances
     ) -> Bool[np.ndarray, "n"]:
-        """Return, for pairs of a leaf and a source, whether a segment between them may cross a changed wall."""
         (lo, hi), rows = self._boxes, np.flatnonzero(pairs.is_doubted)
         corners = [np.stack([x[leaf[rows], 0], y[leaf[rows], 1]], axis=1) for x in (lo, hi) for y in (lo, hi)]
         cut = np.zeros(len(leaf), bool)
@@ -137,7 +132,7 @@ class ConeLeaves:
     def _leaves_meeting(
         self, triangles: Float[np.ndarray, "n 3 2"], which: Int[np.ndarray, "some"]
     ) -> tuple[Indices, Indices]:
-        """Return all pairs of a leaf and one of the triangles ``which`` that intersect, by descending the tree."""
+        """Return all pairs of a leaf and one of the triangles ``which`` that intersect."""
         tree, (lo, hi) = self.tree, self.tree.cells.grown_boxes(self.domain)
         sides = np.roll(triangles, -1, axis=1) - triangles
         normal = np.stack([-sides[..., 1], sides[..., 0]], axis=-1)

@@ -1,30 +1,9 @@
-"""The file format of cones: a table of sources, and the index of every leaf's source.
+"""Encode cone leaves, functions ``offset + |x - source|``: a table of sources, and the index of every leaf's source.
 
-A *source* is a point to which the shortest paths from a leaf go straight: a corner of an obstacle, or the goal.
-Most maps have coordinates on a lattice, such as integers or multiples of 0.01. Corners on the lattice are stored as
-multiples of one fraction. Other sources, such as a goal, are *fine*: multiples of a power of two, about ``2**-26`` of
-the domain's width. Each source names its *parent*, the next point on its shortest path to the goal. So its offset
-(its distance to the goal) is not stored: it is the parent's offset plus the distance to the parent. Only a *root*,
-such as the goal, stores its offset. If there are several goals, the file may name the goal of each root, so that it
-tells which goal is nearest.
-
-The bits in a file:
-
-    number of fine sources, 20 bits; if there are any: exponent of their power of two plus 2**15, 16 bits; coordinates
-    number of lattice sources, 20 bits; if there are any: inverse of the fraction, 16 bits; coordinates
-    which sources are roots, 1 bit each; offsets of roots, 32-bit floats
-    parents of the other sources, each in as many bits as the largest index needs
-    for every leaf, the rank of its source in a move-to-front list that starts in the order of the table:
-      is it 0, for all leaves; is it 1, for the rest; is it 2, for the rest (1 bit each); the rest's rank - 3 as codes
-    after the proof, in files that name goals: a width in 6 bits, and the goal of each root, in that width
-
-Coordinates of sources, sorted by the first axis, then the next:
-
-    for every axis: the smallest, in steps from the domain's lower corner, a signed number
-    along the first axis: differences of successive coordinates, as codes
-    along every other axis: a width in 6 bits, and the differences from the smallest, in that width
-
-``plr/coding.py`` defines signed numbers and codes.
+A source is an obstacle corner or the goal. Its offset is its distance to the goal; a file stores instead its
+*parent*, the next source on its shortest path. Only *roots*, such as the goal, store offsets. Most maps have
+coordinates on a lattice, such as multiples of 0.01. Other sources, such as a goal, are *fine*: multiples of about
+``2**-26`` of the domain's width. The bits in the file are described in ``portable/FORMAT.md``.
 """
 
 from bisect import bisect_left
@@ -53,22 +32,15 @@ _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Sources as a file stores them: fine sources first, each kind sorted by coordinates.
-
-    Attributes:
-        code: Coordinates, for fine sources in steps of ``2**exponent``, for others in steps of ``1 / fraction``.
-        parent: Index of the next source on the way to the goal; a root is its own parent.
-        root_offset: Offsets of roots, exact in 32 bits; 0 for other sources.
-        goals: Index of the goal at each root; None if the file does not name goals.
-    """
+    """Apexes of cones (corners and goals) as a file stores them: fine ones first, each kind sorted by coordinates."""
 
     num_fine: int
-    exponent: int
-    fraction: int
+    exponent: int  # fine sources are multiples of 2**exponent
+    fraction: int  # other sources are multiples of 1 / fraction
     code: Int[np.ndarray, "sources dim"]
-    parent: Int[np.ndarray, "sources"]
-    root_offset: Float[np.ndarray, "sources"]
-    goals: Int[np.ndarray, "roots"] | None = None
+    parent: Int[np.ndarray, "sources"]  # next source on the way to the goal; a root is its own parent
+    root_offset: Float[np.ndarray, "sources"]  # of roots: distance to the goal, exact in 32 bits
+    goals: Int[np.ndarray, "roots"] | None = None  # index of the goal at each root, if the file names goals
 
     @property
     def is_root(self) -> Bool[np.ndarray, "sources"]:
@@ -81,12 +53,10 @@ class StoredSources:
 
     @cached_property
     def offsets(self) -> Float[np.ndarray, "sources"]:
-        """The distance of each source to the goal, by way of its parents; ``ValueError`` if these form a cycle."""
         return self._offsets_and_roots[0]
 
     @property
     def goal_of_source(self) -> Int[np.ndarray, "sources"] | None:
-        """The goal to which the path of each source leads; None if the file does not name goals."""
         if self.goals is None:
             return None
         return self.goals[(np.cumsum(self.is_root) - 1)[self._offsets_and_roots[1]]]
@@ -116,10 +86,10 @@ def store_sources(
     is_off: Bool[np.ndarray, "sources fractions"] | None = None,
     goals: Int[np.ndarray, "goals"] | None = None,
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Return sources in their file form, without duplicates, and the new index of each given source.
+    """Return sources (obstacle corners, goals) in their file form, without duplicates, and each source's new index.
 
-    ``is_off`` may give the result of :func:`off_lattices` for the points. ``goals`` are the indices of several goals,
-    which are the first sources and the only roots.
+    ``is_off`` may give the result of :func:`off_lattices`. If there are several ``goals`` (their indices), they are
+    the first sources and the only roots.
     """
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
@@ -151,7 +121,7 @@ def store_sources(
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
-    """Return which lattices (multiples of ``1 / n``, of those that a file can state) do not contain each point."""
+    """Return which lattices (multiples of ``1 / n``, for each ``n`` of a list) do not contain each point."""
     # The tolerance is a little more than the rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     is_off = np.zeros((len(points), len(_LATTICES)), bool)
@@ -162,7 +132,7 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
 
 
 def _lattice(is_off: Bool[np.ndarray, "sources fractions"], exponent: int) -> tuple[int, Bool[np.ndarray, "sources"]]:
-    """Return ``n`` of the lattice of multiples of ``1 / n`` with the fewest bits, and which sources are not on it."""
+    """Return ``n`` for which multiples of ``1 / n`` take the fewest bits, and which sources are no such multiples."""
     fractions = _LATTICES[2.0**-exponent > _LATTICES]
     if not len(fractions):  # in a very wide domain, integers are too fine
         return 1, np.ones(len(is_off), bool)
@@ -177,15 +147,17 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
-    fine, others = np.split(sources.code, [sources.num_fine])
-    body.write(np.array([len(fine)]), _COUNT_BITS)
-    if len(fine):
-        body.write(np.array([sources.exponent + _EXPONENT_BIAS]), _STEP_BITS)
-        _write_codes(body, fine, _origin_in_steps(domain.lo * 2.0**-sources.exponent))
-    body.write(np.array([len(others)]), _COUNT_BITS)
-    if len(others):
-        body.write(np.array([sources.fraction]), _STEP_BITS)
-        _write_codes(body, others, _origin_in_steps(domain.lo * sources.fraction))
+    (fine, others), exponent = np.split(sources.code, [sources.num_fine]), sources.exponent
+    kinds = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, sources.fraction, sources.fraction)
+    for code, step, scale in kinds:
+        body.write(np.array([len(code)]), _COUNT_BITS)
+        if len(code):
+            lowest = code.min(axis=0)
+            body.write(np.array([step]), _STEP_BITS).write_signed(lowest - _origin_in_steps(domain.lo * scale))
+            body.write_coded(np.diff(code[:, 0]))
+            for along in (code - lowest).T[1:]:
+                width = int(along.max()).bit_length()
+                body.write(np.array([width]), _WIDTH_BITS).write(along, width)
     body.write(sources.is_root.astype(np.int64), 1)
     body.write_floats(sources.root_offset[sources.is_root])
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
@@ -197,10 +169,10 @@ def write_goals(body: BitWriter, goals: Int[np.ndarray, "roots"]) -> BitWriter:
 
 
 def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"]) -> None:
-    """Append the rank of each leaf's source in a move-to-front list, 0 for the source of the leaf before."""
+    """Append the rank of each leaf's source (apex) in a move-to-front list: 0 for the source of the leaf before."""
     rank = np.zeros(len(source), np.int64)
     changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
-    # Two short lists replace the whole one: used sources, the most recent first and sorted; unused ones follow.
+    # Only used sources need lists, by time of use and sorted; unused ones follow in their order.
     recent, used = [0], [0]
     for each in source[changes].tolist():
         if (place := bisect_left(used, each)) < len(used) and used[place] == each:
@@ -215,15 +187,6 @@ def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"]) -> None:
         body.write((rank == each).astype(np.int64), 1)
         rank = rank[rank > each]
     body.write_coded(rank - _ESCAPE)
-
-
-def _write_codes(body: BitWriter, code: Int[np.ndarray, "sources dim"], origin: Int[np.ndarray, "dim"]) -> None:
-    lowest = code.min(axis=0)
-    above = code - lowest
-    body.write_signed(lowest - origin).write_coded(np.diff(above[:, 0]))
-    for along in above.T[1:]:
-        width = int(along.max()).bit_length()
-        body.write(np.array([width]), _WIDTH_BITS).write(along, width)
 
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
@@ -295,7 +258,7 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
 
 
 class ConeFiles:
-    """An encoder of cones with given sources; it caches encoded tables, as trees often use the same sources."""
+    """An encoder of leaves with cones of given ``sources``; it caches tables, as trees often use the same sources."""
 
     def __init__(self, sources: Sources, domain: Box) -> None:
         self._sources, self._domain = sources, domain
@@ -303,18 +266,17 @@ class ConeFiles:
         self._cache: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
 
     def of_goal(self, sources: Sources) -> "ConeFiles":
-        """Return the encoder for the same corners and another goal, which is source 0."""
+        """Return the encoder for another goal: its ``sources`` are the goal, then the same corners in their order."""
         files = copy(self)
         files._sources, files._cache, files._is_off = sources, {}, self._is_off.copy()
         files._is_off[:1] = off_lattices(sources.points[:1], self._domain)
         return files
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """Encode leaves in tree order; leaves without a source (-1) get that of the leaf before, else of the next."""
+        """Encode leaves by their sources, in tree order; -1 (none) becomes that of the leaf before, else the next."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:
-        """Return the size of the leaves' file, including its proof."""
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source)
         return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits)

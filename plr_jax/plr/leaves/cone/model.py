@@ -1,4 +1,4 @@
-"""Cone leaves: functions ``offset + |x - source|``, whose sources (corners or the goal) are shared by many leaves."""
+"""The leaf model ``"cone"``: functions ``offset + |x - source|``, where many leaves share a source."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,33 +9,27 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax._arrays import shortened
-from plr_jax._types import Sources
+from plr_jax._types import Distances, Points, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, difference_of_cones
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import Corner, table_corners
 from plr_jax.plr.growth import Limits, best_axis, grow, largest_error
-from plr_jax.plr.leaves.base import (
-    UNIT,
-    LeafModel,
-    Rules,
-    largest_coordinates,
-)
+from plr_jax.plr.leaves.base import UNIT, Coefficients, LeafModel, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
 from plr_jax.plr.leaves.cone.search import best_cones_of_goal
 from plr_jax.plr.sampling import Sampler
 from plr_jax.plr.tree import Cells, Tree
 
-_UNDERFLOW = 1.1e-19
-"""Square root of the smallest 32-bit float; the square of a shorter difference may underflow to zero."""
+_UNDERFLOW = 1.1e-19  # root of the smallest normal 32-bit float; squares of smaller differences may become 0
 
 
 @dataclass(frozen=True)
 class Cone(LeafModel):
-    """A leaf model with cones ``offset + |x - source|``, ``"cone"``, for Euclidean distances among polygons.
+    """The leaf model ``"cone"``, functions ``offset + |x - source|``, for lengths of shortest paths among polygons.
 
-    Such a distance is exactly a cone wherever the next corner of the shortest path, the source, does not change.
-    Coefficients are the offset (the source's distance to the goal), then the coordinates of the source.
+    The source is the first corner of a shortest path, or the goal; the offset is its distance to the goal. These are
+    the coefficients of a leaf: the offset, then the source.
     """
 
     name = "cone"
@@ -62,8 +56,7 @@ class Cone(LeafModel):
         domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
         if not len(visible.cell):
             sampler.root()  # raises the error that nothing is reachable
-        run = partial(grow, limits=limits)
-        found = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
+        found = best_cones_of_goal(visible, domain, limits, sampler.pattern, partial(grow, limits=limits))
         sampler.memory.remember(found.boxes.cells, found.boxes.visible)  # which a proof needs
         return found.tree, found.stored
 
@@ -74,38 +67,24 @@ class Cone(LeafModel):
         _require_euclidean(domain)
         return read_cones(body, domain, len(cells))
 
-    def coefficients(self, cells: Cells, stored: StoredCones) -> Float[np.ndarray, "leaves terms"]:
-        """Return each leaf's offset and source; a leaf that cannot reach the goal has the source of another leaf."""
+    def coefficients(self, cells: Cells, stored: StoredCones) -> Coefficients:
+        # A leaf that cannot reach the goal has the source of another leaf.
         return np.column_stack([stored.sources.offsets, stored.sources.points])[stored.source]
 
-    def values(
-        self,
-        lo: Float[np.ndarray, "n dim"],
-        hi: Float[np.ndarray, "n dim"],
-        coefficients: Float[np.ndarray, "n terms"],
-        x: Float[np.ndarray, "n dim"],
-    ) -> Float[np.ndarray, "n"]:
+    def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
         return coefficients[:, 0] + np.linalg.norm(x - coefficients[:, 1:], axis=1)
 
     def leaf_parameters(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
-    ) -> Float[np.ndarray, "leaves terms"]:
+        self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner
+    ) -> Float[np.ndarray, "n terms"]:
         return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - corner])
 
     def cone_minus_leaf_bounds(
-        self,
-        lo: Float[np.ndarray, "n 2"],
-        hi: Float[np.ndarray, "n 2"],
-        coefficients: Float[np.ndarray, "n terms"],
-        pieces: Pieces,
-        apex: Float[np.ndarray, "n 2"],
-        offset: Float[np.ndarray, "n"],
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
+    ) -> tuple[Distances, Distances]:
         return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
 
-    def rounding_bounds(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
-    ) -> Float[np.ndarray, "leaves"]:
+    def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
         parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
         along = 2 * parameters[:, 1:] + 2 * domain.width + largest_coordinates(domain)
         length = np.linalg.norm(parameters[:, 1:] + domain.width, axis=1)
@@ -121,17 +100,15 @@ class Cone(LeafModel):
         return offset + root(square)
 
     def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
-        """Return all sources (corners and the goal) with their distances, and the index of every leaf's source."""
+        """Return all sources (corners and the goal) with their distances to the goal, and each leaf's source."""
         sources = stored.sources
         return Sources(sources.points, sources.offsets, sources.parent), stored.source
 
     def source_of(self, parameters: Sequence[Any]) -> Sequence[Any]:
-        """Return the coordinates of the source (the next corner, or the goal) among a leaf's parameters."""
         return parameters[1:]
 
 
 def as_sourced(leaf: LeafModel) -> Cone:
-    """Return the leaf model if it is a cone, whose leaves store the next corner of paths; else ``ValueError``."""
     if not isinstance(leaf, Cone):
         raise ValueError(
             f"Waypoints need leaves with sources; leaves of kind {leaf.name!r} have no sources. Build the PLR with "
@@ -141,7 +118,6 @@ def as_sourced(leaf: LeafModel) -> Cone:
 
 
 def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, "leaves"]:
-    """Return the goal to which the path from each leaf leads; ``ValueError`` if the leaves do not name goals."""
     goals = stored.sources.goal_of_source if isinstance(leaf, Cone) else None
     if goals is None:
         raise ValueError(

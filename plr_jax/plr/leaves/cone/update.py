@@ -1,8 +1,6 @@
-"""Update cones after a change of the map: keep leaves that still hold, and search for the others.
+"""Update a PLR of cones after a change of the map: keep leaves whose distances all changed by one number.
 
-A leaf holds if all distances in it have changed by one number (``changed_leaves.py``).
-
-Every subtree of a tree that is optimal at a price per leaf is optimal too. So leaves that hold stay optimal at the
+The tree minimizes error plus a price per leaf, and so does each of its subtrees. So kept leaves stay optimal at the
 same price; elsewhere the optimal leaves are searched as in a construction. If the file has too little room, the price
 rises and leaves merge. If room is left, the price falls and the leaves with the largest errors are searched again.
 """
@@ -33,7 +31,7 @@ from plr_jax.plr.leaves.cone.search import (
     run_quietly,
 )
 from plr_jax.plr.sampling import Pattern, sample_pattern
-from plr_jax.plr.tree import MAX_DEPTH, Tree, grown_domain, tree_of_axes
+from plr_jax.plr.tree import Tree, grown_domain, leaf_order, tree_of_axes
 
 _ASKED, _SPARE = 128, 1e-6  # leaves at which the old oracle is tested; tolerance in units of the largest distance
 _MARGIN = 1.0  # pruning margin of expand
@@ -50,19 +48,19 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 @dataclass(frozen=True, eq=False)
 class NodeCosts:
-    """Errors that each node of a tree would have as a leaf, as in ``ConeBoxes``; ``integral`` is ``inf`` if unknown.
+    """The best cone that each node of a tree could have as a leaf: integral of the error, largest error, and apex."""
 
-    ``price`` is a price per leaf at which the tree has about the least sum of errors and prices.
-    """
-
-    integral: Float[np.ndarray, "nodes"]
+    integral: Float[np.ndarray, "nodes"]  # inf if unknown
     peak: Float[np.ndarray, "nodes"]
     source: Int[np.ndarray, "nodes"]
-    price: float
+    price: float  # penalty per leaf at which the tree has about the least sum of costs and penalties
+
+    def costs(self, share: float) -> Float[np.ndarray, "nodes"]:
+        return self.integral + share * self.peak
 
 
 def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> NodeCosts:
-    """Compute the errors that nodes would have as leaves, and a price per leaf at which few leaves would merge."""
+    """Compute the errors that nodes would have as leaves, and a penalty per leaf at which few leaves would merge."""
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
     (integral, peak), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
@@ -88,16 +86,13 @@ def _peak_share(tree: Tree, limits: Limits) -> float:
 
 
 class UpdatedCones(NamedTuple):
-    """Cone leaves after a change of the map, in tree order; ``rebuilt`` has the indices of new leaves.
-
-    ``bounds`` are valid for other leaves only. ``visible`` has the sources of the cells of new leaves.
-    """
+    """Cone leaves after a change of the map, in tree order."""
 
     tree: Tree
     stored: StoredCones
-    bounds: LeafBounds
+    bounds: LeafBounds  # valid for leaves that are not rebuilt
     rebuilt: Int[np.ndarray, "rebuilt"]
-    visible: CellSources
+    visible: CellSources  # sources of the cells of rebuilt leaves
     node_costs: NodeCosts | None
 
 
@@ -155,41 +150,27 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The tree of least error plus price per leaf whose leaves are nodes of the old tree or boxes of a search.
-
-    Attributes:
-        axes: Split axis of each node, level by level; -1 for a leaf.
-        nodes, leaves: Nodes level by level, leaves in tree order: indices of nodes of the old tree, then of boxes.
-        share: Share of the limits that the tree uses.
-    """
+    """The tree of least error plus price per leaf; nodes are numbers of nodes of the old tree, then of new boxes."""
 
     price: float
-    axes: list[Int[np.ndarray, "_"]]
-    nodes: Int[np.ndarray, "nodes"]
-    leaves: Int[np.ndarray, "leaves"]
-    num_bytes: int
-    share: float
+    axes: list[Int[np.ndarray, "_"]]  # split axis of each node, level by level; -1 for a leaf
+    nodes: Int[np.ndarray, "nodes"]  # level by level
+    leaves: Int[np.ndarray, "leaves"]  # in tree order
+    share: float  # share of the limits that the tree uses
 
 
 @dataclass(frozen=True, eq=False)
 class ConeSearch:
-    """A search for the best leaves after a change of the map.
-
-    Attributes:
-        nodes: Costs of the nodes of the old tree; ``inf`` where distances did not change by one number.
-        is_reopened: Which old leaves are searched again.
-        roots: Nodes of the old tree that are replaced by boxes, which the search halves.
-        levels: Levels of boxes; the first level begins with the roots, in their order.
-    """
+    """A search for the best cone leaves after a change of the map."""
 
     leaves: ConeLeaves
-    nodes: NodeCosts
+    nodes: NodeCosts  # of the old tree; inf where distances did not change by one number
     oracle: ChangingFn
     limits: Limits
     files: ConeFiles
-    is_reopened: Bool[np.ndarray, "leaves"]
-    roots: list[Int[np.ndarray, "_"]]
-    levels: list[BoxLevel]
+    is_reopened: Bool[np.ndarray, "leaves"]  # whether old leaves are searched again
+    roots: list[Int[np.ndarray, "_"]]  # nodes of the old tree that are replaced by boxes, which the search halves
+    levels: list[BoxLevel]  # the first level has the roots, in their order
 
     @staticmethod
     def of(
@@ -201,7 +182,6 @@ class ConeSearch:
         oracle: ChangingFn,
         limits: Limits,
     ) -> "ConeSearch":
-        """Start from the one change of all distances in each leaf (NaN if they may differ) and its new source."""
         tree = leaves.tree
         least, most = np.empty((2, len(tree.child)))
         least[tree.node_of_leaf], most[tree.node_of_leaf] = change, change
@@ -214,7 +194,7 @@ class ConeSearch:
         is_known = (most - least <= changed.rounding) & ((now >= 0) | (node_costs.source < 0))
         now[tree.node_of_leaf] = source
         integral, peak = (np.where(is_known, each, np.inf) for each in (node_costs.integral, node_costs.peak))
-        # Roots: the largest nodes without a leaf that holds.
+        # Roots: the largest nodes without a kept leaf.
         is_root = is_whole.copy()
         for split in tree.splits:
             whole = split[is_whole[split]]
@@ -253,21 +233,16 @@ class ConeSearch:
             first += len(level.key)
         return parts[0].append(*parts[1:]).of_cells(np.argsort(np.concatenate(places)))
 
-    def expand_boxes(self, price: float) -> None:
-        """Compute the boxes that may be leaves at a price per leaf."""
-        expand(self.levels, price, self.peak_share, self.limits, _MARGIN)
-
     def needs_no_refinement(self, price: float) -> bool:
-        """Return whether most leaves are kept and few cost more than the price, so that more leaves would not pay."""
-        cost = (self.nodes.integral + self.peak_share * self.nodes.peak)[self.leaves.tree.node_of_leaf]
+        """Return whether more leaves would not pay: most leaves are kept, and few of these cost over the price."""
+        cost = self.nodes.costs(self.peak_share)[self.leaves.tree.node_of_leaf]
         known = cost[~self.is_reopened & np.isfinite(cost)]
         return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
 
     def reopen_worst_leaves(self, count: int, price: float) -> None:
         """Mark the kept leaves of the highest costs above the price, at most ``count``, to be searched again."""
-        tree = self.leaves.tree
-        integral = self.nodes.integral
-        cost = (integral + self.peak_share * self.nodes.peak)[tree.node_of_leaf]
+        tree, integral = self.leaves.tree, self.nodes.integral
+        cost = self.nodes.costs(self.peak_share)[tree.node_of_leaf]
         cost[self.is_reopened | np.isinf(cost)] = 0.0
         leaf = np.argsort(-cost, kind="stable")[:count]
         leaf = np.sort(leaf[cost[leaf] > price])
@@ -284,7 +259,7 @@ class ConeSearch:
 
     def best(self, price: float) -> FoundTree:
         tree, (num, first) = self.leaves.tree, (len(self.leaves.tree.child), len(self.leaves.tree.child))
-        cost = self.nodes.integral + self.peak_share * self.nodes.peak + price
+        cost = self.nodes.costs(self.peak_share) + price
         total = np.where(np.isfinite(cost), cost, 0.0)
         axes, children = [np.where(tree.child >= 0, tree.axis, -1)], [np.stack([tree.child, tree.child + 1], axis=1)]
         for split in tree.splits[::-1]:
@@ -299,22 +274,18 @@ class ConeSearch:
         axis, child = np.concatenate(axes), np.concatenate(children)
         place, roots = np.arange(len(axis)), np.concatenate(self.roots)
         place[roots] = num + np.arange(len(roots))
-        walked, nodes, paths = [], [place[:1]], [np.zeros(1, np.int64)]
+        walked, nodes = [], [place[:1]]
         while len(here := nodes[-1]):
-            inner = axis[here] >= 0
-            bit = 1 << (MAX_DEPTH - len(walked))
             walked.append(axis[here])
-            nodes.append(place[child[here[inner]]].ravel())
-            paths.append((paths[-1][inner, None] + np.array([0, bit])).ravel())
-        node, path = np.concatenate(nodes), np.concatenate(paths)
-        leaf = np.flatnonzero(axis[node] < 0)
-        leaf = node[leaf[np.argsort(path[leaf])]]
-        num_bytes = self.files.num_bytes(self.source(leaf), self.limits)
-        share = max(num_bytes / self.limits.max_bytes, len(leaf) / self.limits.max_leaves)
-        return FoundTree(price, walked, node, leaf, num_bytes, share)
+            nodes.append(place[child[here[axis[here] >= 0]]].ravel())
+        node = np.concatenate(nodes)
+        leaf = node[axis[node] < 0][leaf_order(walked)]
+        of_bytes = self.files.num_bytes(self.source(leaf), self.limits) / self.limits.max_bytes
+        share = max(of_bytes, len(leaf) / self.limits.max_leaves)
+        return FoundTree(price, walked, node, leaf, share)
 
     def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
-        """Return each leaf's source (a corner or the goal); new leaves get a source that they see, where possible."""
+        """Return each leaf's source (a corner or the goal); new leaves get one that they see, where possible."""
         first = np.cumsum([len(self.leaves.tree.child), *(len(level.key) for level in self.levels)])
         place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
         leaf = found.leaves[place]
@@ -343,7 +314,7 @@ class ConeSearch:
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
-    """Return the largest tree found within the limits; None if there is none, or if it should rather be rebuilt."""
+    """Return the largest tree found within the limits; None if all leaves should rather be rebuilt."""
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
@@ -353,7 +324,7 @@ def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
     if share < _LEFT and not is_full:  # use the room that earlier changes left
         price *= (share / _AIM) ** _RATE
         search.reopen_worst_leaves(min(int((1 - share) * num_leaves), _MOST_SOUGHT), price)
-    search.expand_boxes(price)
+    expand(search.levels, price, search.peak_share, search.limits, _MARGIN)
     now, fits, beyond = search.best(price), None, None
     for attempt in range(1, _ATTEMPTS + 1):
         if now.share > 1:
@@ -363,13 +334,9 @@ def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
             if beyond is None or now.share > _FULL:
                 break
         if fits is not None and beyond is not None:
-            price = _price_between(fits, beyond)
+            between = np.log(_AIM / fits.share) / np.log(beyond.share / fits.share)
+            price = fits.price * (beyond.price / fits.price) ** float(np.clip(between, 0.05, 0.95))
         elif len(now.leaves) > 1:
             price *= (now.share / _AIM) ** (_RATE * attempt)
         now = search.best(price)
     return None if fits is None or (fits.share < _FAR and not is_full) else fits
-
-
-def _price_between(fits: FoundTree, beyond: FoundTree) -> float:
-    share = np.log(_AIM / fits.share) / np.log(beyond.share / fits.share)
-    return fits.price * (beyond.price / fits.price) ** float(np.clip(share, 0.05, 0.95))
