@@ -33,7 +33,7 @@ DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2
 
 
 def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Numbers:
-    """Return the length in units of a shortest path between cells some rows and columns apart on an empty grid."""
+    """Return a shortest path's length in units (:data:`STRAIGHT`) across rows and columns of an empty grid."""
     straight = abs(rows - columns)  # pyright: ignore[reportOperatorIssue]
     diagonal = (rows + columns - straight) // 2  # pyright: ignore[reportOperatorIssue]
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal

@@ -168,7 +168,7 @@ class Outline:
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
-        """Mask of the points where a line of sight may end: impassable contacts, and points that do not move back."""
+        """Mask of impassable points where obstacles touch, and of points that walls moved into obstacles keep."""
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:

@@ -20,7 +20,7 @@ _NEEDLE = 100  # distances that the tip of a thick obstacle may move back; queri
 
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
-    """Return the walls that may come close to free space when they move back, because their obstacle is thin."""
+    """Return the walls that may come close to free space when they move into their obstacle, because it is thin."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 

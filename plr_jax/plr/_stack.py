@@ -94,7 +94,7 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]]
 def _pages(
     cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[_PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, "entries"]]:
-    """Yield the entries of a trie for one partition, level by level; those of level 2 start at ``next_start``."""
+    """Yield the entries of a trie (a lookup table) of one PLR by level; those of level 2 start at ``next_start``."""
     page = np.zeros(1, np.int64)  # numbers of the cells of the level above that have a page in this level
     for number, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)

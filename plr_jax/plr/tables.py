@@ -105,7 +105,7 @@ class FoldedDomain:
     center: Float[AnyArray, "2 dim"] | PerPointTable  # see :func:`folding_numbers`
     corners: Float[AnyArray, "2 dim"] | PerPointTable  # of the box of folded points
     axes: Float[AnyArray, "dim dim"] | PerPointTable | None  # one per row; None if they are the domain's
-    # Points with a negative coordinate along the first axis are mirrored, along all axes of the tuple.
+    # Each mirror has a pivot and all axes that it reverses: it mirrors points whose pivot coordinate is negative.
     mirrors: tuple[tuple[int, tuple[int, ...]], ...] = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True})
 
