@@ -1,9 +1,8 @@
 """Distances between any two points: of a planar workspace, of a grid's cells, or for any metric.
 
-In the plane (:func:`construct_pairs`), each leaf lists the corners at which paths from it may turn first, found by
-``geometry/cell_sight.py``. The modules: `construct` builds the lists, `stored` defines the file, `query` searches in
-JAX, `portable` in NumPy, `hiding` finds what blocks sight. :class:`PreparedGoals` store the corner distances of goals
-that are queried many times. On grids (:func:`construct_grid_pairs`), distances are exact: see ``GRIDS.md``.
+In the plane (:func:`construct_pairs`), each leaf lists the corners at which shortest paths from it may turn first.
+The modules: `construct` builds the lists, `stored` defines the file, `query` searches in JAX, `portable` in NumPy,
+`hiding` finds what blocks sight. On grids (:func:`construct_grid_pairs`), distances are exact: see ``GRIDS.md``.
 """
 
 import lazy_loader

@@ -1,11 +1,11 @@
-"""Construction of a PairPLR of a planar workspace.
+"""Construction of a PairPLR, the file of distances between any two points of a planar workspace.
 
-1. Round the boundary of free space to a lattice and find the corners that shortest paths may join.
+1. Round the boundary of free space to a lattice, and find the corners that shortest paths may join.
 2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first.
 
-A query tries the corners that its point's leaf lists, and drops those that the point does not see. Only corners that
-see a part of the leaf, but not all of it, can be tried in vain. So the cells with the largest product of free area
-and number of such corners are halved first.
+A query tries the corners that its point's leaf lists, and drops those that the point does not see. It never tries a
+corner in vain that all of the leaf sees. So the cells with the largest product of free area and number of other
+corners are halved first.
 """
 
 from collections.abc import Callable
@@ -42,9 +42,8 @@ _SLACK = 8  # number of workspace tolerances by which visibility may err
 def outline_of(
     boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float, may_squeeze: bool
 ) -> tuple[Outline, Int[np.ndarray, "points"]]:
-    """Return the outline of a boundary, rounded to a lattice, and the boundary vertex at each outline point."""
-    # 1. Find the next edge of each edge's ring: the edge whose sector it closes. If paths may squeeze through
-    #    contacts, it is the next edge around the same obstacle instead.
+    """Round the boundary of free space to a lattice; also return the boundary vertex at each point of the outline."""
+    # 1. Find the next edge around free space or, if paths may squeeze through contacts, around the same obstacle.
     edges = boundary.edges
     leaving = {
         (int(at), int(end)): i for i, (at, end) in enumerate(zip(edges[:, 0], boundary.sector_end, strict=True))
@@ -82,11 +81,7 @@ def outline_of(
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
-    """Return a lattice step that keeps points distinct, and points closer than ``clearance`` to a wall on their side.
-
-    Return the largest power of two or ten that moves no coordinate by more than the tolerance. If there is none,
-    return about ``2**-24`` of the width, or as much less as the clearance needs.
-    """
+    """Return the largest power of two or ten to whose multiples points can be rounded within the tolerance."""
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
     for step in np.sort(steps[(steps <= width) & (steps >= FINEST * width)])[::-1]:
@@ -104,16 +99,12 @@ _IN_VAIN = 0.1  # mean number of listed corners that a point does not see; fewer
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """Cells, and for each the list of the corners at which shortest paths from it may turn first.
-
-    ``cell`` (ascending) and ``corner`` belong to each list entry; ``by_all`` tells whether all of the cell is known
-    to see the corner.
-    """
+    """Cells, and pairs of a cell and a corner at which shortest paths from the cell may turn first."""
 
     cells: Cells
-    cell: Int[np.ndarray, "entries"]
+    cell: Int[np.ndarray, "entries"]  # ascending
     corner: Int[np.ndarray, "entries"]
-    by_all: Bool[np.ndarray, "entries"]
+    by_all: Bool[np.ndarray, "entries"]  # whether all of the cell is known to see the corner
 
     def of_cells(self, rows: Int[np.ndarray, "some"]) -> "Lists":
         first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
@@ -131,25 +122,19 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
-    """A partition during construction, with the corner lists of all nodes of its tree.
-
-    Attributes:
-        key: Priority of halving each node, at most that of its parent, whose index is in ``parent`` (-1 for the
-            root).
-        visible: The free convex pieces of each leaf, in the order of leaves, and the corners that each piece may see.
-    """
+    """A binary tree of cells during construction, with the corner lists of all its nodes."""
 
     lists: Lists
-    key: Float[np.ndarray, "nodes"]
+    key: Float[np.ndarray, "nodes"]  # priority of halving the node, at most that of its parent
     is_leaf: Bool[np.ndarray, "nodes"]
-    parent: Int[np.ndarray, "nodes"]
-    visible: CellSources
+    parent: Int[np.ndarray, "nodes"]  # -1 for the root
+    visible: CellSources  # free convex pieces of each leaf, and the corners that each piece may see
 
     def __len__(self) -> int:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return the lists of the leaves that remain if only nodes with larger keys than this are halved."""
+        """Return the lists of the leaves that remain if only nodes with keys above this one are halved."""
         is_halved = ~self.is_leaf & (self.key > key)
         of_halved = np.append(True, is_halved[self.parent[1:]])
         return self.lists.of_cells(np.flatnonzero(of_halved & ~is_halved))
@@ -158,10 +143,10 @@ class _ListTree:
 def grow_lists(
     root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
-    """Halve cells until that saves queries little or a limit is passed, then undo the least useful halvings.
+    """Halve cells until that saves queries little or a limit is passed; return the lists of the leaves.
 
-    Halvings are undone until the file fits into ``limits.max_bytes`` and has at most ``most_leaves`` leaves; the root
-    always stays. ``num_bytes`` returns the size of the file for given lists. Returns the lists of the leaves.
+    Then undo the least useful halvings until the file, of ``num_bytes(lists)``, fits into ``limits.max_bytes`` and
+    has at most ``most_leaves`` leaves; the root always stays.
     """
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
     enough = _IN_VAIN * areas(root.pieces).sum()
@@ -206,30 +191,20 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
 
 
 def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, "cells"]]:
-    """Return corner lists of cells, and each cell's key: its free area times its number of partly visible corners.
-
-    Keys are 0 for cells that may not be halved. A corner is partly visible if only a part of the cell is known to see
-    it.
-    """
+    """Return the corners where shortest paths from cells may turn first, and the priority of halving each cell."""
     lists = Lists(cells, *corners_of_cells(visible))
     area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
     doubtful = np.bincount(lists.cell, ~lists.by_all, len(cells))
     return lists, np.where((cells.depth < limits.max_axis_depth).all(axis=1), area * doubtful, 0.0)
 
 
-def corners_seen(
-    visibility: CornerVisibility,
-    triangulation: Triangulation,
-    lo: Float[np.ndarray, "cells 2"],
-    hi: Float[np.ndarray, "cells 2"],
-) -> CellSources:
-    """Return the convex free pieces of boxes, and the corners where shortest paths from each piece may turn first."""
+def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, domain: Box) -> CellSources:
+    """Return the convex pieces of free space, and the corners where shortest paths from each may turn first."""
     lists = turns_by_triangle(visibility, triangulation)
-    return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, lo, hi)
+    return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, domain.lo[None], domain.hi[None])
 
 
 def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
-    """Build the file of a workspace's PairPLR; return its decoded contents and its bytes."""
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
@@ -252,7 +227,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     first = np.searchsorted(of_corner[order], np.arange(len(visibility.corners.points) + 1))
 
     def in_file(corners: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return the corners of the file at workspace corners, and the row of each."""
+        """Return the file's corners at workspace corners (two at sharp tips), and the row of the workspace corner."""
         rows, row = take_ragged(first, corners)
         return order[rows], row
 
@@ -289,7 +264,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         return replace(unlisted, tree=tree, leaf=place[by_leaf], listed=listed[by_leaf])
 
     most = min(limits.max_leaves, most_leaves(len(corner)))
-    root = corners_seen(visibility, workspace.triangulation, domain.lo[None], domain.hi[None])
+    root = corners_seen(visibility, workspace.triangulation, domain)
     held = stored(grow_lists(root, domain, limits, most, lambda lists: len(stored(lists).to_bytes())))
     data = held.to_bytes()
     if len(data) > limits.max_bytes:
@@ -301,19 +276,15 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 
 
 def corners_in_outline(
-    outline: Outline, vertex: Int[np.ndarray, "points"], of_vertex: Int[np.ndarray, "vertices"]
+    outline: Outline, vertex: Int[np.ndarray, "points"], corner_of_vertex: Int[np.ndarray, "vertices"]
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
-    """Return the outline points that are corners, ascending, and the workspace corner of each.
-
-    ``vertex`` holds the boundary vertex at each outline point or -1, ``of_vertex`` the corner at each vertex or -1. A
-    sharp tip of a thin obstacle has two outline points.
-    """
-    of_point = np.append(of_vertex, -1)[vertex]
+    """Return the outline points that are at a corner of the workspace, ascending, and the corner at each."""
+    of_point = np.append(corner_of_vertex, -1)[vertex]
     candidates = np.flatnonzero(of_point >= 0)
     candidates = candidates[np.argsort(~outline.is_reflex[candidates], kind="stable")]
     first = candidates[np.unique(of_point[candidates], return_index=True)[1]]
     is_corner = np.zeros(len(vertex) + 1, bool)
     is_corner[first] = True
-    is_corner[first + 1] |= np.append(vertex, -1)[first + 1] == vertex[first]
+    is_corner[first + 1] |= np.append(vertex, -1)[first + 1] == vertex[first]  # sharp tips have two points
     corner = np.flatnonzero(is_corner)
     return corner, of_point[corner]

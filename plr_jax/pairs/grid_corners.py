@@ -1,20 +1,13 @@
-"""Distances between all corners of a grid, by vertex elimination on the graph of corners that see each other.
+"""Distances between all obstacle corners of a grid, by vertex elimination on the graph of visible corners.
 
-1. Eliminate corners one by one, mostly one with the fewest neighbors. Join its neighbors by edges as long as the path
-   through it, unless shorter edges join them.
-2. Compute distances in reverse order. Shortest paths from a corner to corners eliminated later lead through a
-   neighbor that it had when it was eliminated. So its distances are minima over a few known rows of the distance
-   matrix.
+Eliminate corners one by one, and join the neighbors of each by edges as long as the path through it, unless shorter
+edges join them. Then compute distances in reverse order: each is a minimum over a few known rows of the distance
+matrix, those of the corner's neighbors when it was eliminated. ``GRIDS.md`` has the proofs. The corner's *ancestors*
+are itself, the neighbor that is eliminated next (its *parent*), the parent's parent, and so on.
 
-Lengths are whole numbers of units (:data:`STRAIGHT`), so they do not depend on the order of sums. A corner's *parent*
-is the neighbor that is eliminated next; its *ancestors* are the corner itself, its parent, and so on. Every path
-between two corners passes a common ancestor. All distances are kept for up to :data:`MOST_IN_TABLE` corners; for more
-corners, only distances to ancestors, which are few on maps with narrow passages.
-
-References:
-    D. J. Rose, R. E. Tarjan and G. S. Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J. Comput.
-        5(2), 1976. J. Dibbelt, B. Strasser and D. Wagner, "Customizable contraction hierarchies", ACM JEA 21, 2016.
-        D. Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD 2018.
+References: D. J. Rose, R. E. Tarjan, G. S. Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J.
+Comput. 5(2), 1976. J. Dibbelt, B. Strasser, D. Wagner, "Customizable contraction hierarchies", ACM JEA 21, 2016. D.
+Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD 2018.
 """
 
 import heapq
@@ -40,16 +33,14 @@ DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2
 
 
 def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Numbers:
-    """Return the length in units of a shortest path between cells some rows and columns apart on an empty grid."""
+    """Return a shortest path's length in units (:data:`STRAIGHT`) across rows and columns of an empty grid."""
     straight = abs(rows - columns)  # pyright: ignore[reportOperatorIssue]
     diagonal = (rows + columns - straight) // 2  # pyright: ignore[reportOperatorIssue]
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
 
 
-FAR = 2**30
-"""Length that stands for no path, in units: no sum of existing distances reaches it."""
-MOST_IN_TABLE = 2**14
-"""Most corners with a full table: 134 MB at 8 bits, four times as much during construction."""
+FAR = 2**30  # length in units that stands for no path: no sum of existing distances reaches it
+MOST_IN_TABLE = 2**14  # most corners with a full table: 134 MB at 8 bits, four times as much during construction
 _MOST_BYTES = 2**30  # size of the largest table
 _TOO_LARGE = (
     "The grid's obstacles have too many corners for tables of 2**30 bytes, or for minutes of work: cut the map, or "
@@ -59,20 +50,17 @@ _TOO_LONG = f"Paths of the grid are too long: distances of pairs go up to {FAR} 
 _DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 _AT_ONCE = 2**22  # cells listed in one step
 
+Grid = Bool[np.ndarray, "rows columns"]
 _Cells = Int[np.ndarray, "pairs"]
 
 
-def corner_cells(free: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
-    """Return which cells are corners: free, with a blocked diagonal neighbor and two free cells between them."""
+def corner_cells(free: Grid) -> Grid:
+    """Return the mask of corners: free cells diagonal to a blocked cell, with both cells between these free."""
     return np.logical_or.reduce(_blocked_diagonals(free))
 
 
-def corners_in_sight(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> tuple[_Cells, _Cells]:
-    """Return the pairs of corners that see each other with no corner in between: lower numbers, then higher numbers.
-
-    Two cells see each other if obstacles block no shortest path of an empty grid between them. Corners are numbered
-    in row-major order.
-    """
+def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
+    """Return the pairs of corners (lower numbers, higher numbers) that see each other with no corner in between."""
     places = np.flatnonzero(corner_cells(free))
     number = np.full(free.size, -1, np.int32)
     number[places] = np.arange(len(places))
@@ -88,20 +76,16 @@ def corners_in_sight(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
 
 
 def taut_corners(
-    free: Bool[np.ndarray, "rows columns"], connectivity: int
+    free: Grid, connectivity: int
 ) -> tuple[Int[np.ndarray, "cells_plus_one"], Int32[np.ndarray, "pairs"]]:
-    """Return the corners that each cell sees and is taut at, with no such corner in between.
-
-    A cell is taut at a corner if a shortest path from it can bend there around a blocked cell. Returned are the index
-    of each cell's first corner, then the corners, both in row-major order. ``ValueError`` if they exceed 2**30.
-    """
+    """Return the corners where a shortest path from each cell may first bend around a blocked cell, in CSR form."""
     from scipy.sparse import csr_array
 
     # 1. Collect runs of cells that are taut at a corner: corner, first cell, step, number of cells.
     found = [np.zeros((4, 0), np.int64)]
     for sector in _sectors(free, connectivity):
-        # Cells past a corner are taut at it if they are further ahead and a blocked diagonal is ahead, or further
-        # aside and one is aside. A diagonal step goes ahead as well.
+        # Paths from cells past a corner can bend at it ("taut") if the cells are further ahead and a blocked diagonal
+        # is ahead, or further aside and one is aside. A diagonal step goes ahead as well.
         blocked = sector.blocked
         at = {along: cells[sector.row, sector.column] for along, cells in blocked.items()}
         ahead, aside = blocked[1, 1] | blocked[-1, 1], blocked[1, 1] | blocked[1, -1]
@@ -135,27 +119,23 @@ def taut_corners(
     return table.indptr, table.indices
 
 
+# Blocked diagonals around which paths from cells straight ahead, straight aside, and both ahead and aside can bend.
 _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
-"""Blocked diagonals at which cells straight ahead, straight aside, and both ahead and aside are taut."""
 
 
 @dataclass(frozen=True)
 class _Sector:
-    """A grid flipped or transposed so that one quadrant or octant of every corner extends to higher rows and columns.
+    """A view of a grid, flipped or transposed such that one quadrant or octant extends to higher indices."""
 
-    ``origin`` and the steps map rows and columns of this view to cell numbers of the grid. Two sectors share the
-    cells straight ahead, and straight aside; ``keeps_ahead`` and ``keeps_aside`` tell which sector owns them.
-    """
-
-    free: Bool[np.ndarray, "rows columns"]
-    blocked: dict[tuple[int, int], Bool[np.ndarray, "rows columns"]]
+    free: Grid
+    blocked: dict[tuple[int, int], Grid]
     row: Int[np.ndarray, "corners"]
     column: Int[np.ndarray, "corners"]
-    origin: int
+    origin: int  # number in the grid of the view's first cell
     row_step: int
     column_step: int
-    slanted: bool
-    keeps_ahead: bool
+    slanted: bool  # whether the sector is an octant
+    keeps_ahead: bool  # whether this one of two adjacent sectors owns the cells straight ahead of a corner
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
@@ -163,7 +143,7 @@ class _Sector:
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
 
-def _sectors(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Iterator[_Sector]:
+def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
     corners = np.nonzero(corner_cells(free))
     slanted = connectivity == 8
     for transposed, flipped, mirrored in product((False, True)[: 1 + slanted], (False, True), (False, True)):
@@ -189,12 +169,10 @@ def _sectors(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Itera
         )
 
 
-def _scan(
-    sector: _Sector, ends_row: Bool[np.ndarray, "rows columns"], ends_later: Bool[np.ndarray, "rows columns"]
-) -> Iterator[tuple[_Cells, _Cells, int]]:
-    """Yield, row by row, the corners that still see cells in it, their numbers of visible cells, and the steps aside.
+def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_Cells, _Cells, int]]:
+    """Yield, for each row of the sector, the corners that still see cells in it, how many cells, and the row.
 
-    A row ends with the first cell in ``ends_row``. Later rows end one step after it, and before a cell in
+    A row ends with its first cell in ``ends_row``. Later rows end one step after it, and before a cell in
     ``ends_later``.
     """
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
@@ -217,7 +195,7 @@ def _scan(
         column = column[seeing] + int(sector.slanted)
 
 
-def _steps_to(wanted: Bool[np.ndarray, "rows columns"]) -> Int32[np.ndarray, "rows columns_plus_one"]:
+def _steps_to(wanted: Grid) -> Int32[np.ndarray, "rows columns_plus_one"]:
     """Return the steps along the row from each cell, and each row's end, to the first wanted cell or the border."""
     rows, columns = wanted.shape
     place = np.full((rows, columns + 1), columns, np.int32)
@@ -225,12 +203,12 @@ def _steps_to(wanted: Bool[np.ndarray, "rows columns"]) -> Int32[np.ndarray, "ro
     return np.minimum.accumulate(place[:, ::-1], axis=1)[:, ::-1] - np.arange(columns + 1, dtype=np.int32)
 
 
-def _blocked_diagonals(free: Bool[np.ndarray, "rows columns"]) -> Shaped[np.ndarray, "4 rows columns"]:
-    """Return, for each diagonal direction, which free cells have a blocked neighbor there to bend paths around."""
+def _blocked_diagonals(free: Grid) -> Shaped[np.ndarray, "4 rows columns"]:
+    """Return, for each diagonal direction, the free cells where a path can bend around the blocked neighbor there."""
     rows, columns = free.shape
     around = np.pad(free, 1)
 
-    def beside(k: int, m: int) -> Bool[np.ndarray, "rows columns"]:
+    def beside(k: int, m: int) -> Grid:
         return around[1 + k : 1 + k + rows, 1 + m : 1 + m + columns]
 
     return np.stack([free & beside(k, 0) & beside(0, m) & ~beside(k, m) for k, m in _DIAGONALS])
@@ -243,7 +221,6 @@ _ANCESTOR_BYTES = 8
 
 
 def looked_up(table: Any, index: Any) -> Any:
-    """Return entries of a table, in NumPy if the index is a NumPy array."""
     if isinstance(index, np.ndarray):
         return np.asarray(table)[index]
     return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
@@ -252,21 +229,13 @@ def looked_up(table: Any, index: Any) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerTable:
-    """Distances between corners, stored as distances between a few chosen corners (centers) plus small differences.
+    """Distances between all corners in units, as distances between a few (centers) plus small differences."""
 
-    Attributes:
-        center: Index of each corner's center, which is near it.
-        between_centers: Distances between centers in units (:data:`STRAIGHT`), at least :data:`FAR` without a path.
-        differences: Distance of two corners minus that of their centers, for each corner and all up to it, row by
-            row.
-    """
-
-    center: Integer[Array, "corners"]
+    center: Integer[Array, "corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
-    differences: Integer[Array, "triangle"]
+    differences: Integer[Array, "triangle"]  # for each corner and all up to it, row by row
 
     def between(self, a: Any, b: Any) -> Any:
-        """Return distances between corners in units, at least :data:`FAR` without a path."""
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         high, low = xp.maximum(a, b), xp.minimum(a, b)
         center, other = (looked_up(self.center, corner).astype(np.int32) for corner in (a, b))
@@ -277,17 +246,14 @@ class CornerTable:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerLabels:
-    """Distances in units from each corner to its ancestors in the elimination order, the corner itself last.
+    """Distances in units from each corner to its ancestors in the elimination order, the corner itself last."""
 
-    ``first`` is the index of each corner's first entry in ``ancestor`` and ``length``, the distance to that ancestor.
-    """
-
-    first: Int32[Array, "corners_plus_one"]
+    first: Int32[Array, "corners_plus_one"]  # index of each corner's first entry
     ancestor: Int32[Array, "ancestors"]
     length: Int32[Array, "ancestors"]
 
     def between(self, a: Any, b: Any) -> Any:
-        """Return distances between corners in units: the smallest sum of their distances to a common ancestor."""
+        """Return distances in units: the least sum of both corners' distances to a common ancestor."""
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         common = xp.minimum(*(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b)))
@@ -316,7 +282,7 @@ class CornerLabels:
 _Edges = list[dict[int, int]]
 
 
-def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> CornerTable | CornerLabels:
+def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabels:
     """Return distances between all corners of a grid, in row-major order; ``ValueError`` if there are too many."""
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds the legs
     if most < 0:
@@ -367,11 +333,7 @@ def corner_distances(free: Bool[np.ndarray, "rows columns"], connectivity: int) 
 
 
 def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
-    """Eliminate all corners; return their order, and each corner's neighbors (with distances) at its elimination.
-
-    The next corner has the smallest sum of its number of neighbors and its level, the length of the longest chain of
-    eliminated corners below it. So chains of ancestors stay short.
-    """
+    """Eliminate all corners; return their order, and each corner's neighbors (with distances) at its elimination."""
     level = [0] * len(edges)
     heap = [(len(nearby), 0, corner) for corner, nearby in enumerate(edges)]
     heapq.heapify(heap)

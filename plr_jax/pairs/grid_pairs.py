@@ -1,19 +1,13 @@
 r"""Distances between all pairs of cells of a grid: queries, the file, and C code.
 
-The file holds only the grid; everything else follows from it. All numbers are little-endian:
+The file holds only the grid, as everything else follows from it. Numbers are little-endian:
 
-    4s      magic, b"PGP\n"
-    u8      version: 1
-    u8      connectivity, 4 or 8
-    u32     number of rows
-    u32     number of columns
-    u32     size of the whole file in bytes
-    ...     bit stream, see ``plr/coding.py``: the set of cells that differ from the cell above, in row-major order;
-            above the first row all are blocked
-    u32     CRC-32 of all previous bytes
+    4s, 2 u8   magic, b"PGP\n"; version, 1; connectivity, 4 or 8
+    3 u32      number of rows; number of columns; size of the whole file in bytes
+    ...        bit stream (``plr/coding.py``): the set of cells that differ from the cell above, row by row
+    u32        CRC-32 of all previous bytes
 
-C99 code is a header, with constants of the grid, that makes the queries of ``grid_query.py`` in integers. It reads a
-file of tables, one after another, each aligned to 64 bytes.
+Cells above the first row count as blocked. :meth:`GridPairs.c_header` has a file of tables of its own.
 """
 
 import re
@@ -47,9 +41,7 @@ from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import GRID_MAGIC
 from plr_jax.plr.portable.writers import require_identifier
 
-MOST_CELLS = 2**22
-"""Largest number of cells of a grid."""
-
+MOST_CELLS = 2**22  # of a grid
 _VERSION, _HEADER, _CRC = 1, struct.Struct("<4sBBIII"), struct.Struct("<I")
 _ALIGNED = 64  # bytes to which tables of the C file are aligned
 _TEMPLATE = Path(__file__).with_name("grid_pairs.h")
@@ -98,29 +90,22 @@ class GridHeader:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class DistanceToCell:
-    """Distance to one cell of a grid, a `DistanceFn` made by :meth:`GridPairs.to`.
-
-    ``goal`` is the row and column of the cell. ``from_goal`` holds, for each corner of obstacles, the length in units
-    of the shortest path to it by way of a corner that the goal's cell lists.
-    """
+    """The distance to one cell of a grid as a function of points, made by :meth:`GridPairs.to`."""
 
     tables: GridTables
-    goal: Int[Array, "2"]
-    from_goal: Int32[Array, "corners"]
+    goal: Int[Array, "2"]  # row and column of the cell
+    from_goal: Int32[Array, "corners"]  # lengths of shortest paths to the corners of obstacles, in units
 
     @property
     def dim(self) -> int:
-        """Number of coordinates of a point."""
         return 2
 
     @property
     def domain(self) -> Box:
-        """The box of all cells."""
         return Box((0, 0), self.tables.shape[::-1])
 
     @property
     def is_lower_bound(self) -> bool:
-        """True: the answer never exceeds the distance on the grid."""
         return True
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
@@ -188,9 +173,9 @@ class GridPairs:
             radius: Cells on each side of an agent, an integer of at least 0, else ``ValueError``.
 
         Returns:
-            Distances, rounded down, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. A cell has
-                -1 if no path leads from it to the goal, if it is blocked or outside the grid, and if the agent or the
-                goal is outside the grid or the goal is blocked.
+            Distances, rounded down, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. They are -1
+                where no path leads to the goal, as from blocked cells and from outside the grid, and in all cells if
+                the agent or the goal is outside.
         """
         require_integer("radius", radius, 0)
         goals, positions = _as_points("goals", goals), _as_points("positions", positions)
@@ -263,12 +248,10 @@ class GridPairs:
             table += data.tobytes()
         table += zlib.crc32(table).to_bytes(4, "little")
         # 2. Write the text: sections of the template, with marks replaced by constants of the grid.
-        sections = dict(
-            re.findall(r"^@@ ([\w ]+)\n(.*?)(?=^@@|\Z)", _TEMPLATE.read_text(encoding="utf-8"), re.M | re.S)
-        )
-        first = np.asarray(tables.group_block)[np.arange(len(tables.cell_block)) // GROUP] + np.asarray(
-            tables.cell_block
-        )
+        template = _TEMPLATE.read_text(encoding="utf-8")
+        sections = dict(re.findall(r"^@@ ([\w ]+)\n(.*?)(?=^@@|\Z)", template, re.M | re.S))
+        group_block, cell_block = np.asarray(tables.group_block), np.asarray(tables.cell_block)
+        first = group_block[np.arange(len(cell_block)) // GROUP] + cell_block
         rows, columns = tables.shape
         marks = {
             "SIGHT": sections[f"sight {tables.connectivity}"],

@@ -1,9 +1,9 @@
 """Distances between pairs of grid cells in JAX.
 
-Two cells that see each other are as far apart as on an empty grid. Between other cells, a shortest path leads through
-a corner stored for each: the distance is the least sum of two legs (from the cells to their corners, as on an empty
-grid) and the distance of the corners. Cells have up to dozens of corners, in blocks of four. A known path rules out
-most pairs of them, as no path through a corner is shorter than on an empty grid:
+Two cells that see each other are as far apart as on an empty grid. Between other cells, a shortest path leads from
+each cell, as on an empty grid, to one of the obstacle corners that are stored for it. Cells have up to dozens of
+corners, in blocks of four. A known path rules out most pairs of them, as no path through a corner is shorter than on
+an empty grid:
 
 1. Sort pairs of cells by their numbers of blocks. Find the path through the corners that suit an empty grid best.
 2. Mark the blocks with corners that may give a shorter path.
@@ -26,6 +26,7 @@ from plr_jax.pairs.grid_corners import (
     STRAIGHT,
     CornerLabels,
     CornerTable,
+    Grid,
     corner_cells,
     corner_distances,
     looked_up,
@@ -35,41 +36,37 @@ from plr_jax.pairs.grid_corners import (
 
 _WAYS, _IN_ROWS = 3, 2  # tables for each orientation of a grid, and the index of the table of row sums
 
-Cells = Int[Array, "n 2"] | Int[np.ndarray, "n 2"]
-"""Row and column of each of some cells of the grid. Functions of cells answer NumPy arrays in NumPy."""
+Cells = Int[Array, "n 2"] | Int[np.ndarray, "n 2"]  # rows and columns; functions of cells answer NumPy in NumPy
 Ints = Int[Array, "*n"] | Int[np.ndarray, "*n"]
 Flags = Bool[Array, "n"] | Bool[np.ndarray, "n"]
+_Lengths = Int32[Array, "n"]
+_Blocks = UInt32[Array, "n"]
+_Scalar = Int[Array, ""]
+_Corners = Int32[Array, "n 4"]  # a block of corners of each cell, or their distances
+_Sums = Int[np.ndarray, "rows_plus_one columns_plus_one"]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class IllegalSteps:
-    """Prefix sums that tell which cells see each other (:func:`sees`), and which cells are free.
+    """Prefix sums that tell which cells see each other (:func:`sees`), and which cells are free."""
 
-    Attributes:
-        sums: Flattened tables with a row and a column of zeros in front. For a 4-connected grid, one table counts the
-            blocked cells above and before each cell. For an 8-connected grid, two tables count illegal diagonal
-            steps, of the grid and of its mirror image, and one counts blocked cells before each cell in its row; the
-            same three follow for the transposed grid. Only cells and steps beside a free cell count.
-        free: One bit for each cell in row-major order, lowest bit of a word first.
-    """
-
-    sums: Integer[Array, "sums"]
-    free: UInt32[Array, "words"]
+    sums: Integer[Array, "sums"]  # flattened tables, each with a row and a column of zeros in front
+    free: UInt32[Array, "words"]  # one bit for each cell in row-major order, lowest bit of a word first
     shape: tuple[int, int] = field(metadata={"static": True})
     connectivity: int = field(metadata={"static": True})
 
 
-def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> IllegalSteps:
+def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
 
-    def sums_along_rows(marks: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
+    def sums_along_rows(marks: Grid) -> _Sums:
         return np.pad(marks.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=1)
 
-    def is_beside_free(grid: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
+    def is_beside_free(grid: Grid) -> Grid:
         around = np.pad(grid, ((0, 0), (1, 1)))
         return around[:, :-2] | around[:, 2:]
 
-    def slanted_sums(grid: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "rows_plus_one columns_plus_one"]:
+    def slanted_sums(grid: Grid) -> _Sums:
         """Count the illegal diagonal steps that end in a cell's row or above, at no greater ``column - row``."""
         cells = np.stack([grid[1:, 1:], grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:]])
         sums = sums_along_rows(np.pad(cells.any(axis=0) & ~cells.all(axis=0), ((1, 0), (1, 0))))
@@ -77,11 +74,12 @@ def sight_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> Illeg
             sums[row, 1:] += sums[row - 1, :-1]
         return sums
 
-    if connectivity == 4:
+    # Only cells and steps beside a free cell count.
+    if connectivity == 4:  # one table: the blocked cells above and before each cell
         tables = [sums_along_rows(~free & (is_beside_free(free) | is_beside_free(free.T).T)).cumsum(axis=0)]
     else:
         tables = []
-        for grid in (free, free.T):
+        for grid in (free, free.T):  # illegal steps of the grid and of its mirror image, blocked cells in rows
             in_rows = sums_along_rows(~grid & is_beside_free(grid))
             tables += [slanted_sums(grid), slanted_sums(grid[:, ::-1]), in_rows]
     flat = np.concatenate([table.ravel() for table in tables])
@@ -120,11 +118,8 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     row, last_row = xp.minimum(row, other_row), xp.maximum(row, other_row)
     column, last_column = xp.minimum(column, other_column), xp.maximum(column, other_column)
 
-    table = (
-        (rows + 1)
-        * (columns + 1)
-        * (_WAYS * transposed.astype(p.dtype) + xp.where(straight, _IN_ROWS, mirrored.astype(p.dtype)))
-    )
+    number = _WAYS * transposed.astype(p.dtype) + xp.where(straight, _IN_ROWS, mirrored.astype(p.dtype))
+    table = (rows + 1) * (columns + 1) * number
     first, last = (table + (end + 1) * (width + 1) for end in (row, last_row))
     aside = last_row - row
     until_first = xp.where(straight, 0, between(first, column, last_column - aside))
@@ -135,44 +130,33 @@ def _narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
 
-BLOCK = 4
-"""Corners of a cell read in one step."""
-
-GROUP = 16
-"""Cells whose block offsets share a base."""
+BLOCK = 4  # corners of a cell that are read in one step
+GROUP = 16  # cells whose block offsets share a base
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridTables:
-    """The tables of a query: a grid, the corners (``row``, ``column``) that each cell lists, and their distances.
-
-    Attributes:
-        group_block: Index of the first block of corners of each group of 16 cells, in row-major order.
-        cell_block: Offset of the first block of each cell from that of its group, and one more at the end.
-        blocks: Numbers of the corners that a cell lists, four a block; its last corner fills up its last block.
-    """
+    """The tables of a query: a grid, the obstacle corners stored for each of its cells, and their distances."""
 
     sight: IllegalSteps
-    group_block: Int32[Array, "groups"]
-    cell_block: Integer[Array, "cells_plus_one"]
-    blocks: Integer[Array, "blocks 4"]
+    group_block: Int32[Array, "groups"]  # first block of corners of each group of 16 cells, in row-major order
+    cell_block: Integer[Array, "cells_plus_one"]  # first block of each cell, relative to that of its group
+    blocks: Integer[Array, "blocks 4"]  # corners of cells; a cell's last corner fills up its last block
     row: Int32[Array, "corners"]
     column: Int32[Array, "corners"]
     distances: CornerTable | CornerLabels
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the grid."""
         return self.sight.shape
 
     @property
     def connectivity(self) -> int:
-        """4 or 8."""
         return self.sight.connectivity
 
 
-def tables_of(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> GridTables:
+def tables_of(free: Grid, connectivity: int) -> GridTables:
     first, corners = taut_corners(free, connectivity)
     # Pack the corners of each cell into blocks.
     counts = np.diff(first)
@@ -210,8 +194,8 @@ _MOST_TOLD = 2**7 - 1  # larger numbers of blocks count as this in sorting
 _WORD = 32  # bits of a word
 _ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
 
+# Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step.
 SLACK = 2.0**-20
-"""Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step."""
 
 
 @jax.jit
@@ -227,10 +211,7 @@ def evaluate_pairs(
 def evaluate_few(
     tables: GridTables, x: Num[np.ndarray, "*batch 2"], y: Num[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch"] | None:
-    """Return the same as :func:`evaluate_pairs`, bit for bit, in NumPy; None if a compiled function is as fast.
-
-    Between cells that do not see each other, all pairs of their corners are tried.
-    """
+    """Return the same as :func:`evaluate_pairs`, bit for bit, in NumPy; None if a compiled function is as fast."""
     (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     if len(p) > _MOST_FEW:
         return None
@@ -243,13 +224,11 @@ def evaluate_few(
     lengths[hidden] = FAR
     pair, number = ragged_indices(combinations)
     blocks = number // counts[1][pair], number % counts[1][pair]
-    (corners, legs), (others, other_legs) = (
-        (
-            each := looked_up(tables.blocks, begin[pair] + block).astype(np.int32),
-            _legs(tables, cells[hidden[pair]], each),
-        )
-        for cells, begin, block in zip((p, q), first, blocks, strict=True)
+    corners, others = (
+        looked_up(tables.blocks, begin[pair] + block).astype(np.int32)
+        for begin, block in zip(first, blocks, strict=True)
     )
+    legs, other_legs = _legs(tables, p[hidden[pair]], corners), _legs(tables, q[hidden[pair]], others)
     between = tables.distances.between(corners[:, :, None], others[:, None])
     np.minimum.at(lengths, hidden[pair], (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2)))
     return _in_steps(tables.connectivity, lengths, p_inside & q_inside).reshape(x.shape[:-1])
@@ -259,16 +238,13 @@ def evaluate_few(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return lengths in steps of shortest paths from points' cells to the ``goal`` (row, column).
-
-    They are ``inf`` without a path or outside the grid. ``from_goal`` is the result of :func:`corners_from`.
-    """
+    """Return path lengths in steps from points' cells to a cell, given its :func:`corners_from`."""
     p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
     chunks = jnp.pad(p, ((0, -len(p) % size), (0, 0))).reshape(-1, size, 2)
 
-    def to_goal(corners: Int32[Array, "n 4"]) -> Int32[Array, "n 4"]:
+    def to_goal(corners: _Corners) -> _Corners:
         return looked_up(from_goal, corners)
 
     around = lax.map(lambda cells: _least_around(tables, cells, to_goal, cells.shape[:1]), chunks)
@@ -279,7 +255,7 @@ def evaluate_to(
 
 @jax.jit
 def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "corners"]:
-    """Return lengths in units of shortest paths from a cell to each corner by way of a corner that the cell lists."""
+    """Return path lengths in units from a cell to each obstacle corner, through a corner stored for the cell."""
     every = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(every), 2))
     return _least_around(
@@ -295,14 +271,14 @@ def cells_of(shape: tuple[int, int], x: Any) -> tuple[Cells, Flags]:
     return xp.where(inside[:, None], place, 0).astype(np.int32), inside
 
 
-def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
+def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     size = min(1 << _SORTED_BITS, max(len(p), 1))
     filled = jnp.pad(jnp.stack([p, q]), ((0, 0), (0, -len(p) % size), (0, 0)))
     pairs = filled.reshape(2, -1, size, 2).swapaxes(0, 1)
     return lax.map(lambda ends: _lengths_at_once(tables, *ends), pairs).reshape(-1)[: len(p)]
 
 
-def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"]:
+def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     seen = sees(tables.sight, p, q)
     first, then = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_TOLD) for cells in (p, q))
     chunks = _sorted_chunks(first * (_MOST_TOLD + 1) + then)
@@ -318,39 +294,30 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> Int32[Array, "n"
     return length.at[chunks].set(lax.map(of_chunk, chunks))
 
 
-def _sorted_chunks(work: Int32[Array, "n"]) -> Int32[Array, "chunks size"]:
+def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
     key = work.astype(jnp.uint32) << _SORTED_BITS | jnp.arange(len(work), dtype=jnp.uint32)
     order = (jnp.sort(key) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
     size = min(_CHUNK, len(work))
     return jnp.pad(order, (0, -len(work) % size), mode="edge").reshape(-1, size)
 
 
-def _most_likely(
-    tables: GridTables, p: Cells, q: Cells, seen: Flags
-) -> tuple[Int32[Array, "n"], UInt32[Array, "n"], UInt32[Array, "n"]]:
-    """Return path lengths, and bits of the corner blocks of both cells that may give shorter paths.
-
-    Lengths are exact for cells that see each other. Else paths lead through the corner of each cell that would be on
-    a shortest path to the other cell on an empty grid.
-    """
+def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
+    """Return the length of a path between cells, and which blocks of their corners may give a shorter one."""
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
     length = jnp.where(seen, open_length(tables.connectivity, *jnp.abs(p - q).T), length)
-    to_beat = jnp.where(
-        (length < FAR) & ~seen, length, 0
-    )  # without a path between these corners there is none between any
+    # Without a path between these corners there is none between any.
+    to_beat = jnp.where((length < FAR) & ~seen, length, 0)
     return length, _better_blocks(tables, p, q, to_beat), _better_blocks(tables, q, p, to_beat)
 
 
-def _nearest_to_both(
-    tables: GridTables, cells: Cells, others: Cells, seen: Flags
-) -> tuple[Int32[Array, "n"], Int32[Array, "n"]]:
-    """Return each cell's corner on the shortest path to the other cell on an empty grid, and its distance."""
+def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flags) -> tuple[_Lengths, _Lengths]:
+    """Return each cell's corner with the least sum of distances to both on an empty grid, and its distance."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(seen, 0, count)
 
-    def with_block(block: Int[Array, ""], best: tuple[Int32[Array, "n"], ...]) -> tuple[Int32[Array, "n"], ...]:
+    def with_block(block: _Scalar, best: tuple[_Lengths, ...]) -> tuple[_Lengths, ...]:
         corners = _corners_of_block(tables, first, count, block)
         ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
         least = ways.min(axis=1)
@@ -363,12 +330,12 @@ def _nearest_to_both(
     return corner, jnp.where(count > 0, _legs(tables, cells, corner[:, None])[:, 0], FAR)
 
 
-def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int32[Array, "n"]) -> UInt32[Array, "n"]:
-    """Return a bit for each of a cell's first 32 blocks: whether a path through its corners may be shorter."""
+def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Blocks:
+    """Return, as bits, which of a cell's first 32 blocks of corners may lead to a path shorter than ``length``."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
-    def with_block(block: Int[Array, ""], bits: UInt32[Array, "n"]) -> UInt32[Array, "n"]:
+    def with_block(block: _Scalar, bits: _Blocks) -> _Blocks:
         corners = _corners_of_block(tables, first, count, block)
         ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
         better = (ways.min(axis=1) < length) & (block < count)
@@ -379,30 +346,28 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: Int3
 
 
 class _Left(NamedTuple):
-    """Cells with a bit for each of their first 32 blocks that is still to try; later blocks are always tried."""
+    """Cells, and which of their first 32 blocks of corners are still to try, as bits; later blocks always are."""
 
     cells: Cells
-    blocks: UInt32[Array, "n"]
+    blocks: _Blocks
 
     def words(self, tables: GridTables) -> Int32[Array, ""]:
         return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
 
-    def word(self, tables: GridTables, number: Int[Array, ""]) -> UInt32[Array, "n"]:
+    def word(self, tables: GridTables, number: _Scalar) -> _Blocks:
         behind = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
         every = jnp.where(behind == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - behind, _WORD - 1))
         return jnp.where(number == 0, self.blocks, every)
 
-    def corners(self, tables: GridTables, number: Int[Array, ""], bits: UInt32[Array, "n"]) -> Int32[Array, "n 4"]:
+    def corners(self, tables: GridTables, number: _Scalar, bits: _Blocks) -> _Corners:
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
         first, _ = _blocks_of(tables, self.cells)
         return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
 
 
-def _least_of_those_left(
-    tables: GridTables, left: _Left, others_left: _Left, length: Int32[Array, "n"]
-) -> Int32[Array, "n"]:
+def _least_of_those_left(tables: GridTables, left: _Left, others_left: _Left, length: _Lengths) -> _Lengths:
 
-    def with_words(words: Int[Array, ""], length: Int32[Array, "n"]) -> Int32[Array, "n"]:
+    def with_words(words: _Scalar, length: _Lengths) -> _Lengths:
         word, other_word = jnp.divmod(words, others_left.words(tables))
         blocks, other_blocks = left.word(tables, word), others_left.word(tables, other_word)
 
@@ -426,7 +391,7 @@ def _least_of_those_left(
     return lax.fori_loop(0, left.words(tables) * others_left.words(tables), with_words, length)
 
 
-_BitsAndLength = tuple[UInt32[Array, "n"], UInt32[Array, "n"], Int32[Array, "n"]]
+_BitsAndLength = tuple[_Blocks, _Blocks, _Lengths]
 
 
 def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:
@@ -435,15 +400,12 @@ def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:
 
 
 def _least_around(
-    tables: GridTables,
-    cells: Cells,
-    onward: Callable[[Int32[Array, "n 4"]], Int32[Array, "n 4"]],
-    shape: tuple[int, ...],
-) -> Int32[Array, "n"]:
-    """Return the least sum of a leg from each cell to a corner that it lists, and the way ``onward`` from there."""
+    tables: GridTables, cells: Cells, onward: Callable[[_Corners], _Corners], shape: tuple[int, ...]
+) -> _Lengths:
+    """Return the least sum of a cell's distance to a corner stored for it and the distance ``onward`` from it."""
     first, count = _blocks_of(tables, cells)
 
-    def with_block(block: Int[Array, ""], least: Int32[Array, "n"]) -> Int32[Array, "n"]:
+    def with_block(block: _Scalar, least: _Lengths) -> _Lengths:
         corners = _corners_of_block(tables, first, count, block)
         return jnp.minimum(least, (_legs(tables, cells, corners) + onward(corners)).min(axis=-1))
 
@@ -460,7 +422,7 @@ def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
     return first, end - first
 
 
-def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: Int[Array, ""]) -> Int32[Array, "n 4"]:
+def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: _Scalar) -> _Corners:
     return looked_up(tables.blocks, first + jnp.minimum(block, jnp.maximum(count - 1, 0))).astype(jnp.int32)
 
 

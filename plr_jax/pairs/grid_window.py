@@ -1,8 +1,7 @@
 """Windows of distances around agents on a grid, in JAX.
 
-1. Ask for the distances of some cells on the rim of each window. Between two rim cells whose distances differ by the
-   number of steps between them, the distances of the other rim cells follow.
-2. Spread the distances of the rim into the window, by sweeps.
+First compute the distances of some cells on the rim of each window; those of the others follow where distances change
+by one step per cell. Then spread them into the window, by sweeps.
 """
 
 from functools import partial
@@ -21,7 +20,10 @@ _AGENTS = 1024  # agents whose squares are computed together
 
 # Agents are the last axis, so that processors vectorize over them.
 Square = Int32[Array, "width width n"]
+_Free = Bool[Array, "width width n"]
 Rim = Int32[Array, "rim n"]
+_RimFlags = Bool[Array, "rim n"]
+_RimCells = Int32[Array, "rim n 2"]
 _Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
 _Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
 
@@ -56,22 +58,14 @@ def distances_around(
 
 
 def _lengths_of_rim(
-    tables: GridTables,
-    cells: Int32[Array, "rim n 2"],
-    free: Bool[Array, "rim n"],
-    goal: Cells,
-    asked_first: Bool[Array, "rim n"],
+    tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, asked_first: _RimFlags
 ) -> Rim:
-    """Return lengths in units to goals from cells on the rims of squares; at least ``FAR`` without a path.
-
-    If the lengths of two rim cells differ by the number of steps between them, the lengths of the cells between
-    follow. Else the cell in the middle is queried.
-    """
+    """Return lengths in units to goals from the border cells of squares; at least ``FAR`` without a path."""
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
-    def nearest_known(lengths: Rim, known: Bool[Array, "rim n"], first: _Known, reverse: bool) -> tuple[Rim, Rim]:
+    def nearest_known(lengths: Rim, known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
 
         def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
             place, length, is_known = cell
@@ -80,7 +74,7 @@ def _lengths_of_rim(
 
         return lax.scan(step, first, (place, lengths, known), reverse=reverse)[1]
 
-    def step(state: tuple[Rim, Bool[Array, "rim n"], Bool[Array, "rim n"]]):
+    def step(state: tuple[Rim, _RimFlags, _RimFlags]):
         lengths, known, wanted = state
         lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
         # Both ends of each run of free cells are known. The rim is a cycle.
@@ -99,13 +93,7 @@ def _lengths_of_rim(
     return lax.while_loop(lambda state: state[2].any(), step, none)[0]
 
 
-def _asked(
-    tables: GridTables,
-    cells: Int32[Array, "rim n 2"],
-    goal: Cells,
-    lengths: Rim,
-    wanted: Bool[Array, "rim n"],
-) -> Rim:
+def _asked(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, wanted: _RimFlags) -> Rim:
     size = min(_RIM_CELLS_AT_ONCE, wanted.size)
     every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
     none = jnp.zeros_like(lengths[0])
@@ -127,14 +115,14 @@ def _asked(
     return lax.fori_loop(0, -(-end[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
 
 
-def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n"]) -> Square:
+def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
     turns = (-1, 1) if connectivity == 8 else ()
 
     def beside(row: Shaped[Array, "width n"], border: int, right: int) -> Shaped[Array, "width n"]:
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
-    def swept(lengths: Square, free: Bool[Array, "width width n"], turns: tuple[int, ...], reverse: bool) -> Square:
+    def swept(lengths: Square, free: _Free, turns: tuple[int, ...], reverse: bool) -> Square:
 
         def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
             (last_row, last_free), (row, is_free) = last, here
@@ -148,7 +136,7 @@ def _spread(connectivity: int, lengths: Square, free: Bool[Array, "width width n
         border = jnp.full_like(lengths[0], FAR), jnp.zeros_like(free[0])
         return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
 
-    def spread(part: tuple[Square, Bool[Array, "width width n"]]) -> Square:
+    def spread(part: tuple[Square, _Free]) -> Square:
         lengths, free = part
 
         def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:

@@ -1,12 +1,11 @@
-"""Fast tests of what hides points from one another: walls near a listed corner, and occluders.
+"""Fast tests of whether obstacles hide points from each other: walls near a listed corner, and occluders.
 
-Near walls: a wall can hide a corner from a point of a leaf only if it is between the two. Such walls are few, as most
-corners that a leaf lists are visible from all of it. They are found for runs of neighbor leaves first, then for ever
-shorter runs: a wall that is not between a large box and a corner is not between a part of the box and the corner.
+Near walls: only few walls can hide a corner from the leaf that lists it, as it is visible from most of the leaf. They
+are found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a large box and a
+corner is not between a part of the box and the corner.
 
-Occluders: long chords of obstacles. A segment that crosses a chord is blocked. Greedily choose the chords that block
-most of some random segments, as long as each saves more time than its test takes; a few dozen replace most wall
-tests.
+Occluders are long chords of obstacles: a segment that crosses one is blocked. They are chosen greedily to block most
+of some random segments, as long as each saves more time than its test takes. A few dozen replace most wall tests.
 """
 
 from collections.abc import Callable
@@ -38,34 +37,37 @@ _MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords tried for each obst
 _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
 
 State = TypeVar("State")
+_Points = Float[Array, "n 2"]
+_Rows = UInt32[Array, "n"]
+_Flags = Bool[Array, "n"]
+_Pairs = Int[Array, "pairs"]
+Boxes = tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]
+Entries = Int[np.ndarray, "entries"]  # a number for each corner that a leaf lists
+Corners = Float[np.ndarray, "corners 2"]
+Walls = Float[np.ndarray, "walls 4"]
+NearPairs = tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]]  # list entries, and a wall near each
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class NearWalls:
-    """For each corner that a leaf lists, the walls that may hide it from points of the leaf.
+    """For each corner that a leaf of the partition lists, the walls that may hide it from points of this leaf."""
 
-    Attributes:
-        ends: Both ends of the walls, list entry by list entry; one row for each coordinate.
-        first: Index of the first wall of each list entry, plus 2**31 if it has more than 4.
-        most: Largest number of walls of an entry. Queries read this many for every entry: more walls do no harm.
-    """
-
-    ends: Float[Array, "4 walls"]
-    first: UInt32[Array, "leaves longest"]
-    most: int = field(metadata={"static": True})
+    ends: Float[Array, "4 walls"]  # both ends of walls, list entry by list entry
+    first: UInt32[Array, "leaves longest"]  # first wall of each list entry, plus 2**31 if it has more than 4
+    most: int = field(metadata={"static": True})  # walls that queries read for every entry: more do no harm
 
     @staticmethod
     def of(
-        boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
-        leaf: Int[np.ndarray, "entries"],
-        listed: Int[np.ndarray, "entries"],
-        corners: Float[np.ndarray, "corners 2"],
-        walls: Float[np.ndarray, "walls 4"],
+        boxes: Boxes,
+        leaf: Entries,
+        listed: Entries,
+        corners: Corners,
+        walls: Walls,
         margin: float,
         shape: tuple[int, int],
     ) -> "NearWalls | None":
-        """Find the near walls of padded lists (:func:`near_entries`); None if testing all walls is as fast."""
+        """Find the walls that may hide listed corners (:func:`near_entries`); None if testing all is as fast."""
         worth = len(walls) // _COST // _STEP * _STEP
         if (near := near_entries(boxes, leaf, listed, corners, walls, margin, worth)) is None:
             return None
@@ -78,28 +80,20 @@ class NearWalls:
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
-    def hide(
-        self, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"], x: Float[Array, "n 2"], corner: Float[Array, "n 2"]
-    ) -> Bool[Array, "n"]:
-        """Return whether walls hide the corner at a ``place`` of a leaf's list from a point of the leaf."""
+    def hide(self, leaf: _Rows, place: _Rows, x: _Points, corner: _Points) -> _Flags:
+        """Return whether walls hide a corner, number ``place`` in a leaf's list, from a point of that leaf."""
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
         if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW:
             return self._are_crossed(self.most, first, x, corner)
         hidden = self._are_crossed(_SHORT, first, x, corner)
-        return updated(
-            hidden,
-            is_long & ~hidden,
-            size // _SHARE,
-            lambda _, *row: self._are_crossed(self.most, *row),
-            first,
-            x,
-            corner,
-        )
 
-    def _are_crossed(
-        self, most: int, first: UInt32[Array, "n"], x: Float[Array, "n 2"], corner: Float[Array, "n 2"]
-    ) -> Bool[Array, "n"]:
+        def test_all_walls(_: Any, *rows: Any) -> _Flags:
+            return self._are_crossed(self.most, *rows)
+
+        return updated(hidden, is_long & ~hidden, size // _SHARE, test_all_walls, first, x, corner)
+
+    def _are_crossed(self, most: int, first: _Rows, x: _Points, corner: _Points) -> _Flags:
         along = jnp.arange(most, dtype=jnp.uint32)[None]
         ax, ay, bx, by = (row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
         (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
@@ -112,17 +106,9 @@ class NearWalls:
 
 
 def updated(
-    state: State,
-    is_open: Bool[Array, "n"],
-    size: int,
-    update: Callable[..., State],
-    *columns: Any,
-    leaves_rest: bool = False,
+    state: State, is_open: _Flags, size: int, update: Callable[..., State], *columns: Any, leaves_rest: bool = False
 ) -> State:
-    """Replace the open rows of arrays by ``update(state, *columns)``, which takes ``size`` rows at a time.
-
-    With ``leaves_rest``, fewer than ``size`` rows stay as they are if others are replaced.
-    """
+    """Replace the rows of ``state`` that are open by ``update(state, *columns)``, on ``size`` rows at a time."""
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
     words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
     ends = jnp.cumsum(jax.lax.population_count(words))  # number of open rows up to each word
@@ -145,25 +131,18 @@ def updated(
         )
 
     times = (ends[-1] + np.uint32(size - 1)) // np.uint32(size)
-    if leaves_rest:
+    if leaves_rest:  # a last part of fewer rows stays as it is, unless it is the only one
         times = jnp.minimum(times, jnp.maximum(ends[-1] // np.uint32(size), 1))
     return jax.lax.fori_loop(jnp.uint32(0), times, next_rows, state)
 
 
 def near_entries(
-    boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
-    leaf: Int[np.ndarray, "entries"],
-    listed: Int[np.ndarray, "entries"],
-    corners: Float[np.ndarray, "corners 2"],
-    walls: Float[np.ndarray, "walls 4"],
-    margin: float,
-    most: int,
-) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
-    """Find the walls near the convex hull of a leaf's box and a corner that the leaf lists.
+    boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, most: int
+) -> NearPairs | None:
+    """Find the walls within ``margin`` of the convex hull of a leaf's box and a corner that the leaf lists.
 
-    ``leaf`` (ascending) and ``listed`` are the leaf and the corner of each list entry. Walls are near up to a
-    distance of ``margin``; a few other walls are returned too. Returns list entries, ascending, and the wall near
-    each; None if more than ``most`` walls are near an entry, or too many in all.
+    Entry ``i`` is the corner ``listed[i]`` in the list of ``leaf[i]``; leaves ascend. Return entries, ascending, and
+    a wall near each, among them a few that are not as near; None if ``most`` for one entry, or room, is exceeded.
     """
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
@@ -172,11 +151,9 @@ def near_entries(
         entries = np.sort(by_corner[first[block.start] : first[block.stop]])
         number, at = listed[entries] - block.start, corners[listed[entries]]
         near = _near_entries(boxes, leaf[entries], number, at, walls, margin)
-        if (
-            near is None
-            or np.bincount(near[0]).max(initial=0) > most
-            or (count := count + len(near[0])) > _MOST_PAIRS
-        ):
+        if near is None or np.bincount(near[0]).max(initial=0) > most:
+            return None
+        if (count := count + len(near[0])) > _MOST_PAIRS:
             return None
         found.append(np.stack([entries[near[0]].astype(np.int32), near[1]]))
     entry, wall = np.concatenate(found, axis=1)
@@ -185,13 +162,8 @@ def near_entries(
 
 
 def _near_entries(
-    boxes: tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]],
-    leaf: Int[np.ndarray, "entries"],
-    number: Int[np.ndarray, "entries"],
-    corner: Float[np.ndarray, "entries 2"],
-    walls: Float[np.ndarray, "walls 4"],
-    margin: float,
-) -> tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]] | None:
+    boxes: Boxes, leaf: Entries, number: Entries, at: Float[np.ndarray, "entries 2"], walls: Walls, margin: float
+) -> NearPairs | None:
     lo, hi = boxes
     if len(lo) == 1:
         first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)
@@ -201,8 +173,7 @@ def _near_entries(
         of_runs = np.minimum.reduceat(lo, begin), np.maximum.reduceat(hi, begin)
         key = leaf // _RUN * (number.max(initial=0) + 1) + number
         _, which, above = np.unique(key, return_index=True, return_inverse=True)
-        near = _near_entries(of_runs, leaf[which] // _RUN, number[which], corner[which], walls, margin)
-        if near is None:
+        if (near := _near_entries(of_runs, leaf[which] // _RUN, number[which], at[which], walls, margin)) is None:
             return None
         entry, candidates = near
         first = np.searchsorted(entry, np.arange(len(which) + 1))
@@ -214,9 +185,10 @@ def _near_entries(
     for part in parts(tests[some], _AT_ONCE // 2):
         entries = some[part]
         place, row = take_ragged(first, above[entries])
-        hulls = _rows(np.concatenate([lo[leaf[entries]], hi[leaf[entries]], corner[entries]], axis=1))
-        for at in range(0, len(place), _AT_ONCE):
-            wall, of_entry = candidates[place[at : at + _AT_ONCE]], row[at : at + _AT_ONCE]
+        hulls = _rows(np.concatenate([lo[leaf[entries]], hi[leaf[entries]], at[entries]], axis=1))
+        for begin in range(0, len(place), _AT_ONCE):
+            some_tests = slice(begin, begin + _AT_ONCE)
+            wall, of_entry = candidates[place[some_tests]], row[some_tests]
             numbers = (padded(each.astype(np.int32), _AT_ONCE) for each in (of_entry, wall))
             is_near = _are_near(hulls, *numbers, all_walls, margin)
             found.append((entries[of_entry], wall, is_near))  # runs while the next pairs are listed
@@ -231,21 +203,14 @@ def _rows(values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "padded c
 
 @jax.jit
 def _are_near(
-    hulls: Float[Array, "entries 6"],
-    entry: Int[Array, "pairs"],
-    wall: Int[Array, "pairs"],
-    walls: Float[Array, "walls 4"],
-    margin: Float[Array, ""],
+    hulls: Float[Array, "n 6"], entry: _Pairs, wall: _Pairs, walls: Float[Array, "walls 4"], margin: Float[Array, ""]
 ) -> Bool[Array, "pairs"]:
     """Return whether walls are within a margin of the convex hull of a box and a corner, by separating axes."""
     x0, y0, x1, y1, cx, cy = hulls[entry].T
     ax, ay, bx, by = walls[wall].T
-    apart = (jnp.maximum(ax, bx) < jnp.minimum(x0, cx) - margin) | (
-        jnp.minimum(ax, bx) > jnp.maximum(x1, cx) + margin
-    )
-    apart |= (jnp.maximum(ay, by) < jnp.minimum(y0, cy) - margin) | (
-        jnp.minimum(ay, by) > jnp.maximum(y1, cy) + margin
-    )
+    apart = jnp.zeros(len(entry), bool)
+    for a, b, lo, hi, c in ((ax, bx, x0, x1, cx), (ay, by, y0, y1, cy)):
+        apart |= (jnp.maximum(a, b) < jnp.minimum(lo, c) - margin) | (jnp.minimum(a, b) > jnp.maximum(hi, c) + margin)
     # Coordinates are relative to the corner from here on.
     corner = 0 * cx, 0 * cy
     ends = [(x - cx, y - cy) for x in (x0, x1) for y in (y0, y1)]
@@ -260,12 +225,11 @@ def _are_near(
 
 
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
-    """Choose occluders: chords of the obstacles of a domain that block many random segments.
+    """Choose occluders: chords at least ``depth`` inside the obstacles around a region that block many segments.
 
-    They are at least ``depth`` inside the obstacles of ``region``, the free space as a Shapely geometry. A query
-    tests ``num_walls`` walls for each pair of points that no occluder separates. Each row holds both ends of an
-    occluder, relative to the middle of the domain, and the coefficients of a linear function that is 0 on the line
-    through them and 1 where a point is certainly beside this line.
+    A query tests ``num_walls`` walls for each pair of points that no occluder separates. Each row has both ends of an
+    occluder, relative to the middle of the domain, and a linear function: 0 on its line, beyond 1 or -1 where
+    rounding cannot confuse its sides.
     """
     import shapely  # other queries do not need Shapely
 
@@ -310,13 +274,8 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     return np.concatenate([ends.reshape(-1, 4), beside], axis=1)
 
 
-def is_across_occluder(
-    occluders: Float[Array, "groups 16 7"], x: Float[Array, "n 2"], y: Float[Array, "n 2"]
-) -> Bool[Array, "n"]:
-    """Return whether segments between points cross a segment inside an obstacle, even after rounding.
-
-    Points must be clear of this occluder's line, on opposite sides: rounding may confuse the sides of its ends.
-    """
+def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: _Points, y: _Points) -> _Flags:
+    """Return whether segments between points surely cross an occluder, a chord of an obstacle, despite rounding."""
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py
     moment = dx * py - dy * px

@@ -78,19 +78,14 @@ def construct_metric_pairs(
     """Build a PLR of any symmetric distance function of two points in a box, from samples.
 
     The PLR has twice as many dimensions as the box. For distances in a planar workspace use :func:`construct_pairs`,
-    which is exact. If interrupted (Ctrl-C), the result has the partition so far.
+    which is exact. If interrupted (Ctrl-C), the result has the partition so far. ``ValueError`` if the box has more
+    than 3 dimensions, or as for :func:`construct`. Reference: "all-pairs" in Section II of the paper.
 
     Args:
         distance_fn: Distances ``(n,)`` between points ``(n, dim)`` and ``(n, dim)``, symmetric, ``inf`` without a
             path; for example ``VisibilityGraph.between``.
-        domain: The box of both points, a ``Box`` or its two corners, with at most 3 dimensions.
+        domain: The box of both points, a ``Box`` or its two corners.
         **options: Options of :func:`construct`, such as limits, leaf model and seed.
-
-    Raises:
-        ValueError: If the box has more than 3 dimensions, or as for :func:`construct`.
-
-    References:
-        "all-pairs" in Section II of the paper.
     """
     domain = Box.of(domain)
     if domain.dim > 3:

@@ -15,8 +15,7 @@ from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.leaves import ConeFiles, leaf_model
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
-_SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))
-"""Points of a 3 x 3 grid just inside a leaf, in local coordinates."""
+_SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))  # a grid just inside a leaf, in local coordinates
 _HALVINGS = 4  # halvings of a leaf that no corner fits well
 _DEPTH = 13  # halvings that the leaves of a file and further halvings may reach together
 _MAX_AXIS_DEPTH = 13
@@ -30,8 +29,8 @@ CornersFn: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "corners"]]
 def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: CornersFn, goal: ArrayLike) -> PLR:
     """Return the PLR of cones of the distance to a goal; ``to_corners`` gives a goal's distances to all corners.
 
-    A cone is the distance to a source (a corner or the goal) plus the source's distance to the goal. Each leaf of the
-    pairs gets the source whose cone fits it best, and is halved a few times if none fits well.
+    A cone is the distance to its apex, a corner or the goal, plus the distance from there to the goal. Each leaf of
+    the pairs gets the cone that fits it best, and is halved a few times if none fits well.
     """
     domain = stored.domain
     goal = as_finite_point("The goal", domain.settled(goal), 2)
@@ -61,12 +60,7 @@ def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: CornersFn, goal: Ar
 def _sources(
     stored: PairsFileData, to_corners: Float[np.ndarray, "corners"], goal: Float[np.ndarray, "2"]
 ) -> Sources:
-    """Return the goal and the corners where shortest paths to it turn, with distances and next turns.
-
-    The next turn after a corner is the goal if the path there is straight, else a corner nearer to the goal at the
-    end of an edge, from which turns lead on to the goal. From a corner with neither, paths only start: its
-    distance is set to ``inf``, so no leaf uses it.
-    """
+    """Return the goal and the corners where shortest paths to it turn, with distances and next turns (parents)."""
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, to_corners)
     slack = _ROUNDING * (distances + stored.domain.width.max())
@@ -78,14 +72,14 @@ def _sources(
     edges = edges[np.argsort(-onward[edges], kind="stable")]
     while len(next_edges := edges[(parents[start[edges]] < 0) & (parents[end[edges]] >= 0)]):
         parents[start[next_edges]] = end[next_edges]  # the last assignment wins: the shortest path
-    distances[parents < 0] = np.inf
+    distances[parents < 0] = np.inf  # paths only start there, so no leaf may use the corner
     return Sources(points, distances, np.where(parents < 0, np.arange(len(points)), parents))
 
 
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """Return each cell's goal or corner whose cone fits best (-1 if none reaches the goal), and its mean error."""
+    """Return the goal or corner whose cone fits each cell best (-1 if none reaches the goal), and the mean error."""
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
@@ -103,7 +97,7 @@ def _best_sources(
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
-    """Join halves with equal sources; return the remaining leaves and the source of each."""
+    """Join halves of a cell that share a source, the apex of their cone; return the leaves left and their sources."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
     for split in reversed(tree.splits):

@@ -187,11 +187,7 @@ class PairPLR(FileBacked):
         return js_pairs_module(self.to_bytes(), self.domain)
 
     def _answered(
-        self,
-        compiled: Callable[..., tuple[Array, ...]],
-        few: Callable[..., tuple[np.ndarray, ...]],
-        x: ArrayLike,
-        y: ArrayLike,
+        self, compiled: Callable[..., Any], few: Callable[..., Any], x: ArrayLike, y: ArrayLike
     ) -> tuple[Array, ...]:
         """Answer by a compiled function of tables and points, or few pairs of points without compiling."""
         x, y = self._from_middle("x", x), self._from_middle("y", y)
@@ -215,7 +211,6 @@ class PairPLR(FileBacked):
 
     @property
     def _table_size(self) -> int:
-        """Number of rows of the tables of corners."""
         return len(self.tables.distances) if isinstance(self.file, Tracer) else table_size(self.num_corners)
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
@@ -270,7 +265,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     The domain is halved repeatedly. Each leaf lists the corners at which a shortest path from it may turn first. The
     file holds free space, the pairs of corners that a shortest path may join straight, the partition and the lists.
     More bytes make queries faster, because fewer corners must be tried; bytes are spent only as long as they do. If
-    interrupted (Ctrl-C), the result has the partition so far, with a ``ConstructionInterrupted`` warning.
+    interrupted (Ctrl-C), the result has the partition so far, with a ``ConstructionInterrupted`` warning. Reference:
+    "all-pairs" in Section II of the paper.
 
     Distances are exact up to the rounding of 32-bit floats, for any budget, except for points near walls:
 
@@ -292,9 +288,6 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     Raises:
         ValueError: If the workspace is not a Workspace, has too many corners or is wider than 1e18, or if free space
             and corners alone exceed ``max_bytes``.
-
-    References:
-        "all-pairs" in Section II of the paper.
     """
     from plr_jax.pairs.construct import construct_stored  # queries do not need it
 
@@ -303,7 +296,6 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
 
 
 def pairs_from_bytes(data: bytes) -> PairPLR:
-    """Return the PairPLR of a file's bytes; raise ``ValueError`` with the reason if that fails."""
     return PairPLR(padded_file(data), None, PairsFileData.from_bytes(data))
 
 

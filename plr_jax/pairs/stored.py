@@ -1,18 +1,14 @@
-"""The file of a PairPLR: its contents and layout.
+"""The file of a PairPLR: its contents, and their layout in a PLR file (``plr/container.py``) with leaf code 7.
 
-The file is a PLR file (see ``plr/container.py``) whose leaf model has code 7. It has two layers. The first holds:
+The first of its two layers holds:
 
-1. the largest error of a distance that comes from rounding points to the outline's lattice, a 32-bit float;
-2. the outline of free space: lattice step, whether paths may pass between obstacles that touch in a point
-   ("squeeze"), ring sizes, points;
-3. the set of outline points that are corners;
-4. the set of pairs of corners that a shortest path may join straight, ordered by the later corner;
-5. if there are any, the set of walls of obstacles so thin that a wall that moves back may leave them.
+- the largest error of a distance that comes from rounding points to a lattice;
+- the outline of free space on this lattice (:meth:`Outline.write`), and the set of outline points that are corners;
+- the set of pairs of corners that a shortest path may join straight, ordered by the later corner;
+- if there are any, the set of walls of obstacles so thin that a wall that moves back may leave them.
 
-The second layer makes queries fast. It holds the tree over the leaves, then their lists of corners: first the set of
-corners that no leaf lists, then for each level of the tree which corners of its parent each half no longer lists.
-
-Files of plr_jax 0.1 may store the pairs of corners in a layer between these two, after a second copy of the error.
+The second layer makes queries fast. It holds the tree, the set of corners that no leaf lists and, for each level of
+the tree, which corners of its parent's list each half drops. Files of release 0.1 may have three layers.
 """
 
 from collections.abc import Iterator
@@ -32,32 +28,21 @@ from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer
 from plr_jax.plr.tree import Cells, Tree
 
-MITRE = 4.0
-"""Distances that a point moves at most; farther for tips, which are closed again."""
+MITRE = 4.0  # how far a point moves at most if walls move by 1; farther for tips, which are closed again
 _COUNT_BITS = 32
 _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Boundary rings of free space on an integer lattice, with free space on the left of each wall.
+    """Boundary rings of free space on an integer lattice, with free space on the left of each wall."""
 
-    Wall ``i`` leads from point ``i`` to the next point of its ring. A contact is a point where obstacles touch.
-
-    Attributes:
-        origin: Position of the lattice point (0, 0).
-        step: Lattice spacing.
-        points: Points of all rings, ring by ring, in lattice steps.
-        first: Index of the first point of each ring, then the number of points.
-        may_squeeze: Whether a path may pass contacts.
-        thin: Walls that may leave their obstacle when they move back. Lower bounds ignore these walls.
-    """
-
-    origin: Float[np.ndarray, "2"]
+    origin: Float[np.ndarray, "2"]  # position of the lattice point (0, 0)
     step: float
-    points: Int[np.ndarray, "points 2"]
-    first: Int[np.ndarray, "rings_plus_one"]
-    may_squeeze: bool
+    points: Int[np.ndarray, "points 2"]  # in lattice steps; wall ``i`` leads from point ``i`` to the next of its ring
+    first: Int[np.ndarray, "rings_plus_one"]  # index of the first point of each ring
+    may_squeeze: bool  # whether a path may pass contacts, points where obstacles touch
+    # Walls that may leave their obstacle when they move back. Lower bounds ignore these walls.
     thin: Int[np.ndarray, "thin"] = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @cached_property
@@ -76,7 +61,7 @@ class Outline:
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, "points"]:
-        """Mask of the contacts that no path may pass."""
+        """Mask of the points where obstacles touch and no path may pass."""
         return self.is_shared & (not self.may_squeeze)
 
     @cached_property
@@ -91,7 +76,7 @@ class Outline:
 
     @cached_property
     def following_past_contacts(self) -> Int[np.ndarray, "points"]:
-        """Index of the point that follows each point around its obstacle, where obstacles part at contacts."""
+        """The next point around each point's obstacle; obstacles that touch in an impassable point count as two."""
         following, at = self.following.copy(), np.flatnonzero(self.is_contact & self._has_length)
         before = np.argsort(following)[at]
         onward = (self.points[following] - self.points)[at].astype(float)
@@ -105,7 +90,7 @@ class Outline:
     def _beside(
         self, following: Int[np.ndarray, "points"]
     ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
-        """Return vectors of the walls that arrive at and leave each point, or of the next walls that have length."""
+        """Return the walls that arrive at and leave each point as vectors, skipping walls without length."""
         leaving, comes_from = self.points[following] - self.points, np.argsort(following)
         arriving = leaving[comes_from]
         for walls, beyond in ((leaving, following), (arriving, comes_from)):
@@ -127,11 +112,7 @@ class Outline:
 
     @cached_property
     def region(self) -> Any:
-        """Free space as a Shapely geometry: the faces from which a ray crosses an odd number of walls.
-
-        Rings may touch themselves and one another, so they are not valid Shapely rings. ``ValueError`` if walls cross
-        more often than rounding of points to multiples of ``step`` explains.
-        """
+        """Free space as a Shapely geometry, by the even-odd rule: rings may touch, unlike valid ones of Shapely."""
         import shapely
 
         ends = self.moved_walls(0.0).reshape(-1, 2, 2)
@@ -154,12 +135,11 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return the ends of walls after they move back into obstacles by a distance in workspace units.
+        """Return the ends of walls moved into obstacles by a distance, or into free space if it is negative.
 
-        If the distance is negative, walls move into free space instead. Walls that move back open gaps where
-        obstacles touch, and cut off tips. At each gap and tip, two walls are added, one segment in both directions:
-        it leads from the contact, or from near the tip, to the point where the moved walls meet. Walls of thin
-        obstacles stay. With ``surely``, they move too, and no walls are added.
+        Walls that move into obstacles leave gaps where obstacles touch, and cut off tips. Each gap or tip is closed
+        by two opposite walls, from the contact or near the tip to where the moved walls meet. Walls of thin obstacles
+        stay. With ``surely``, they move too, and no walls are added.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         moved = self.positions - distance * self._moves(distance, surely)
@@ -174,7 +154,7 @@ class Outline:
         return np.concatenate([walls, np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])])
 
     def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
-        """Return the four walls of a rectangle around each thin wall, at a distance, as rows of both ends."""
+        """Return the sides of a rectangle around each thin wall, at a distance, as rows of both ends."""
         start, end = self.positions[self.thin], self.positions[self.following[self.thin]]
         has_length = (start != end).any(axis=1)
         start, end = start[has_length], end[has_length]
@@ -184,20 +164,19 @@ class Outline:
         return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
-        """Return the points after their walls move back, or into free space if the distance is negative."""
+        """Return the points after their walls move into obstacles, or into free space if the distance is negative."""
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
-        """Mask of the points where a line of sight may end: impassable contacts, and points that do not move back."""
+        """Mask of impassable points where obstacles touch, and of points that walls moved into obstacles keep."""
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return a vector for each point: the moved point is the point minus ``distance`` times its vector.
+        """Return vectors ``v`` such that walls through ``positions - distance * v`` have moved by the distance.
 
-        Its walls then have moved by the distance into obstacles, or into free space if it is negative; at sharp
-        corners by less, as the vectors are limited. If the distance is positive, points between two thin walls stay,
-        unless ``surely``. So do the ends of a wall that would change direction, as at the end of an obstacle that is
-        thinner than twice the distance.
+        They move into obstacles, or into free space if it is negative; less at sharp corners, as vectors are limited.
+        If it is positive, points between two thin walls stay, unless ``surely``, and so do the ends of a wall that
+        would change direction, as at the end of a thin obstacle.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
@@ -252,7 +231,7 @@ _DISTANCES_AT_ONCE = 2**21  # entries of a block of the distance matrix
 def distances_by_rows(
     points: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
 ) -> Iterator[tuple[int, Float[np.ndarray, "rows n"]]]:
-    """Yield blocks of rows of the matrix of shortest distances along given edges, after their first row's index."""
+    """Yield the matrix of shortest distances along edges in blocks of rows, each after its first row's index."""
     start, end = edges.T
     lengths = np.linalg.norm(points[start] - points[end], axis=1)
     graph = coo_array((lengths, (start, end)), shape=2 * (len(points),)).tocsr()
@@ -271,32 +250,23 @@ def distances_table(stored: "PairsFileData", size: int) -> Float[np.ndarray, "si
 
 
 MOST_CORNERS = 2**13
-WIDEST = 1e18
-"""Largest domain width: squares of distances stay finite in 32 bits."""
+WIDEST = 1e18  # largest domain width: squares of distances stay finite in 32 bits
 _MOST_NUMBERS = 2**24  # entries of the query table of leaves and corners
 _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 
 @dataclass(frozen=True, eq=False)
 class PairsFileData:
-    """Decoded contents of a file of a PairPLR.
-
-    Attributes:
-        corner: Indices of the outline points that are corners, ascending.
-        edges: Pairs of corners that a shortest path may join straight, the smaller index first.
-        leaf: Leaf of each list entry, in the tree's traversal order.
-        listed: Index of the corner of each list entry, ascending within a leaf.
-        rounding: Largest error of a distance caused by rounding points to the lattice.
-    """
+    """The decoded file of a PairPLR."""
 
     domain: Box
     outline: Outline
-    corner: Int[np.ndarray, "corners"]
-    edges: Int[np.ndarray, "edges 2"]
+    corner: Int[np.ndarray, "corners"]  # outline points that are corners, ascending
+    edges: Int[np.ndarray, "edges 2"]  # pairs of corners that a shortest path may join straight, the smaller first
     tree: Tree
-    leaf: Int[np.ndarray, "entries"]
-    listed: Int[np.ndarray, "entries"]
-    rounding: float
+    leaf: Int[np.ndarray, "entries"]  # ascending
+    listed: Int[np.ndarray, "entries"]  # a corner where shortest paths from the leaf may turn first, ascending
+    rounding: float  # largest error of a distance due to rounding points to the lattice
     label: str = ""
 
     @property
@@ -305,7 +275,6 @@ class PairsFileData:
 
     @cached_property
     def points(self) -> Float[np.ndarray, "corners 2"]:
-        """Positions of the corners."""
         return self.outline.positions[self.corner]
 
     def to_bytes(self) -> bytes:
@@ -385,9 +354,8 @@ class PairsFileData:
         return PairsFileData(domain, outline, corner, edges, tree, leaf, listed, rounding, container.label)
 
 
-def most_leaves(count: int) -> int:
-    """Return the largest number of leaves that a file with a number of corners may have."""
-    return max(1, _MOST_NUMBERS // max(1, count))
+def most_leaves(num_corners: int) -> int:
+    return max(1, _MOST_NUMBERS // max(1, num_corners))
 
 
 def _read_rounding(body: BitReader) -> float:

@@ -1,8 +1,8 @@
-"""Thin parts of obstacles: where walls may not move back for sight, because 32-bit floats hardly tell their sides.
+"""Thin parts of obstacles, whose two sides 32-bit floats hardly tell apart.
 
-For sight, walls move back into their obstacles, so that rounding hides no corner. Walls of obstacles that are thinner
-than this distance stay instead, and corners move in front of them. Both work only if a wall is thin as a whole or not
-at all, and if a sharp tip of a thin obstacle has a corner on either side.
+For tests of visibility, walls move back into their obstacles, so that rounding hides no corner. Walls of obstacles
+that are thinner than this distance stay instead, and corners move in front of them. Both work only if a wall is thin
+as a whole or not at all, and if a sharp tip of a thin obstacle has a corner on either side.
 """
 
 from dataclasses import replace
@@ -15,13 +15,12 @@ from jaxtyping import Int
 from plr_jax.pairs.portable import MARGIN, RECEDING
 from plr_jax.pairs.stored import MITRE, Outline
 
-FINEST = 2.0**-24
-"""Finest lattice step, in domain widths: the resolution of 32-bit floats."""
+FINEST = 2.0**-24  # finest lattice step, in domain widths: the resolution of 32-bit floats
 _NEEDLE = 100  # distances that the tip of a thick obstacle may move back; queries may not resolve sharper tips
 
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
-    """Return the walls that may come close to free space when they move back, because their obstacle is thin."""
+    """Return the walls that may come close to free space when they move into their obstacle, because it is thin."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
@@ -31,11 +30,9 @@ def with_thin_parts(
 ) -> tuple[Outline, Int[np.ndarray, "found_points"]]:
     """Find thin walls, cut walls that are thin in part, and give sharp tips of thin obstacles two points.
 
-    Both points of a tip are neighbors on the lattice, and have the same ``vertex``. The corners in front of them lie
-    on either side of the thin walls, so a point that rounding puts on or across a thin wall sees one of them.
-
-    Returns:
-        The outline, and the boundary vertex at each of its points, -1 for points inside walls.
+    The points of a tip are neighbors on the lattice with the same ``vertex``. A point that rounding puts on or across
+    a thin wall sees one of their corners, on either side of it. Return the outline, and the vertex at each point, -1
+    inside walls.
     """
     spans = _thin_spans(outline, free_space, width)
     if not any(spans.values()):
@@ -77,7 +74,7 @@ def with_thin_parts(
 
 
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, list[tuple[float, float]]]:
-    """Return where walls are thin: for each wall that is thin somewhere, distances from its start, from and to."""
+    """Return the intervals in which walls are thin, in distances from their start, for walls that have some."""
     reach, following, start = RECEDING * width, outline.following_past_contacts, outline.positions
     onward, moved = start[following] - start, outline.moved_walls(reach, surely=True).reshape(-1, 2, 2)
     lengths, is_turned = np.linalg.norm(onward, axis=1), (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0
@@ -113,7 +110,7 @@ def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, li
 
 
 def _merged(spans: list[tuple[float, float]], length: float, reach: float) -> list[tuple[float, float]]:
-    """Unite spans with what lies between them, or between them and the ends of the wall, if that is short."""
+    """Unite intervals with short gaps between them, or between them and the ends of the wall."""
     merged, at = [], 0.0
     for a, b in sorted(spans):
         if a - at > 2 * reach:

@@ -66,9 +66,7 @@ def decode(data: bytes) -> DecodedFile:
         raise ValueError("its points are folded, but its leaves have sources, which cannot be folded")
     stored = leaf.read(body, container.folded_domain, cells)
     if layer.proof_code not in tuple(Proof):
-        raise ValueError(
-            f"its proof must be of kind 0 to {max(Proof)}, but is of kind {layer.proof_code}; update plr_jax"
-        )
+        raise ValueError(f"its proof must be of kind 0 to {max(Proof)}, got {layer.proof_code}; update plr_jax")
     certificate = read_certificate(body, Proof(layer.proof_code), len(cells), dim)
     if container.names_goals:
         if not isinstance(leaf, Cone):
@@ -86,29 +84,22 @@ def decode_cells(data: bytes) -> Cells:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the domain of the leaves relative to an origin, and the parameters that a query reads for each leaf.
-
-    Parameters are for points relative to the lower corner of that domain, rounded to 32 bits. If points are folded
-    (mirrored), ``origin`` has no effect: the box of mirrored points is relative to the center already. Raises
-    ``ValueError`` if 32-bit floats cannot hold the parameters.
-    """
+    """Return the domain relative to an origin, and the leaves' parameters for points relative to its corner."""
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
     corner = origin + table_corners(domain)[0]
-    numbers = contents.leaf.leaf_parameters(
-        contents.domain, contents.tree.leaves, filled_coefficients(contents), corner
-    )
+    cells, coefficients = contents.tree.leaves, filled_coefficients(contents)
+    numbers = contents.leaf.leaf_parameters(contents.domain, cells, coefficients, corner)
     if not (np.abs(numbers) < LARGEST)[~np.isinf(numbers)].all():  # also false for NaN
         raise ValueError(f"its distances and slopes must be below {LARGEST:g} for 32-bit floats; scale them down")
     return domain, numbers
 
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of all leaves, with planes of neighbors in unreachable leaves.
+    """Return the coefficients of all leaves: planes of neighbors, or ``inf`` and zeros, in unreachable leaves.
 
-    An unreachable leaf continues the (mean) plane of the reachable leaf with which it shares the largest face, edge
-    or corner, so that free points in it have a finite answer. If it has no such neighbor, its first coefficient is
-    ``inf`` and the others are 0.
+    An unreachable leaf continues the mean plane of the reachable leaf with which it shares the largest face, edge or
+    corner, so that free points in it have a finite answer.
     """
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
@@ -117,10 +108,9 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
         raise ValueError(f"its distances must be below {LARGEST:g} for 32-bit floats; scale them down")
     if unreachable.any() and isinstance(leaf, LinearLeafModel):
         periodic = contents.domain.periodic
-        donor = neighbor_of_largest_contact(
-            cells, np.flatnonzero(unreachable), np.flatnonzero(~unreachable), periodic
-        )
-        borrower, donor = np.flatnonzero(unreachable)[donor >= 0], donor[donor >= 0]
+        borrower, reachable = np.flatnonzero(unreachable), np.flatnonzero(~unreachable)
+        donor = neighbor_of_largest_contact(cells, borrower, reachable, periodic)
+        borrower, donor = borrower[donor >= 0], donor[donor >= 0]
         center, half = leaf.mean_planes(*cells[donor].boxes(contents.domain), coefficients[donor])
         widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of borrowers' cells, in units of donors'
         place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)

@@ -120,11 +120,8 @@ class PLR(FileBacked):
         return plr
 
     def __getattr__(self, name: str) -> Any:
-        raise no_attribute(
-            self,
-            name,
-            "A PLR is immutable: for a changed map use plr.updated(oracle), for another goal construct a new PLR.",
-        )
+        remedy = "for a changed map use plr.updated(oracle), for another goal construct a new PLR."
+        raise no_attribute(self, name, f"A PLR is immutable: {remedy}")
 
     def with_label(self, label: str) -> "PLR":
         labeled = super().with_label(label)
@@ -192,18 +189,12 @@ class PLR(FileBacked):
         given, and covers the rounding of a query. It includes points on the boundaries of obstacles, as they are in
         ``Workspace.free_space``. It excludes points that are free, or connected to the goal, only because of the
         workspace's tolerance. In a domain far from the origin, as in UTM coordinates, 32-bit points are rounded by
-        more than the size of cells, and the bounds hold for the rounded points: pass NumPy's 64-bit points outside
-        of ``jit``, or enable ``jax_enable_x64``.
+        more than the size of cells, and the bounds hold for the rounded points: pass NumPy's 64-bit points outside of
+        ``jit``, or enable ``jax_enable_x64``.
 
-        Args:
-            x: Points, ``(..., dim)``, as for :func:`evaluate`.
-
-        Returns:
-            Lower bounds, at least 0, and upper bounds, ``(...)`` each. Both are ``inf`` outside the domain and NaN
-            for NaN. In obstacles, and where the goal cannot be reached, they are meaningless.
-
-        Raises:
-            ValueError: If the PLR has no proof, or as for :func:`evaluate`.
+        Return lower bounds, at least 0, and upper bounds, ``(...)`` each, for points ``(..., dim)``. Both are ``inf``
+        outside the domain and NaN for NaN. In obstacles, and where the goal cannot be reached, they are meaningless.
+        ``ValueError`` if the PLR has no proof, or as for :func:`evaluate`.
         """
         band, (tables, placed) = self._require_band(), self._tables_and_points(x)
         return self._answer(bound_points, (tables, band, self._straight), placed)
@@ -240,18 +231,11 @@ class PLR(FileBacked):
     def waypoint(self, x: ArrayLike) -> Float[Array | np.ndarray, "*batch dim"]:
         """Return each point's next waypoint: the goal or corner (*source*) from which its leaf measures distances.
 
-        Only PLRs of cones have waypoints. A wall may lie between a point and its waypoint. At a source, the waypoint
-        may be that source itself. For whole paths see :func:`trace`.
-
-        Args:
-            x: Points, ``(..., dim)``, as for :func:`evaluate`.
-
-        Returns:
-            Points, ``(..., dim)``, in the precision of ``x``; NaN outside the domain and for NaN. A NumPy array for
-            NumPy's 64-bit points in a domain far from the origin.
-
-        Raises:
-            ValueError: If the leaves are not cones, or as for :func:`evaluate`.
+        A wall may lie between a point and its waypoint. At a source, the waypoint may be that source itself. For
+        whole paths see :func:`trace`. Points ``x``, ``(..., dim)``, are given as for :func:`evaluate`. Waypoints,
+        ``(..., dim)``, have the precision of ``x``; they are NaN outside the domain and for NaN. For NumPy's 64-bit
+        points in a domain far from the origin, they are a NumPy array. ``ValueError`` if the leaves are not cones, or
+        as for :func:`evaluate`.
         """
         as_sourced(self.leaf)
         tables, placed = self._tables_and_points(x)
@@ -265,10 +249,8 @@ class PLR(FileBacked):
         one answer. Other PLRs of several goals know it only as :func:`solve_eikonal` or :func:`construct` returned
         them, not after :func:`load` or in a jitted function; see :meth:`with_nearest_goal`. Like the distance, the
         index is an estimate: where two goals are about equally near, it may be wrong. If the same goal was given
-        twice, the answer is the first index. Call it outside of ``jit``.
-
-        Raises:
-            ValueError: If the PLR does not know its goals, or points have another shape.
+        twice, the answer is the first index. Call it outside of ``jit``. ``ValueError`` if the PLR does not know its
+        goals, or points have another shape.
         """
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
@@ -364,16 +346,10 @@ class PLR(FileBacked):
     def stack(plrs: Sequence["PLR"]) -> TableStack:
         """Combine one PLR per robot of a team into a function of joint configurations, compiled as one.
 
-        Args:
-            plrs: One PLR per robot; they may differ in size, dimension and leaf model.
-
-        Returns:
-            A function that maps joint configurations ``(n, robots, dof)``, NumPy, to distances ``(n, robots)``,
-            float64. Each PLR sees the leading coordinates of its robot and answers as by itself, bit for bit.
-
-        Raises:
-            ValueError: If ``plrs`` is no list of PLRs. The function raises ``ValueError`` if the number of robots is
-                wrong, or a PLR has more dimensions than ``dof``.
+        PLRs may differ in size, dimension and leaf model. The function maps joint configurations ``(n, robots,
+        dof)``, NumPy, to distances ``(n, robots)``, float64. Each PLR sees the leading coordinates of its robot and
+        answers as by itself, bit for bit. ``ValueError`` if ``plrs`` is no list of PLRs. The function raises
+        ``ValueError`` if the number of robots is wrong, or a PLR has more dimensions than ``dof``.
         """
         plrs = as_plrs(plrs)
         tables, placements = zip(*(plr._tables_and_placement for plr in plrs), strict=True)
@@ -475,10 +451,8 @@ class PLR(FileBacked):
     def __repr__(self) -> str:
         if np.ndim(self.file) != 1 or isinstance(self.file, Tracer):
             return f"PLR({self.leaf.name!r}, of arrays that are traced or stacked)"
-        return (
-            f"PLR({self.leaf.name!r}, dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}, "
-            f"{self.domain})"
-        )
+        size = f"dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}"
+        return f"PLR({self.leaf.name!r}, {size}, {self.domain})"
 
     @cached_property
     def _contents(self) -> DecodedFile:
@@ -494,7 +468,6 @@ class PLR(FileBacked):
 
 
 def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
-    """Check that the argument is a non-empty collection of PLRs and return it as a list."""
     if not isinstance(plrs, Iterable):
         raise ValueError(f"plrs must be a list of PLRs, got {shortened(plrs)}; for a single PLR pass [plr].")
     plrs = list(plrs)
@@ -523,7 +496,6 @@ class LowerBound:
 
     @property
     def dim(self) -> int:
-        """Number of coordinates of a point."""
         return self.plr.dim
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
@@ -536,20 +508,15 @@ class LowerBound:
         if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
             raise ValueError(f"fns must be a list of lower bounds, such as [plr.lower], got {shortened(fns)}.")
         first, *_ = fns
-        return replace(
-            first.plr.stack([fn.plr for fn in fns]), bands=tuple((fn.plr.band, fn.plr._straight) for fn in fns)
-        )
+        bands = tuple((fn.plr.band, fn.plr._straight) for fn in fns)
+        return replace(first.plr.stack([fn.plr for fn in fns]), bands=bands)
 
 
 def from_bytes(data: bytes) -> PLR:
-    """Decode a PLR from the bytes of a file.
+    """Decode a PLR from the result of :meth:`PLR.to_bytes`; it gives the same answers, bit for bit.
 
-    Args:
-        data: Result of :meth:`PLR.to_bytes`. The decoded PLR gives the same answers, bit for bit.
-
-    Raises:
-        ValueError: If the bytes are no PLR file of a version that this release reads, distances do not fit 32-bit
-            floats, or the file's lookup tables would be far larger than those of usual files of its size.
+    ``ValueError`` if the bytes are no PLR file of a version that this release reads, distances do not fit 32-bit
+    floats, or the file's lookup tables would be far larger than those of usual files of its size.
     """
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")

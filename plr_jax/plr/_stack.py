@@ -1,15 +1,13 @@
 """The public functions that evaluate one PLR (:func:`evaluate`) and combine many into one function (:func:`stack`).
 
-A stack has a *trie* for all its PLRs of one shape: a lookup table that finds the leaf of a point level by level, from
-a few of the point's fraction bits (``frame.py``) in each level. The table consists of *pages*, which have an entry
-for each cell of a regular grid. The first page of a PLR covers its domain; the first pages of all PLRs are adjacent.
-Every other page covers one cell of the level above, in which there are several leaves. An odd entry ``2 * i + 1``
-points to the page that starts at entry ``i``; an even entry ``2 * i`` means row ``i`` of the leaf parameters. The
-table begins with the entries ``2 * i`` of all rows ``i``, so that a lookup that has found its row finds it again in
-later levels. A lookup reads more entries than in the tables of a single PLR (``tables.py``), but a trie takes less
-memory.
+A stack finds the leaf of a point in a *trie* of all its PLRs of one shape, level by level, by a few bits of the
+point's position (``frame.py``) in each. Its tables, *pages*, have an entry for each cell of a regular grid: the first
+page of each PLR covers its domain, any other page a cell of the level above that several leaves share. An odd entry
+``2 * i + 1`` points to the page that starts at entry ``i``; an even entry ``2 * i`` means row ``i`` of the leaf
+parameters. The trie begins with the entries ``2 * i`` of all rows, so that a found row is found again in later
+levels. It takes more reads but less memory than the tables of a single PLR (``tables.py``).
 
-References: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
+Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
 """
 
 from collections.abc import Hashable, Iterator, Sequence
@@ -46,14 +44,16 @@ from plr_jax.plr.small_batches import SmallBatches
 from plr_jax.plr.tables import AnyArray, PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 
+_PerAxis = Int[np.ndarray, "dim"]
+
 _FIRST_BITS = 10  # index bits of first pages: those of 1,000 PLRs take 4 MB, and most points need no other page
 _PAGE_BITS = 6  # most index bits of other pages
 _MOST_ENTRIES = 2**25  # most entries of one PLR; the estimate counts a page of k leaves up to k times
 _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
-def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
-    """Return how many of the fraction ``bits`` of each axis a trie has used before its first level and after each."""
+def trie_levels(bits: _PerAxis) -> list[_PerAxis]:
+    """Return how many bits of a point's position by axis a trie has used before its first level and after each."""
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
         rest = bits - ends[-1]
@@ -61,10 +61,8 @@ def trie_levels(bits: Int[np.ndarray, "dim"]) -> list[Int[np.ndarray, "dim"]]:
     return ends
 
 
-def build_trie(
-    partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[Int[np.ndarray, "dim"]]
-) -> Trie:
-    """Build the trie with given :func:`trie_levels` of several PLRs, which leads to each leaf's row of parameters."""
+def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[_PerAxis]) -> Trie:
+    """Build a trie of several PLRs with given :func:`trie_levels`; it leads to each leaf's row of parameters."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
@@ -79,9 +77,7 @@ def build_trie(
             pairs = num_pairs(cells[(cells.depth > begin).any(axis=1)], begin)
             most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (behind - begin).sum()
         if most > _MOST_ENTRIES or (shifts < 0).any():  # a left shift is not supported
-            raise ValueError(
-                "A PLR has leaves too deep for a stack. Construct it with a lower max_depth, or call it alone."
-            )
+            raise ValueError("A PLR is too deep for a stack: construct it with a lower max_depth, or call it alone.")
         for number, pages in enumerate(_pages(cells, of_leaf, levels, end)):
             if number == 0:
                 first_pages.append(pages)
@@ -89,18 +85,16 @@ def build_trie(
                 others.append(pages)
                 end += len(pages)
     if end >= _MOST_INDICES:
-        raise ValueError(
-            f"A stack needs fewer than 2**31 entries, got {end:,}: split the {len(partitions):,} PLRs into several."
-        )
+        raise ValueError(f"A stack needs fewer than 2**31 entries, got {end:,}: split the {len(partitions):,} PLRs.")
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
     entries = padded(entries, size_in_eighths(len(entries)))
     return Trie(jax.device_put(entries), jax.device_put(bits.astype(np.uint32)), jax.device_put(np.uint32(num_rows)))
 
 
 def _pages(
-    cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[Int[np.ndarray, "dim"]], next_start: int
+    cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[_PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, "entries"]]:
-    """Yield the entries of a trie for one partition, level by level; those of level 2 start at ``next_start``."""
+    """Yield the entries of a trie (a lookup table) of one PLR by level; those of level 2 start at ``next_start``."""
     page = np.zeros(1, np.int64)  # numbers of the cells of the level above that have a page in this level
     for number, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
@@ -121,10 +115,7 @@ def _pages(
 
 
 def _page_entries(
-    place: Int[np.ndarray, "n dim"],
-    page: Int[np.ndarray, "pages"],
-    begin: Int[np.ndarray, "dim"],
-    end: Int[np.ndarray, "dim"],
+    place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, "pages"], begin: _PerAxis, end: _PerAxis
 ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
@@ -133,23 +124,14 @@ def _page_entries(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _SameShapeGroup:
-    """The merged tables of PLRs of one leaf model whose domains and symmetries have arrays of equal shapes.
+    """The merged tables of PLRs of one leaf model whose domains and symmetries have arrays of equal shapes."""
 
-    Attributes:
-        arrays: Arrays that describe domains and symmetries. If all PLRs have the same array, it is stored once;
-            otherwise the arrays of all PLRs are concatenated and flattened.
-        leaf_parameters: Distinct rows of all leaves' parameters, laid out as in :class:`Tables`.
-        shapes: For each of the ``arrays``, its shape for one PLR, or None if all PLRs share it.
-        structure: Pytree structure of a PLR's tables without its leaves.
-        first_bits: Number of index bits of the first level of the trie.
-    """
-
-    arrays: tuple[AnyArray, ...]
+    arrays: tuple[AnyArray, ...]  # of domains and symmetries: one that all PLRs share, or those of all, flattened
     trie: Trie
-    leaf_parameters: Float[AnyArray, "count rows"] | Float[AnyArray, "numbers"]
-    shapes: tuple[tuple[int, ...] | None, ...] = field(metadata={"static": True})
-    structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})
-    first_bits: int = field(metadata={"static": True})
+    leaf_parameters: Float[AnyArray, "count rows"] | Float[AnyArray, "numbers"]  # only distinct rows
+    shapes: tuple[tuple[int, ...] | None, ...] = field(metadata={"static": True})  # of an array; None if all share it
+    structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})  # of a PLR's tables, without leaves
+    first_bits: int = field(metadata={"static": True})  # index bits of the first level of the trie
 
     @classmethod
     def of(cls, plrs: Sequence[PLR], tables: Sequence[Tables], frames: Sequence[Tables]) -> "_SameShapeGroup":
@@ -185,7 +167,7 @@ class _SameShapeGroup:
         )
 
     def pick(self, which: UInt32[AnyArray, "*batch"]) -> Tables:
-        """Return lookup tables for a batch in which each point has its own PLR, number ``which`` of the group."""
+        """Return lookup tables for points of which each has its own PLR, number ``which`` of the group."""
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(self.arrays, self.shapes, strict=True)
@@ -203,20 +185,14 @@ class PLRStack:
     :func:`stack` makes stacks. A stack is a pytree of arrays: a jitted function can close over it or take it as an
     argument, also under ``jax.vmap`` and ``jax.grad``. Stacks with equally many PLRs of one leaf model and similar
     size share compiled code.
-
-    Attributes:
-        groups: Merged tables of PLRs of one leaf model whose domains and symmetries have arrays of equal shapes.
-        group, place: Group of each PLR, and its index in that group.
-        corners: Origin of each PLR's tables, as three 32-bit floats that add up to it; None if all origins are 0.
-        unresolved: Float types that are too coarse to tell points of some domain apart.
     """
 
     groups: tuple[_SameShapeGroup, ...]
     group: UInt32[AnyArray, "plrs"]
-    place: UInt32[AnyArray, "plrs"]
-    corners: Float[AnyArray, "plrs 3 dim"] | None
+    place: UInt32[AnyArray, "plrs"]  # index of each PLR in its group
+    corners: Float[AnyArray, "plrs 3 dim"] | None  # origin of each PLR's tables, a sum of floats; None for zeros
     dim: int = field(metadata={"static": True})
-    unresolved: tuple[str, ...] = field(metadata={"static": True})
+    unresolved: tuple[str, ...] = field(metadata={"static": True})  # float types too coarse for some domain
 
     def __len__(self) -> int:
         return self.group.shape[0]
@@ -267,21 +243,14 @@ class PLRStack:
 def stack(plrs: Sequence[PLR]) -> PLRStack:
     """Combine many PLRs into one function of index and point, ``stack(plrs)(index, x)``, which is a pytree.
 
-    A stack is fastest if all PLRs have one leaf model; otherwise every point reads the tables of each model. To
-    evaluate one PLR for each robot of a team, use :meth:`PLR.stack`.
-
-    Args:
-        plrs: At least one PLR, of any leaf models and sizes, all of one dimension.
-
-    Raises:
-        ValueError: If ``plrs`` is no list of such PLRs, a PLR's leaves are too deep, or all tables together are too
-            large for 32-bit indices.
+    PLRs must be of one dimension. A stack is fastest if all have one leaf model; otherwise every point reads the
+    tables of each model. To evaluate one PLR for each robot of a team, use :meth:`PLR.stack`. ``ValueError`` if
+    ``plrs`` is no list of at least one such PLR, a PLR's leaves are too deep, or all tables together are too large
+    for 32-bit indices.
     """
     plrs = as_plrs(plrs)
     if len(dims := {plr.dim for plr in plrs}) != 1:
-        raise ValueError(
-            f"A stack needs PLRs of one dimension, got dimensions {sorted(dims)}: make a stack for each."
-        )
+        raise ValueError(f"A stack needs PLRs of one dimension, got {sorted(dims)}: make a stack for each.")
     # Tables of a far domain take points relative to its corner.
     tables = [plr.tables_from_corner if is_far(plr.domain) else plr.tables for plr in plrs]
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
@@ -339,12 +308,9 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
     Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is the gradient of the leaf's function. It is
     finite everywhere, 0 where the distance is ``inf``, and arbitrary where a coordinate is NaN. An optimizer that may
-    leave the domain should pass ``outside="clamp"``, so that a descent step leads back::
-
-        step = jax.grad(lambda x: plr(x, outside="clamp"))(x)
-
-    Outside of ``jit``, NumPy computes the first small batches of each shape, with the same bits as compiled code. The
-    query is compiled for shapes that are used often.
+    leave the domain should pass ``outside="clamp"``, so that a descent step leads back. Outside of ``jit``, NumPy
+    computes the first small batches of each shape, with the same bits as compiled code. The query is compiled for
+    shapes that are used often.
 
     ``jax.export`` turns a query into a program that runs without this package, for batches of any size. The program
     takes a few hundred kilobytes, and exporting needs the package ``flatbuffers``. Close over the PLR or pass the

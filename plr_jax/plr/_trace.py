@@ -77,8 +77,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
 
     With a workspace, no path that arrives crosses a wall. If a start does not see its leaf's source, or the path from
     there does not lead to the goal, it takes the shortest path through another source that it sees. Without a
-    workspace, no wall is known. Then a few paths cut corners, and a start in an obstacle, or cut off from the goal,
-    gets a path through walls. Computation is in double precision.
+    workspace, a few paths cut corners, and a start in an obstacle, or cut off from the goal, gets a path through
+    walls. Computation is in double precision.
 
     Args:
         plr: PLR with ``leaf="cone"``.
@@ -89,8 +89,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
             tests.
 
     Returns:
-        A path and a status for each start. If a start is a source, its path begins with the segment from that source
-        to the next.
+        A path and a status for each start. The path from a source begins with the segment to the next source.
 
     Raises:
         ValueError: If ``plr`` is no PLR of cones, ``starts`` has a wrong shape, ``workspace`` is no Workspace, or a
@@ -106,9 +105,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
         if not isinstance(workspace, Workspace):
             raise ValueError(f"workspace must be a Workspace or None, got {shortened(workspace)}.")
         if plr.dim != 2:
-            raise ValueError(
-                f"A workspace needs a PLR in the plane, got {plr.dim} dimensions: trace without a workspace."
-            )
+            raise ValueError(f"A workspace needs a PLR in the plane, got {plr.dim} dimensions: trace without it.")
     starts = as_points("starts", plr.domain.settled(starts), plr.dim)
     inside = np.flatnonzero(plr.domain.contains(starts))
     x = starts[inside]
@@ -141,13 +138,9 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     status = np.where(is_free, status, TraceStatus.CROSSES_WALL)
 
     # 4. Add rows for starts outside the domain.
-    return Traces(
-        _spread(paths, np.nan, inside, len(starts)),
-        _spread(counts, 0, inside, len(starts)),
-        _spread(lengths, np.inf, inside, len(starts)),
-        _spread(status, TraceStatus.OUTSIDE, inside, len(starts)),
-        workspace is not None,
-    )
+    columns = (paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)
+    spread = [_spread(rows, fill, inside, len(starts)) for rows, fill in columns]
+    return Traces(*spread, are_tested=workspace is not None)
 
 
 def _spread(

@@ -37,30 +37,20 @@ _CRC = struct.Struct("<I")
 
 @dataclass(frozen=True)
 class Layer:
-    """A layer of a file: encoded leaves (``body``), and the codes of their leaf model and their kind of proof."""
-
     leaf_code: int
-    body: bytes
+    body: bytes  # encoded leaves
     proof_code: int = 0
 
 
 @dataclass(frozen=True)
 class Header:
-    """The header of a file.
-
-    Attributes:
-        leaf_code, proof_code: Codes of leaf model and kind of proof in the last layer.
-        sizes: Size in bytes of each layer but the last.
-        names_goals: Whether the layer, of cones, names the goal to which each root leads.
-    """
-
     domain: Box
-    leaf_code: int
+    leaf_code: int  # of the last layer
     proof_code: int = 0
     folding: Folding | None = None
     label: str = ""
-    sizes: tuple[int, ...] = ()
-    names_goals: bool = False
+    sizes: tuple[int, ...] = ()  # bytes of each layer but the last
+    names_goals: bool = False  # whether the layer, of cones, names the goals to which their paths lead
 
     @cached_property
     def data(self) -> bytes:
@@ -113,9 +103,7 @@ class Header:
             if (count := reader.varint()) > MOST_LAYERS:
                 raise ValueError(f"it states {count} layers, more than {MOST_LAYERS}")
             if count and second & 7 != PAIRS_CODE:
-                raise ValueError(
-                    "it is a progressive file of several PLRs, which only plr_jax 0.1 reads; build it again"
-                )
+                raise ValueError("it is a progressive file of PLRs, which only plr_jax 0.1 reads; build it again")
             sizes = tuple(reader.varint() for _ in range(count))
         header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes, names_goals)
         if header.data != data[: reader.at]:
@@ -146,9 +134,8 @@ class Container:
         *first, last = self.layers
         parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in first), last.body]
         sizes = tuple(len(part) + _CRC.size for part in parts[:-1])
-        header = Header(
-            self.domain, last.leaf_code, last.proof_code, self.folding, self.label, sizes, self.names_goals
-        )
+        codes = last.leaf_code, last.proof_code
+        header = Header(self.domain, *codes, self.folding, self.label, sizes, self.names_goals)
         data = header.data
         crc = zlib.crc32(data)
         for part in parts:
@@ -184,9 +171,8 @@ def require_label(label: str) -> None:
     except UnicodeEncodeError:  # half a surrogate pair
         fits = False
     if not fits:
-        raise ValueError(
-            f"label must be text of at most {MOST_LABEL_BYTES:,} bytes in UTF-8, got {shortened(label)}."
-        )
+        expected = f"label must be text of at most {MOST_LABEL_BYTES:,} bytes in UTF-8"
+        raise ValueError(f"{expected}, got {shortened(label)}.")
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
@@ -215,14 +201,6 @@ _ORTHOGONAL = 1e-9  # tolerance for entries of ``axes @ axes.T``
 
 
 def folding_to_bytes(folding: Folding) -> bytes:
-    """Encode a folding, which maps points by mirror symmetries; floats are little-endian.
-
-    f64     the center
-    u8      1 if the folded axes are rotated, else 0
-    f64     the axes row by row, if they are rotated
-    u8      number of mirrors
-    u8      for each mirror, one byte per axis: 1 if the mirror reverses the axis; at the end, a zero per axis
-    """
     marks = np.array([*folding.mirrors, (0,) * folding.domain.dim], np.uint8)
     axes = folding.axes.astype("<f8").tobytes() if folding.is_turned else b""
     center, num_mirrors = folding.center.astype("<f8").tobytes(), bytes([len(folding.mirrors)])
@@ -265,13 +243,7 @@ _EXACT = Context(prec=40, traps=[])  # used instead of the caller's context; coo
 
 
 def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
-    """Encode a domain as decimals, or as floats if decimals are longer or inexact; return whether floats were used.
-
-        decimals  u8   number of decimals ``d``; then signed varints, each a coordinate times ``10**d``
-        floats    f64  the coordinates, little-endian
-
-    The lower corner comes before the upper corner; along periodic axes both coordinates are swapped.
-    """
+    """Encode a domain as in ``portable/FORMAT.md``; also return whether its coordinates are stored as floats."""
     first, second = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi))
     numbers = np.concatenate([first, second])
     floats, decimals = numbers.astype("<f8").tobytes(), _decimals(numbers.tolist())
@@ -320,7 +292,7 @@ class FileBacked:
         """Return the bytes that :func:`save` writes; ``ValueError`` if the arrays of several objects are stacked."""
         if np.ndim(self.file) != 1:
             raise ValueError(
-                f"to_bytes needs a single object, but its arrays are stacked: file has shape {self.file.shape}."
+                f"to_bytes needs one object, but its arrays are stacked: file has shape {self.file.shape}."
             )
         return np.asarray(self.file).tobytes()[: self.num_bytes]
 

@@ -1,8 +1,7 @@
-"""Evaluation of a PLR in JAX and NumPy.
+"""Evaluation of a PLR in JAX and NumPy, by the same code and with the same answers, bit for bit.
 
 A query folds (mirrors) and wraps the points, finds the leaf of each by bit arithmetic and table lookups, and
-evaluates the leaf's function. The code is the same for JAX arrays and for NumPy arrays, and so are the answers, bit
-for bit. So NumPy can answer small batches (``small_batches.py``).
+evaluates the leaf's function. NumPy answers small batches (``small_batches.py``).
 """
 
 from dataclasses import dataclass, replace
@@ -17,12 +16,17 @@ from jaxtyping import Bool, Float, Shaped, UInt32
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
 from plr_jax.plr.tables import AnyArray, Blocks, FoldedDomain, Tables, Trie, gather
 
+Points = Float[AnyArray, "*batch dim"]
+Values = Float[AnyArray, "*batch"]
+Flags = Bool[AnyArray, "*batch"]
+Bits = UInt32[AnyArray, "*batch"]
+
 _EXPONENT = np.uint32(0xFF800000)  # sign and exponent of a 32-bit float
 _SHIFTS = np.uint32(WORD_BITS - 1)  # a mask that tells the compiler that no shift is by 32 bits or more
 _ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables, for 64-bit points
 
 
-def evaluate_tables(tables: Tables, x: AnyArray, outside: Outside = "inf") -> Float[AnyArray, "*batch"]:
+def evaluate_tables(tables: Tables, x: AnyArray, outside: Outside = "inf") -> Values:
     """Return the PLR's distance at each point, NaN for NaN; ``outside`` is the answer outside the closed domain."""
     x = _as_float_points(tables, x)
     xp = x.__array_namespace__()
@@ -40,7 +44,7 @@ def evaluate_tables(tables: Tables, x: AnyArray, outside: Outside = "inf") -> Fl
     return xp.where(is_outside, xp.full_like(answer, np.nan) if outside == "nan" else answer, value)
 
 
-def _as_float_points(tables: Tables, x: AnyArray) -> Float[AnyArray, "*batch dim"]:
+def _as_float_points(tables: Tables, x: AnyArray) -> Points:
     if x.ndim == 0 or x.shape[-1] != tables.dim:
         raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
     if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
@@ -53,12 +57,11 @@ def _as_float_points(tables: Tables, x: AnyArray) -> Float[AnyArray, "*batch dim
 
 def bounds_of_tables(
     tables: Tables, band: Float[AnyArray, "2 rows"], straight: Float[AnyArray, "_"] | None, x: AnyArray
-) -> tuple[Float[AnyArray, "*batch"], Float[AnyArray, "*batch"]]:
+) -> tuple[Values, Values]:
     """Return proven lower bounds (at least 0) and upper bounds of the distance at each point, rounded outward.
 
-    ``band`` has lower and upper bounds of (distance - PLR's value), a column for each leaf or one for all leaves.
-    ``straight`` has goal, rate and margin of another lower bound, ``rate * |x - goal| - margin``; None if there is
-    none.
+    ``band`` has bounds of (distance - PLR's value), a column for each leaf or one for all leaves. ``straight`` has
+    goal, rate and margin of a lower bound ``rate * |x - goal| - margin``.
     """
     value = evaluate_tables(tables, x)
     xp = value.__array_namespace__()
@@ -67,12 +70,10 @@ def bounds_of_tables(
     else:
         leaf = lookup(tables, _constant(x.astype(value.dtype)))
         below, above = gather(band[0], leaf), gather(band[1], leaf)
+    bounds = (value + below.astype(value.dtype), -np.inf), (value + above.astype(value.dtype), np.inf)
     lower, upper = (
         straight_through(bound, xp.nextafter(_constant(bound), xp.asarray(toward, value.dtype)))
-        for bound, toward in (
-            (value + below.astype(value.dtype), -np.inf),
-            (value + above.astype(value.dtype), np.inf),
-        )
+        for bound, toward in bounds
     )
     lower = xp.maximum(lower, 0)
     if straight is not None:
@@ -88,7 +89,7 @@ def bounds_of_tables(
     return xp.where(value < np.inf, lower, value), xp.where(value < np.inf, upper, value)
 
 
-def waypoints_in_tables(tables: Tables, x: AnyArray) -> Float[AnyArray, "*batch dim"]:
+def waypoints_in_tables(tables: Tables, x: AnyArray) -> Points:
     """Return each point's next waypoint, the apex of its leaf's cone; NaN outside the closed domain and for NaN."""
     x = _constant(_as_float_points(tables, x))
     xp = x.__array_namespace__()
@@ -99,7 +100,7 @@ def waypoints_in_tables(tables: Tables, x: AnyArray) -> Float[AnyArray, "*batch 
     return xp.where((outside | xp.isnan(answer))[..., None], np.nan, source)
 
 
-def lookup(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray, "*batch"]:
+def lookup(tables: Tables, x: Points) -> Bits:
     """Return the number of each point's leaf, within rounding; an arbitrary leaf outside the domain and for NaN."""
     if tables.folding is not None:
         nowhere = x.__array_namespace__().zeros(x.shape[:-1], bool)
@@ -108,8 +109,8 @@ def lookup(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray,
     return row if tables.pages is None else gather(tables.leaf_of_slot, row).astype(np.uint32)
 
 
-def find_row(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray, "*batch"]:
-    """Return each wrapped point's row of ``Tables.leaf_parameters``: its leaf's number or, with pages, its slot's."""
+def find_row(tables: Tables, x: Points) -> Bits:
+    """Return each wrapped point's row of leaf parameters: of its leaf or, with pages, of its table entry."""
     if tables.trie is not None:
         return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
@@ -123,10 +124,8 @@ def find_row(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArra
     return gather(tables.leaf_of_slot, index).astype(np.uint32)
 
 
-def _index_in_block(
-    blocks: Blocks, fractions: list[UInt32[AnyArray, "*batch"]], block: UInt32[AnyArray, "*batch"]
-) -> UInt32[AnyArray, "*batch"]:
-    """Return each point's index into ``Tables.leaf_of_slot``, from its block (coarse cell) and its fraction bits."""
+def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
+    """Return each point's index into ``Tables.leaf_of_slot``, from its block (coarse cell) and position bits."""
     index = start = block.__array_namespace__().zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
@@ -141,9 +140,7 @@ def _index_in_block(
     return start + index
 
 
-def _fold(
-    window: FoldedDomain, x: Float[AnyArray, "*batch dim"], outside: Bool[AnyArray, "*batch"]
-) -> Float[AnyArray, "*batch dim"]:
+def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
     """Shift, rotate and mirror points; points ``outside`` the domain become the center, with gradient 0."""
     xp, axes, (center, rest) = x.__array_namespace__(), range(window.dim), window.center.astype(x.dtype)
     z = [xp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
@@ -162,9 +159,7 @@ def _fold(
     return xp.moveaxis(folded, 0, -1)
 
 
-def outside_domain(
-    tables: Tables | FoldedDomain, x: Float[AnyArray, "*batch dim"]
-) -> tuple[Bool[AnyArray, "*batch"], Float[AnyArray, "*batch"]]:
+def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Values]:
     """Return whether wrapped points are outside the closed domain, and the answer for such points: ``inf`` or NaN."""
     x, frame, xp = _constant(x), tables.frame.astype(x.dtype), x.__array_namespace__()
     outside, answer = xp.zeros(x.shape[:-1], bool), xp.full(x.shape[:-1], np.inf, x.dtype)
@@ -181,9 +176,7 @@ def outside_domain(
     return outside, answer
 
 
-def _clamp(
-    window: Tables | FoldedDomain, x: Float[AnyArray, "*batch dim"]
-) -> tuple[Float[AnyArray, "*batch dim"], Float[AnyArray, "*#batch"]]:
+def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[AnyArray, "*#batch"]]:
     """Return the nearest point of the domain and the distance to it; a point that is not finite does not move."""
     xp = x.__array_namespace__()
     is_finite = xp.isfinite(x).all(axis=-1)
@@ -204,7 +197,7 @@ def _clamp(
     return xp.stack(nearest, axis=-1), way
 
 
-def length_of(along: list[Float[AnyArray, "*batch"]]) -> Float[AnyArray, "*#batch"]:
+def length_of(along: list[Values]) -> Float[AnyArray, "*#batch"]:
     """Return the lengths of vectors given axis by axis, without overflow or underflow; the gradient at 0 is 0."""
     xp = along[0].__array_namespace__()
     largest = _constant(reduce(xp.maximum, map(xp.abs, along)))
@@ -213,7 +206,7 @@ def length_of(along: list[Float[AnyArray, "*batch"]]) -> Float[AnyArray, "*#batc
     return without_fusion(scale * xp.where(largest > 0, xp.sqrt(xp.where(largest > 0, square, 1)), 0))
 
 
-def _wrap(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> Float[AnyArray, "*batch dim"]:
+def _wrap(tables: Tables, x: Points) -> Points:
     """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower one."""
     xp, columns = x.__array_namespace__(), [x[..., axis] for axis in range(tables.dim)]
     for axis in tables.periodic:
@@ -227,12 +220,7 @@ def _wrap(tables: Tables, x: Float[AnyArray, "*batch dim"]) -> Float[AnyArray, "
     return xp.stack(columns, axis=-1)
 
 
-def _value(
-    tables: Tables,
-    row: UInt32[AnyArray, "*batch"],
-    x: Float[AnyArray, "*batch dim"],
-    outside: Bool[AnyArray, "*batch"],
-) -> Float[AnyArray, "*batch"]:
+def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
     """Evaluate each point's leaf, whose parameters are in ``row``; points ``outside`` get an arbitrary number."""
     numbers, frame, place = _leaf_parameters(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
@@ -253,7 +241,7 @@ def _value(
 class _Unfused:
     """Numbers whose products are rounded before they are added, as the file format requires."""
 
-    value: Float[AnyArray, "*batch"]
+    value: Values
 
     def __add__(self, other: "_Unfused") -> "_Unfused":
         return _Unfused(self.value + other.value)
@@ -265,26 +253,15 @@ class _Unfused:
         return _Unfused(without_fusion(self.value * other.value))
 
 
-def _leaf_parameters(
-    tables: Tables, row: UInt32[AnyArray, "*batch"], dtype: np.dtype
-) -> list[Float[AnyArray, "*batch"]]:
-    if tables.leaf_parameters.ndim == 2:
-        return [
-            gather(tables.leaf_parameters[which], row).astype(dtype) for which in range(len(tables.leaf_parameters))
-        ]
-    count = tables.leaf.num_leaf_parameters(tables.dim)
-    return [
-        gather(tables.leaf_parameters, row * np.uint32(count) + np.uint32(which)).astype(dtype)
-        for which in range(count)
-    ]
+def _leaf_parameters(tables: Tables, row: Bits, dtype: np.dtype) -> list[Values]:
+    numbers, count = tables.leaf_parameters, tables.leaf.num_leaf_parameters(tables.dim)
+    if numbers.ndim == 2:
+        return [gather(numbers[i], row).astype(dtype) for i in range(len(numbers))]
+    return [gather(numbers, row * np.uint32(count) + np.uint32(i)).astype(dtype) for i in range(count)]
 
 
-def _fraction_bits(tables: Tables, x: Float[AnyArray, "*batch dim"], axis: int) -> UInt32[AnyArray, "*batch"]:
-    """Return an integer whose lowest 23 bits are a point's place along an axis, in ``2**-23`` of the domain's width.
-
-    The integer has the bits of ``1 + place / 2**23`` as a 32-bit float, so other bits are above the place. The upper
-    end of the domain gets the largest place, as it belongs to the last cell.
-    """
+def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
+    """Return an integer whose lowest 23 bits are a point's place along an axis, as a fraction of the domain."""
     lo, start, scale, top = (
         tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
     )
@@ -297,17 +274,15 @@ def _fraction_bits(tables: Tables, x: Float[AnyArray, "*batch dim"], axis: int) 
     return placed.astype(np.float32).view(np.uint32)
 
 
-def _join_bits(
-    fractions: list[UInt32[AnyArray, "*batch"]], mask: UInt32[AnyArray, "dim"], right: UInt32[AnyArray, "dim"]
-) -> UInt32[AnyArray, "*batch"]:
-    """Combine fraction bits of all axes to one index: ``mask`` selects bits of an axis, ``right`` shifts them."""
+def _join_bits(fractions: list[Bits], mask: UInt32[AnyArray, "dim"], right: UInt32[AnyArray, "dim"]) -> Bits:
+    """Combine bits of a point's position along all axes to an index: ``mask`` selects, ``right`` shifts them."""
     return reduce(or_, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)])
 
 
-def _row_in_trie(tables: Tables, trie: Trie, x: Float[AnyArray, "*batch dim"]) -> UInt32[AnyArray, "*batch"]:
+def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
     """Return each point's row of leaf parameters, found in a trie (tables of several PLRs) level by level."""
 
-    def descend(entry: UInt32[AnyArray, "*batch"], bits: UInt32[AnyArray, "2 dim"]) -> UInt32[AnyArray, "*batch"]:
+    def descend(entry: Bits, bits: UInt32[AnyArray, "2 dim"]) -> Bits:
         fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
         is_page = np.uint32(0) - (entry & np.uint32(1))  # all ones or zero
         return gather(trie.entries, (entry >> np.uint32(1)) + (_join_bits(fractions, bits[0], bits[1]) & is_page))
@@ -333,22 +308,16 @@ def _constant(x: Shaped[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
     return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
 
 
-def straight_through(x: Float[AnyArray, "*batch"], to: Float[AnyArray, "*batch"]) -> Float[AnyArray, "*batch"]:
+def straight_through(x: Values, to: Values) -> Values:
     """Return ``to``, but differentiate as if the result were ``x`` (a straight-through estimator)."""
     return _straight_through(x, to) if isinstance(to, jax.Array) else to
 
 
-@jax.custom_jvp
-def _straight_through(x, to):
-    return to
+_straight_through = jax.custom_jvp(lambda x, to: to)
+_straight_through.defjvp(lambda primals, tangents: (primals[1], tangents[0]))
 
 
-@_straight_through.defjvp
-def _straight_through_tangent(primals, tangents):
-    return primals[1], tangents[0]
-
-
-def without_fusion(value: Float[AnyArray, "*batch"]) -> Float[AnyArray, "*batch"]:
+def without_fusion(value: Values) -> Values:
     """Return a product or sum that the compiler cannot fuse with later operations."""
     if not isinstance(value, jax.Array):
         return value
@@ -356,16 +325,12 @@ def without_fusion(value: Float[AnyArray, "*batch"]) -> Float[AnyArray, "*batch"
     return straight_through(value, jnp.where(constant == constant, constant, jnp.nan))
 
 
-def _zero_if_differentiated(
-    t: Float[AnyArray, "*batch"], outside: Bool[AnyArray, "*batch"]
-) -> Float[AnyArray, "*batch"]:
+def _zero_if_differentiated(t: Values, outside: Flags) -> Values:
     """Return ``t``, but differentiate as if it were 0 outside the domain, where ``0 * inf`` would give NaN."""
     return _zeroed_tangent(t, outside) if isinstance(t, jax.Array) else t
 
 
-@jax.custom_jvp
-def _zeroed_tangent(t, outside):
-    return t
+_zeroed_tangent = jax.custom_jvp(lambda t, outside: t)
 
 
 @_zeroed_tangent.defjvp
@@ -374,7 +339,7 @@ def _zero_tangent(primals, tangents):
     return (jnp.where(outside, jnp.zeros_like(t), t), jnp.where(outside, jnp.zeros_like(t), tangents[0]))
 
 
-def _root(square: Float[AnyArray, "*batch"]) -> Float[AnyArray, "*batch"]:
+def _root(square: Values) -> Values:
     """Return the square root; its derivative at 0 (at the apex of a cone) counts as 0."""
     return _root_of_traced(square) if isinstance(square, jax.Array) else np.sqrt(square)
 

@@ -1,4 +1,4 @@
-"""Sight of the sources of a PLR of cones in a workspace, for paths that cross no wall."""
+"""Visibility of the sources of a PLR (corners and goals from which its cones measure distances) among walls."""
 
 from functools import lru_cache
 
@@ -16,7 +16,7 @@ from plr_jax.plr.leaves import as_sourced
 
 
 class SourceSight:
-    """Visibility polygons of the sources of a PLR, and the sources from which the path onward crosses no wall.
+    """Visibility polygons of the sources of a PLR of cones, and whether the path from each source crosses no wall.
 
     Sources that a file rounded to within ``rounding`` of their place count as seen up to that distance.
     """
@@ -46,8 +46,8 @@ class SourceSight:
     ) -> tuple[Int[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
         """Return the first source of each start's path, and whether the path is free.
 
-        It is the source ``first``. If this path crosses a wall or ends elsewhere, it is the source on the shortest
-        path that crosses none and ends at the goal, where there is one.
+        If the path over ``first`` crosses a wall or ends elsewhere, take the shortest free path to the goal, if there
+        is one.
         """
         first, is_free = first.copy(), self._is_clear[first] & self._sees(first, x)
         failing = np.flatnonzero(~(is_free & self._arrives[first]))

@@ -1,16 +1,14 @@
 """Lookup tables that map a point to its leaf by bit arithmetic, without descending a tree.
 
-The highest fraction bits of a point (``frame.py``) are its *slot*, a cell of a regular grid. There are three layouts:
+The highest bits of a point's position (``frame.py``) are its *slot*, a cell of a regular grid. There are 3 layouts:
 
--   A *flat* table has one entry for each slot of the finest grid.
--   *Blocks*, for deep trees: each cell of a coarse grid has its own table, as fine as its leaves need. Used above
-    ``2**MAX_FLAT_BITS`` slots.
--   *Pages*, for small PLRs of leaf models with deep trees: as blocks, but with leaf parameters stored by slot, so
-    that a query needs no more reads than with a flat table.
+- A *flat* table has one entry for each slot of the finest grid.
+- *Blocks*, for more than ``2**MAX_FLAT_BITS`` slots: cells of a coarse grid have tables as fine as their leaves need.
+- *Pages*, for small PLRs of leaf models with deep trees: as blocks, but with leaf parameters stored by slot, so that
+  a query needs no more reads than with a flat table.
 
-Tables are padded to the size class of the file (see ``byte_class``), so that PLRs of one class and leaf model share
-compiled code. Above 16,384 leaves, room is instead for the next power of two of leaves. If leaves need more slots
-than their class has, the table grows by powers of two.
+Tables are padded to the size class of the file (``byte_class``), so that PLRs of one class and leaf model share
+compiled code. Room above 16,384 leaves, or for more slots, grows by powers of two.
 """
 
 import math
@@ -49,8 +47,9 @@ from plr_jax.plr.frame import (
 )
 from plr_jax.plr.tree import Cells
 
-AnyArray: TypeAlias = Array | np.ndarray
-"""Tables are JAX arrays; NumPy views of them answer small batches."""
+PerAxis = Int[np.ndarray, "dim"]
+PerBlock = Int[np.ndarray, "blocks dim"]
+AnyArray: TypeAlias = Array | np.ndarray  # tables are JAX arrays; NumPy views of them answer small batches
 
 
 def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
@@ -61,28 +60,21 @@ def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> S
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Trie:
-    """A lookup table of several PLRs in one array of ``entries``, read level by level; see ``_stack.py``.
-
-    For each level and axis, ``bits`` has a mask of a point's fraction bits and their right shift in the index of an
-    entry. ``start`` is the first entry of one PLR's table, or of the table of each point's PLR.
-    """
+    """A lookup table of several PLRs in one array, read level by level; see ``_stack.py``."""
 
     entries: UInt32[AnyArray, "entries"]
-    bits: UInt32[AnyArray, "levels 2 dim"]
-    start: UInt32[AnyArray, "*batch"]
+    bits: UInt32[AnyArray, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
+    start: UInt32[AnyArray, "*batch"]  # first entry of one PLR, or of each point's PLR
 
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """A stand-in for one array per point: indexing with integers gives one value per point.
-
-    Each point's array has this ``shape`` and begins at ``start`` in ``flat``; values are read as ``dtype``.
-    """
+    """A stand-in for one array per point: indexing with integers gives one value per point."""
 
     flat: AnyArray
-    shape: tuple[int, ...]
-    start: UInt32[AnyArray, "*batch"]
-    dtype: Any
+    shape: tuple[int, ...]  # of each point's array
+    start: UInt32[AnyArray, "*batch"]  # where each point's array begins in ``flat``
+    dtype: Any  # of the values when read
 
     def astype(self, dtype: Any) -> "PerPointTable":
         return replace(self, dtype=dtype)
@@ -93,9 +85,8 @@ class PerPointTable:
     def __getitem__(self, key: Any) -> Any:
         first, *rest = key if isinstance(key, tuple) else (key,)
         if isinstance(first, slice):
-            return self.flat.__array_namespace__().stack(
-                [self[(i, *rest)] for i in range(*first.indices(self.shape[0]))]
-            )
+            rows = [self[(i, *rest)] for i in range(*first.indices(self.shape[0]))]
+            return self.flat.__array_namespace__().stack(rows)
         size = prod(self.shape[1:])
         inner = replace(self, shape=self.shape[1:], start=self.start + np.uint32(int(first) * size))
         if rest:
@@ -108,19 +99,13 @@ class PerPointTable:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class FoldedDomain:
-    """A domain whose points are folded (shifted, rotated, mirrored) before their leaves are looked up.
+    """A domain whose points are folded (shifted, rotated, mirrored) before their leaves are looked up."""
 
-    Attributes:
-        frame: Domain in 32-bit floats; see :class:`Frame` for its rows.
-        center, corners: Center of the folding and box of folded points; see :func:`folding_numbers`.
-        axes: Folded axes, one per row; None if they are the domain's.
-        mirrors: For each mirror, its pivot and all axes that it reverses: points with a negative pivot are mirrored.
-    """
-
-    frame: Float[AnyArray, "7 dim"] | PerPointTable
-    center: Float[AnyArray, "2 dim"] | PerPointTable
-    corners: Float[AnyArray, "2 dim"] | PerPointTable
-    axes: Float[AnyArray, "dim dim"] | PerPointTable | None
+    frame: Float[AnyArray, "7 dim"] | PerPointTable  # rows as in :class:`Frame`
+    center: Float[AnyArray, "2 dim"] | PerPointTable  # see :func:`folding_numbers`
+    corners: Float[AnyArray, "2 dim"] | PerPointTable  # of the box of folded points
+    axes: Float[AnyArray, "dim dim"] | PerPointTable | None  # one per row; None if they are the domain's
+    # Each mirror has a pivot and all axes that it reverses: it mirrors points whose pivot coordinate is negative.
     mirrors: tuple[tuple[int, tuple[int, ...]], ...] = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True})
 
@@ -135,27 +120,20 @@ _MAX_BLOCK_BITS = 16
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The coarse level of a two-level lookup table: each *block*, a cell of a coarse grid, has its own finer table.
+    """The coarse level of a lookup table: each block, a cell of a coarse grid, has a finer table of its own.
 
-    A block's *word* holds, from its lowest bit, the number of index bits of its table along each axis, in ``width``
-    bits per axis, and above them the table's start in ``leaf_of_slot``. Reading one word takes one gather, the main
-    cost of a query. Axes that do not fit into the first word come in further words.
-
-    Attributes:
-        words: Arrays of words, one per block.
-        shift: Number of a point's fraction bits along each axis below those that identify the block.
-        axes: Number of axes that each array of words describes.
+    A block's *word* holds, from its lowest bit, the number of index bits of its table along each axis, then the
+    table's start in ``leaf_of_slot``. Axes that do not fit go into more words; each read is a gather, the main cost
+    of a query.
     """
 
     words: tuple[UInt32[AnyArray, "blocks"], ...]
-    shift: UInt32[AnyArray, "dim"]
-    axes: tuple[int, ...] = field(metadata={"static": True})
-    width: int = field(metadata={"static": True})
+    shift: UInt32[AnyArray, "dim"]  # number of a point's fraction bits below those that identify the block
+    axes: tuple[int, ...] = field(metadata={"static": True})  # how many each array of words describes
+    width: int = field(metadata={"static": True})  # bits of a word per axis
 
 
-def pack_blocks(
-    shape: Int[np.ndarray, "blocks dim"], offset: Int[np.ndarray, "blocks_plus_one"], shift: Int[np.ndarray, "dim"]
-) -> Blocks:
+def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"], shift: PerAxis) -> Blocks:
     """Pack the tables of blocks into words; ``shape`` has log2 of their entries by axis, ``offset`` their starts."""
     width = max(1, int(shape.max()).bit_length())
     room = (WORD_BITS - int(offset[-1]).bit_length()) // width
@@ -171,7 +149,7 @@ def pack_blocks(
     return Blocks(tuple(words), jax.device_put(shift.astype(np.uint32)), tuple(axes), width)
 
 
-def choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: int) -> Int[np.ndarray, "dim"]:
+def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
     """Return how often to halve the domain by axis into blocks of the smallest table; ``ValueError`` if too large."""
     best, fewest = None, np.inf
     block_bits = np.zeros_like(bits)
@@ -185,22 +163,16 @@ def choose_block_bits(cells: Cells, bits: Int[np.ndarray, "dim"], max_entries: i
             best, fewest = block_bits.copy(), size
     if best is None:
         raise ValueError(
-            f"The leaves are too deep for a query's tables: {bits.tolist()} splits along the axes. Lower max_depth."
+            f"Leaves are too deep for a query's tables: {bits.tolist()} splits by axis. Lower max_depth."
         )
     return best
 
 
 def leaves_of_slots(
-    cells: Cells,
-    block_bits: Int[np.ndarray, "dim"],
-    shape: Int[np.ndarray, "blocks dim"],
-    offset: Int[np.ndarray, "blocks_plus_one"],
+    cells: Cells, block_bits: PerAxis, shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"]
 ) -> UInt32[np.ndarray, "slots"]:
-    """Return the leaf number in each entry (slot) of the lookup tables of all blocks, one after another.
-
-    ``shape`` has log2 of the slots of each block's table by axis, ``offset`` the starts of the tables. A leaf is
-    written at the first slot of each of its runs along the last axis, and repeated up to the next run.
-    """
+    """Return the leaf in each entry (slot) of the tables of all blocks, given log2 of their shapes and starts."""
+    # Write a leaf at the first slot of each of its runs along the last axis, and repeat it up to the next run.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     count[:, -1] = 1
     pair, slot = enumerate_boxes(first, count)
@@ -219,30 +191,19 @@ _MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Pages:
-    """The coarse level of a lookup table with *pages*: tables of those blocks that several leaves share.
+    """The coarse level of a lookup table by slots, table entries that hold the parameters of a leaf.
 
-    A block is a cell of a coarse grid; a slot is an entry of the table, with the parameters of a leaf. The first
-    slots are the leaves themselves. Most blocks are covered by one leaf and point to its slot. Any other block has a
-    page: slots for a grid as fine as its leaves need. The slot of a point is the page's start plus the masked
-    fraction bits. Bits that a mask leaves out are gaps between a page's slots; other pages fill them.
-
-    Attributes:
-        words: For each block, a mask of the fraction bits that index its page and, above it, the page's first slot.
-        bits: For each axis, a mask of the fraction bits below the block, their right shift in an index, and the bit
-            of a word at which the start begins (equal for all axes).
+    The first slots are the leaves themselves. Most blocks, cells of a coarse grid, are covered by one leaf and point
+    to its slot. Any other block has a *page*, slots for a grid as fine as its leaves need: a point's slot is the
+    page's start plus its masked position bits. Other pages fill the gaps that masks leave between a page's slots.
     """
 
-    words: UInt32[AnyArray, "blocks"]
-    bits: UInt32[AnyArray, "3 dim"]
+    words: UInt32[AnyArray, "blocks"]  # mask of the fraction bits that index the page and, above it, the page's start
+    bits: UInt32[AnyArray, "3 dim"]  # mask of fraction bits below a block, their right shift, width of a word's mask
 
 
-def build_pages(
-    cells: Cells, most_slots: int
-) -> tuple[Pages, Int[np.ndarray, "dim"], Int[np.ndarray, "slots"]] | None:
-    """Build a table with pages of at most ``most_slots`` entries, on the coarsest blocks possible; else return None.
-
-    Return the pages, how often the domain is halved along each axis into blocks, and the leaf of every slot (entry).
-    """
+def build_pages(cells: Cells, most_slots: int) -> tuple[Pages, PerAxis, Int[np.ndarray, "slots"]] | None:
+    """Build pages of at most ``most_slots`` slots over the coarsest grid of blocks that allows it, else None."""
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:
         block_bits = spread_bits(bits, most_bits)
@@ -278,15 +239,14 @@ def build_pages(
 
 
 def _place_pages(
-    shape: Int[np.ndarray, "blocks dim"], page_bits: Int[np.ndarray, "dim"], below: Int[np.ndarray, "dim"], first: int
+    shape: PerBlock, page_bits: PerAxis, below: PerAxis, first: int
 ) -> tuple[Int[np.ndarray, "blocks"], int]:
     """Return the first slot of the page (table) of every block, 0 if it has none, and the end of all slots.
 
-    ``shape`` has log2 of each page's slots by axis, ``page_bits`` of the largest possible page. ``below`` is the
-    number of index bits of all later axes, ``first`` the first slot that pages may use. A buddy allocator places
-    pages by decreasing size. Each takes the smallest free *room* that holds it, else a new room of the largest page.
-    A room that is too large is halved along one axis after another until it has the page's shape; each half takes
-    every other slot along that axis.
+    ``shape`` and ``page_bits`` have log2 of the slots of each page and of the largest possible one by axis; ``below``
+    counts the index bits of all later axes. A buddy allocator places pages by decreasing size in the smallest free
+    room, from the slot ``first`` on. A room that is too large is halved along one axis after another; each half has
+    every other slot.
     """
     finest = tuple(page_bits.tolist())
     rooms: dict[tuple[int, ...], list[int]] = {}
@@ -332,30 +292,20 @@ class Tables:
     """Arrays that a query reads, padded to few sizes so that PLRs of one size class share compiled code.
 
     Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
-
-    Attributes:
-        frame: Domain in 32-bit floats; see :class:`Frame` for its rows.
-        bits: For each axis, a mask of the fraction bits that identify the entry (flat table) or the block, and their
-            right shift in the index.
-        blocks, pages: Coarse level of a two-level table; both are None for a flat table.
-        leaf_parameters: Numbers that the leaf model evaluates, for each leaf or, with pages, for each slot. Small
-            tables have one row per number, which takes the least arithmetic; large ones concatenate each leaf's
-            numbers, which takes fewer cache lines.
-        trie: The lookup table in stacks of many PLRs, used instead of all others.
-        unresolved: Float types that are too coarse for the domain; see :func:`unresolved_types`.
     """
 
-    frame: Float[AnyArray, "7 dim"] | PerPointTable
-    bits: UInt32[AnyArray, "2 dim"]
+    frame: Float[AnyArray, "7 dim"] | PerPointTable  # domain in 32-bit floats, rows as in :class:`Frame`
+    bits: UInt32[AnyArray, "2 dim"]  # mask of the fraction bits that index an entry or block, and their right shift
     blocks: Blocks | None
     pages: Pages | None
     leaf_of_slot: UInt16[AnyArray, "slots"] | UInt32[AnyArray, "slots"]
+    # For each leaf or, with pages, for each slot: see :func:`arrange_parameters`.
     leaf_parameters: Float[AnyArray, "count padded"] | Float[AnyArray, "numbers"]
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedDomain | None = None
-    trie: Trie | None = None
-    unresolved: tuple[str, ...] = field(metadata={"static": True}, default=())
+    trie: Trie | None = None  # in stacks of many PLRs, used instead of all other lookup tables
+    unresolved: tuple[str, ...] = field(metadata={"static": True}, default=())  # too coarse float types
 
     @property
     def dim(self) -> int:
@@ -422,8 +372,6 @@ def build_tables(
     )
 
 
-def arrange_parameters(
-    numbers: Float[np.ndarray, "rows count"],
-) -> Float[np.ndarray, "count rows"] | Float[np.ndarray, "numbers"]:
-    """Arrange leaf parameters as in :class:`Tables`: columns for small tables, concatenated rows for large ones."""
+def arrange_parameters(numbers: Float[np.ndarray, "rows count"]) -> Float[np.ndarray, "..."]:
+    """Arrange leaf parameters: in columns, which take the least arithmetic, or in rows, with fewer cache misses."""
     return numbers.ravel() if numbers.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(numbers.T)

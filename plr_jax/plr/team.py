@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import jax
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from plr_jax._arrays import padded_size
 from plr_jax.geometry.box import Box
@@ -26,6 +26,8 @@ class PointPlacement:
         return x if self.corner is None else x - self.corner
 
 
+Bands = tuple[tuple[Float[AnyArray, "2 _"], Float[AnyArray, "_"] | None] | None, ...]
+
 # Compiled batch sizes. Padding is cheap while a call's overhead dominates; tiny sizes avoid a thread switch in JAX.
 _SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
 _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps with copies between NumPy and JAX
@@ -36,7 +38,7 @@ class TableStack:
     """A function of joint configurations made of one PLR per robot; robots with ``bands`` get proven lower bounds."""
 
     tables: tuple[Tables, ...]
-    bands: tuple[tuple[Float[Array, "2 _"], Float[Array, "_"] | None] | None, ...]
+    bands: Bands
     placements: tuple[PointPlacement | None, ...]
     small_batches: SmallBatches = field(default_factory=SmallBatches)
 
@@ -47,9 +49,8 @@ class TableStack:
             raise ValueError(f"Joint configurations must have shape (n, {len(self.tables)}, dof), got {shape}.")
         for i, table in enumerate(self.tables):
             if table.dim > shape[2]:
-                raise ValueError(
-                    f"The PLR of robot {i} needs {table.dim} coordinates, got configurations of {shape[2]}."
-                )
+                need = f"The PLR of robot {i} needs {table.dim} coordinates"
+                raise ValueError(f"{need}, got configurations of {shape[2]}.")
         distances = np.empty(q.shape[1::-1])
         starts = range(0, len(q), _CHUNK)
         # Dispatch all calls before waiting for the first result.
@@ -76,9 +77,7 @@ class TableStack:
 
 @jax.jit
 def _evaluate(
-    tables: tuple[Tables, ...],
-    bands: tuple[tuple[Float[AnyArray, "2 _"], Float[AnyArray, "_"] | None] | None, ...],
-    q: Float[AnyArray, "n robots dof"],
+    tables: tuple[Tables, ...], bands: Bands, q: Float[AnyArray, "n robots dof"]
 ) -> tuple[Float[AnyArray, "n"], ...]:
     """Evaluate each robot's PLR; return one array per robot, as XLA would compute one array in one slower loop."""
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]

@@ -47,15 +47,12 @@ class GridDistance:
         """Return the distance of each point to the goal.
 
         Args:
-            x: Points ``(x, y)``, ``(..., 2)``.
+            x: Points ``(x, y)``, ``(..., 2)``, real, else ``ValueError``.
 
         Returns:
             Distances in cell sides, ``(...)``. They are ``inf`` with gradient 0 outside the grid, inside blocked
             cells and where no path exists, and NaN where a coordinate of the point or goal is NaN, or if
             ``is_complete`` is false.
-
-        Raises:
-            ValueError: If ``x`` has a wrong shape or is not real.
         """
         return _distance(self, _as_points("x", x))
 
@@ -77,9 +74,7 @@ class GridDistances:
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
         """Return the distance from each point ``x`` to the point ``y`` in its place; see :class:`GridDistance`.
 
-        Args:
-            x: Points ``(x, y)``, ``(..., 2)``.
-            y: Other ends, ``(..., 2)``; leading axes broadcast with those of ``x``, else ``ValueError``.
+        Points ``(x, y)`` are ``(..., 2)``, real; their leading axes broadcast, else ``ValueError``.
         """
         x, y = _as_points("x", x), _as_points("y", y)
         try:
@@ -136,25 +131,22 @@ def grid_distance(
     if max_corners is not None:
         require_integer("max_corners", max_corners, 1)
         if moves != "any-angle":
-            raise ValueError(
-                f"max_corners requires any-angle paths, got {max_corners} with moves={moves}: leave it out."
-            )
+            got = f"{max_corners} with moves={moves}"
+            raise ValueError(f"max_corners requires any-angle paths, got {got}: leave it out.")
     point = None if goal is None else _as_points("goal", goal)
     if point is not None and point.ndim != 1:
         raise ValueError(f"goal must be one point of shape (2,), got shape {point.shape}: use jax.vmap for more.")
+    count = 0
     if moves == "any-angle":
         inside = (h - 1) * (w - 1)
-        count = min(inside, max_corners or (inside if inside <= MAX_LATTICE else -(-inside // 2)))
+        count = max(1, min(inside, max_corners or (inside if inside <= MAX_LATTICE else -(-inside // 2))))
         if count > MOST_CORNERS:
             raise ValueError(
                 f"Any-angle paths allow at most {MOST_CORNERS:,} corners, got {count:,} on {h} x {w} cells: "
                 "pass max_corners, or use moves=8."
             )
-        count = max(1, count)
     elif moves == 8 and h * w > MOST_CELLS:
         raise ValueError(f"free must have at most {MOST_CELLS:,} cells for moves=8, got {h} x {w}: use moves=4.")
-    else:
-        count = 0
     if point is None:
         return GridDistances(*_pairs(mask, moves, count))
     paths, is_complete, is_nan = _paths(mask, point, moves, count)
@@ -217,9 +209,8 @@ def _as_points(name: str, value: ArrayLike) -> Float[Array | np.ndarray, "*batch
         raise ValueError(f"{name} must be points (..., 2), got {shortened(value)}.") from None
     is_real = jnp.issubdtype(points.dtype, jnp.floating) or jnp.issubdtype(points.dtype, jnp.integer)
     if not is_real or points.ndim == 0 or points.shape[-1] != 2:
-        raise ValueError(
-            f"{name} must be real numbers of shape (..., 2), rows (x, y), got {points.dtype} of shape {points.shape}."
-        )
+        got = f"{points.dtype} of shape {points.shape}"
+        raise ValueError(f"{name} must be real numbers of shape (..., 2), rows (x, y), got {got}.")
     is_wide = jnp.issubdtype(points.dtype, jnp.floating) and points.dtype.itemsize >= 4
     return points if is_wide else points.astype(jax.dtypes.canonicalize_dtype(np.float64))
 

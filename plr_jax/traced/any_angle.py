@@ -1,10 +1,9 @@
 """Any-angle shortest paths on a traced grid; they bend only at convex corners of blocked cells.
 
-1.  Visibility: the cells that a segment crosses, row by row, are compared as bits with the blocked cells. Segments
-    run between points inside free cells, at a :func:`margin` from the cells' sides, and count as crossing cells
-    within a fourth of it. So a segment that grazes a corner may count as blocked; the path through that corner is as
-    long. If both ends are independent of the map, the crossed cells are computed once, on the host.
-2.  Shortest paths from corner to corner, by relaxation.
+Segments run between points inside free cells, at a :func:`margin` from the cells' sides, and count as crossing cells
+within a fourth of it. The cells that they cross in a row are compared as bits with the blocked cells. So a segment
+that grazes a corner may count as blocked; the path through that corner is as long. If both ends are independent of
+the map, the crossed cells are computed once, on the host. Distances from corner to corner follow by relaxation.
 """
 
 from collections.abc import Iterator
@@ -24,10 +23,10 @@ Broadcast = Float[Array, "*#batch 2"]
 Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
 
-MOST_CORNERS = 2**12
-"""Most corners of a map; the distances between so many take 64 MB."""
-MAX_LATTICE = 2**8
-"""By default, tables have room for all corners of cells inside a grid, if at most this many, else for half."""
+MOST_CORNERS = 2**12  # most corners of a map; the distances between so many take 64 MB
+MAX_LATTICE = (
+    2**8
+)  # by default, tables have room for all corners of cells if there are at most so many, else for half
 
 
 def margin(shape: Shape, dtype: Any) -> float:
@@ -36,10 +35,7 @@ def margin(shape: Shape, dtype: Any) -> float:
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Return each point moved inside its first and last free cell, ``(..., 2, 2)``, and whether it has one.
-
-    If only two of the four cells around a corner are free, diagonally, these are the first and last.
-    """
+    """Return each point moved inside the first and last free cell that contains it, and whether there is one."""
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
     which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
@@ -66,16 +62,13 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield, row by row, the first and last column that segments cross, and whether they cross the row.
-
-    Columns are widened by ``slack``. No segment may end on a border between rows. ``xp`` is NumPy or jax.numpy.
-    """
+    """Yield, row by row, the first and last column that segments cross, and whether they cross the row."""
     h, w = shape
     (x0, y0), (x1, y1) = (xp.moveaxis(point, -1, 0) for point in (a, b))
     dx, dy = x1 - x0, y1 - y0
     # A tiny slope for level segments makes all their length lie in their row.
     inverse = 1 / xp.where(dy == 0, 1e-30, dy)
-    at, x_at = xp.clip(-y0 * inverse, 0, 1), None
+    at = xp.clip(-y0 * inverse, 0, 1)
     x_at = x0 + dx * at
     for row in range(h):
         until = xp.clip((row + 1 - y0) * inverse, 0, 1)
@@ -110,10 +103,9 @@ def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:
 def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words n corners"]:
     """Return the cells, as bits, that segments cross from each cell corner (or cell center) to each cell corner.
 
-    A segment through a corner counts as crossing all four cells there: if one is blocked, a path through the corner
-    is as long; if two are, no path passes. A segment along a grid line counts as running on its left, so two corners
-    see each other if one of the two directions is free; if the free side changes, a path leads through the corner
-    there.
+    A segment through a corner crosses all four cells there: if one is blocked, a path through the corner is as long.
+    A segment along a grid line runs on its left, so two corners see each other if one of both directions is free; if
+    the free side changes, a path leads through the corner there.
     """
     a, b = (cell_centers(shape) if from_centers else lattice(shape))[:, None], lattice(shape)[None]
     along = b - a
@@ -140,18 +132,15 @@ def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array,
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend.
-
-    Entry ``i`` is point number ``index[i]`` of :func:`lattice` if ``is_convex[i]``; other entries are padding.
-    """
+    """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend."""
 
     free: Bool[Array, "*maps h w"]
-    index: Int32[Array, "*maps corners"]
-    is_convex: Bool[Array, "*maps corners"]
+    index: Int32[Array, "*maps corners"]  # number of a point of :func:`lattice`
+    is_convex: Bool[Array, "*maps corners"]  # False for padding
 
     @property
     def _is_lattice(self) -> bool:
-        """Whether every point of :func:`lattice` has an entry and :func:`crossed_cells` applies."""
+        """Whether the entries are all points of :func:`lattice`, few enough for :func:`crossed_cells`."""
         return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
@@ -161,18 +150,13 @@ class Corners:
     def _inset_points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
         """Return points near the corners, inside the cells opposite to the blocked ones."""
         blocked = (~self.free).astype(dtype)
-        lower_left, lower_right = blocked[:-1, :-1], blocked[:-1, 1:]
-        upper_left, upper_right = blocked[1:, :-1], blocked[1:, 1:]
-        away = [
-            lower_left + upper_left - lower_right - upper_right,
-            lower_left + lower_right - upper_left - upper_right,
-        ]
+        to_right, to_upper = blocked[:, :-1] - blocked[:, 1:], blocked[:-1] - blocked[1:]
+        away = to_right[:-1] + to_right[1:], to_upper[:, :-1] + to_upper[:, 1:]
         # Without a convex corner the sum may be 0; any point inside a cell will do.
         away = jnp.where(jnp.stack(away, axis=-1) < 0, -1, 1).reshape(-1, 2)[self.index]
         return self.points(dtype) + margin(self.free.shape, dtype) * away.astype(dtype)
 
     def see_each_other(self, a: Ends, b: Ends) -> Bool[Array, "n"]:
-        """Return whether points, each moved inside up to two free cells, see each other past blocked cells."""
         return is_unobstructed(
             pack(~self.free), self.free.shape, _end_facing(a, b.mean(axis=-2)), _end_facing(b, a.mean(axis=-2))
         )
@@ -316,11 +300,7 @@ def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Ar
 
 @jax.custom_jvp
 def _shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
-    """Return the minimum of ``first + onward`` over the last axis, with the gradient of a single minimizer.
-
-    Among minimizers equal up to rounding, one with ``first > 0`` is preferred: at a corner, the segment to that
-    corner has no direction.
-    """
+    """Return the minimum of ``first + onward`` over the last axis, with the gradient of a single minimizer."""
     return jnp.min(first + onward, axis=-1)
 
 
@@ -329,6 +309,7 @@ def _(primals, tangents):
     first, onward = primals
     total, change = first + onward, tangents[0] + tangents[1]
     least = jnp.min(total, axis=-1)
+    # Prefer a minimizer with ``first > 0``: at a corner, the segment to that corner has no direction.
     is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
     one = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
     is_one = jnp.arange(total.shape[-1]) == one[..., None]

@@ -23,8 +23,7 @@ Points = Float[Array, "*batch 2"]
 Cells = tuple[Int32[Array, "4 *batch"], Int32[Array, "4 *batch"]]
 Distances = Float[Array, "h w"]
 
-WORD = 32
-"""Bits of a word."""
+WORD = 32  # bits of a word
 _PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
 
 
@@ -40,7 +39,6 @@ def unpack(words: Words, w: int) -> UInt32[Array, "h w"]:
 
 
 def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -> Words:
-    """Return a grid of packed bits in which only one cell is set."""
     rows, words = jnp.indices((shape[0], -(-shape[1] // WORD)), dtype=jnp.int32)
     bit = jnp.uint32(1) << (column % WORD).astype(jnp.uint32)
     return jnp.where((rows == row) & (words == column // WORD), bit, jnp.uint32(0))
@@ -58,10 +56,7 @@ def neighbors_of(words: Grids) -> Grids:
 
 
 def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batch"]]:
-    """Return rows and columns ``(4, ...)`` of the closed cells that contain each point, and whether there are any.
-
-    Cells are repeated where fewer than four contain a point: inside a cell, and on a side.
-    """
+    """Return the rows and columns of the closed cells that contain each point, and whether the grid does."""
     size = jnp.broadcast_to(jnp.array(shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
     upper = jnp.minimum(jnp.floor(clipped), size - 1).astype(jnp.int32)
@@ -127,18 +122,14 @@ def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
 
 @custom_vmap
 def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
-    """Return the reachable cells, and their numbers of steps from ``start`` in binary: a packed grid for each digit.
-
-    A step of the whole grid takes a few operations on words. Four steps form a round, so that only two digits change
-    within it. Batches of grids use the last axis, which is three times as fast as the first.
-    """
+    """Return the reachable cells, and their numbers of steps from ``start`` as one packed grid per binary digit."""
     h, words = passable.shape[:2]
     powers = jnp.arange((h * words * WORD // 4).bit_length(), dtype=jnp.uint32).reshape(-1, *[1] * passable.ndim)
 
     def has_digit(number):
         return (number >> powers) & 1 == 1
 
-    def four_levels(state):
+    def four_levels(state):  # only two binary digits change within a round of four steps
         fours, reached, ones_plane, twos_plane, planes, _ = state
         new = []
         for _ in range(4):
@@ -156,6 +147,7 @@ def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[
     return reached, jnp.concatenate([ones_plane[None], twos_plane[None], planes])
 
 
+# Grids of a batch are the last axis, which is three times as fast as the first.
 @_breadth_first_search.def_vmap
 def _(size: Any, is_mapped: list[bool], *arguments: Any):
     last = [
@@ -168,8 +160,7 @@ def _(size: Any, is_mapped: list[bool], *arguments: Any):
 
 # Integer lengths keep sums of steps exact. 3363 / 2378 is a convergent of sqrt(2), above it by 4.4e-8.
 _STRAIGHT, _DIAGONAL, _FAR = 2378, 3363, 2**29
-MOST_CELLS = _FAR // _DIAGONAL
-"""Most cells of a grid for ``moves=8``: a path has fewer steps than cells, so its length stays below ``_FAR``."""
+MOST_CELLS = _FAR // _DIAGONAL  # for ``moves=8``: a path has fewer steps than cells, so its length is below ``_FAR``
 
 
 def _octile_distances(free: Mask, start: Mask) -> Distances:

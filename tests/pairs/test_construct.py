@@ -82,7 +82,7 @@ def grown(workspace, most_leaves):
     """Corners, the leaves' lists of them, and their boxes."""
     visibility = corner_visibility(workspace)
     bounds = workspace.bounds
-    root = corners_seen(visibility, workspace.triangulation, bounds.lo[None], bounds.hi[None])
+    root = corners_seen(visibility, workspace.triangulation, bounds)
     lists = grow_lists(root, workspace.bounds, LIMITS, most_leaves, lambda lists: 0)
     return visibility.corners, lists, *lists.cells.boxes(workspace.bounds)
 

@@ -26,11 +26,8 @@ from plr_jax.plr.frame import (
 from plr_jax.plr.leaves import as_sourced
 from plr_jax.plr.tree import Tree
 
-Value: TypeAlias = Any
-"""A number, an array, or an expression."""
-
-Point: TypeAlias = list[Value]
-"""Coordinates of points, one value per axis."""
+Value: TypeAlias = Any  # a number, an array, or an expression
+Point: TypeAlias = list[Value]  # coordinates of points, one value per axis
 
 
 class Operations:
@@ -74,7 +71,7 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Return a point's fraction bits (``frame.py``) along an axis, from its offset and the frame of this axis."""
+    """Return a point's place along an axis as an integer of 23 bits, from its offset and the frame of the axis."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
@@ -88,30 +85,20 @@ _TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the doma
 
 
 class Program:
-    """The steps of a query (``FORMAT.md``) for one file, without its points.
-
-    Attributes:
-        corner: Lower corner of a domain far from 0, relative to which points are taken; else None.
-        precision: Least precision of given points: 64 bits in a domain far from 0.
-        frame: The domain that leaves partition, relative to ``corner`` or to the center of mirrors, in 32 bits; see
-            :class:`Frame` for its rows.
-        limits: Least and largest coordinates inside, relative to ``corner``; along periodic axes, all finite ones.
-        periods, double_periods: Ends, inverse width and tolerance of each periodic axis, in 32 and 64 bits.
-        folding_arrays: Center of mirrors, its rounding error, axes (or None), mirrors, and corners of the box of
-            mirrored points; None without mirror symmetries.
-    """
+    """The steps of a query (``FORMAT.md``) for one file, without its points."""
 
     def __init__(self, contents: DecodedFile) -> None:
-        """Prepare the constants of a query; raise ``ValueError`` if 32-bit floats cannot hold the file's numbers."""
         self.contents, self.leaf = contents, contents.leaf
         self.domain = domain = contents.domain if contents.folding is None else contents.folding.domain
         self.dim = domain.dim
+        # Points are taken relative to the lower corner of a domain far from 0, given in at least this precision.
         self.corner: Value = corner_if_far(domain)
         self.precision = np.float32 if self.corner is None else np.float64
         origin = np.zeros(self.dim) if self.corner is None else domain.lo
         of_leaves, numbers = relative_to_origin(contents, origin)
         self.leaf_parameters = numbers.astype(np.float32)[:, self.dim * self.leaf.is_cell_relative :]
         self.frame: Value = frame_of(of_leaves)
+        # Least and largest coordinates inside, and ends, inverse width and tolerance of each periodic axis.
         self.limits: list[list[Value]] = list(map(list, table_corners(domain.moved(-origin))))
         self.periods, self.double_periods = {}, {}
         for axis in np.flatnonzero(domain.periodic).tolist():
@@ -144,14 +131,14 @@ class Program:
         return x
 
     def relative(self, do: Operations, x: Point) -> Point:
-        """Return points relative to :attr:`corner`, rounded to 32 bits."""
+        """Return points, relative to the lower corner of a domain that is far from 0, rounded to 32 bits."""
         return [self._relative(do, x, axis) for axis in range(self.dim)]
 
     def _relative(self, do: Operations, x: Point, axis: int) -> Value:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
     def fold_and_wrap(self, do: Operations, x: Point) -> Point:
-        """Mirror points of the domain (relative to :attr:`corner`) if the file has mirrors; wrap periodic axes."""
+        """Mirror points of the domain, given by :meth:`relative`, if the file has mirrors; wrap periodic axes."""
         x = list(x)
         if self.folding_arrays is not None:
             center, rest, axes, mirrors, ends = self.folding_arrays
@@ -170,7 +157,7 @@ class Program:
         return x
 
     def offsets(self, do: Operations, x: Point) -> Point:
-        """Return the offsets of mirrored and wrapped points from the lower corner ``LO`` of :attr:`frame`."""
+        """Return the offsets of mirrored and wrapped points from the lower corner of the domain in 32 bits."""
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
@@ -206,12 +193,8 @@ class Program:
 class CodedTree:
     """A binary tree of cells whose nodes are integers ``index << kind_bits | kind``.
 
-    A split node's kind is its axis, and its index is a row of ``children``. A leaf's kind is ``dim``, and its index
-    is a row of leaf parameters.
-
-    Attributes:
-        children: Codes of the lower and upper child of each split node, in level order.
-        axis, depth: Axis of each split, and how often the cell was split along it before.
+    A split node's kind is its axis, and its index is a row of ``children``, in level order. A leaf's kind is ``dim``,
+    and its index is a row of leaf parameters.
     """
 
     def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, "leaves"]) -> None:
@@ -224,7 +207,7 @@ class CodedTree:
         code = (index << self.kind_bits) | np.where(tree.child >= 0, tree.axis, dim)
         self.root, self.children = int(code[0]), code[tree.child[inner][:, None] + np.arange(2)]
         self.axis = tree.axis[inner]
-        self.depth = tree.cells.depth[inner, self.axis]
+        self.depth = tree.cells.depth[inner, self.axis]  # how often the cell was split along this axis before
         self.code_type = np.dtype(np.uint16 if code.max() < 2**16 else np.uint32)
 
 

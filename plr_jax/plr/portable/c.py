@@ -49,7 +49,6 @@ _WHY = {
 
 
 def c_header(program: Program, name: str) -> str:
-    """Return the header of a PLR, see :meth:`PLR.c_header`; ``ValueError`` if the name is no C identifier."""
     require_identifier(name)
     dim, leaf, of_type = program.dim, program.leaf, "float" if program.corner is None else "double"
     rows, row_of_leaf = distinct_rows(program.leaf_parameters)

@@ -78,7 +78,7 @@ function readContainer(bytes) {
         reader.checkText(length);
         const count = reader.varint();
         if (count > 32) fail(`it states ${count} layers, more than 32`);
-        if (count && (second & 7) !== 7) fail("it is a progressive file of several PLRs, which only plr_jax 0.1 reads; build it again");
+        if (count && (second & 7) !== 7) fail("it is a progressive file of PLRs, which only plr_jax 0.1 reads; build it again");
         sizes = Array.from({ length: count }, () => reader.varint());
     }
     const layers = [];

@@ -70,7 +70,7 @@ def js_file_reader() -> str:
 
 
 def js_cone_reader() -> str:
-    """Return JavaScript's ``coneReader``, which makes distance, waypoint and bounds from tables of ``readCones``."""
+    """Return the JavaScript function ``coneReader``, which makes query functions from tables of ``readCones``."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program, rows = _ConesFromTables(), np.zeros((2, 5), np.float32)
     tree = CodedTree(program.contents.tree, np.zeros(2, int))
@@ -84,7 +84,6 @@ def js_cone_reader() -> str:
 
 
 def js_module(program: Program) -> str:
-    """Return the source of a PLR's JavaScript module; see :meth:`PLR.js_module`."""
     dim, leaf, certificate, columns = program.dim, program.leaf, program.contents.certificate, program.leaf_parameters
     if certificate is not None:  # append the bounds of distance minus value
         both = np.broadcast_to(certificate.bounds().T.astype(np.float32), (len(columns), 2))
@@ -175,11 +174,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the search of a point's leaf in the tree.
-
-    It begins with a lookup in a grid, whose cells inside one leaf need no descent, unless ``of_cells``: only the
-    descent computes the leaf's cell.
-    """
+    """Generate the search of a point's leaf; it begins with a lookup in a grid, unless the cells are needed too."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),
@@ -238,7 +233,6 @@ def float32_literal(number: np.float32) -> str:
 
 
 def _decimal(number: Any) -> str:
-    """Format a number or its decimal in JavaScript's spelling."""
     text = str(number).removesuffix(".0")
     return text.replace("inf", "Infinity")
 

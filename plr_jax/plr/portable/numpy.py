@@ -50,19 +50,13 @@ _MOST_BITS = 16  # the table then fits a core's second-level cache
 
 
 class LeafTable:
-    """A lookup table over a regular grid, and a tree that leads to leaves smaller than the grid's cells.
-
-    Attributes:
-        bits: How often the domain is halved along each axis into the grid's cells.
-        table: For each cell of the grid, the code of the deepest node that contains it; see :class:`CodedTree`.
-        is_flat: Whether every cell of the grid lies in a single leaf.
-    """
+    """A lookup table over a regular grid, and a tree that leads to leaves smaller than the grid's cells."""
 
     def __init__(self, tree: CodedTree) -> None:
         self.tree, self.kind = tree, (1 << tree.kind_bits) - 1
         deepest = np.zeros(tree.dim, np.int64)
         np.maximum.at(deepest, tree.axis, tree.depth + 1)
-        bits = spread_bits(deepest, _MOST_BITS)
+        bits = spread_bits(deepest, _MOST_BITS)  # halvings of the domain along each axis into the grid's cells
         cell = np.indices((1 << bits).tolist()).reshape(tree.dim, -1)
         code = np.full(cell.shape[1], tree.root)
         moving = np.arange(len(code))
@@ -75,6 +69,7 @@ class LeafTable:
             moving, node, below = moving[moves], node[moves], below[moves]
             code[moving] = tree.children[node, (cell[tree.axis[node], moving] >> below) & 1]
         self.bits, self.is_flat = tuple(bits.tolist()), bool((code & self.kind == tree.dim).all())
+        # The table has the deepest node that contains each cell of the grid; the table is flat if these are leaves.
         self.table, self.children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
 
     def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
@@ -114,9 +109,8 @@ def point_query(
 ) -> Callable[..., Any]:
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
-    The function returns the distance: ``inf`` outside the domain, NaN for NaN. If ``of_leaf``, it returns the row of
-    the point's leaf instead, or -1 outside and for NaN. It returns None for a point so close to the boundary that
-    rounding decides whether it is inside.
+    It returns the distance (``inf`` outside the domain, NaN for NaN) or, if ``of_leaf``, the row of the point's leaf
+    (-1 outside and for NaN). It returns None if rounding decides whether the point is inside.
     """
     do, domain, tree = PythonEmitter(), program.domain, table.tree
     children, depth = table.children.data, tree.depth.data  # memoryviews, which return Python integers
@@ -156,17 +150,15 @@ def point_query(
     index = shifted[0]
     for along, bits in zip(shifted[1:], table.bits[1:], strict=True):
         index = f"({index}) << {bits} | {along}"
-    row = (
-        f"codes[{index}] >> {tree.kind_bits}"
-        if table.is_flat
-        else f"descend(codes[{index}], ({', '.join(fractions)},))"
-    )
+    row = f"codes[{index}] >> {tree.kind_bits}"
+    if not table.is_flat:
+        row = f"descend(codes[{index}], ({', '.join(fractions)},))"
     # 3. Value of the leaf.
     elsewhere = "-1" if of_leaf else f"nan if {is_nan} else inf"
     if not of_leaf:
-        names = [f"n{i}" for i in range(numbers.shape[1])]
-        do.statements += [f"leaf = {row}", f"{', '.join(names)}, = rows[leaf]"]
-        row = program.value(do, offsets, [do.atom(name) for name in names])
+        parameters = [f"n{i}" for i in range(numbers.shape[1])]
+        do.statements += [f"leaf = {row}", f"{', '.join(parameters)}, = rows[leaf]"]
+        row = program.value(do, offsets, [do.atom(name) for name in parameters])
     lines = [
         f"if not ({' and '.join(inside)}):",
         f"    if {' | '.join(outside)}: return {elsewhere}",  # `|` compares all coordinates, also NaN
@@ -175,20 +167,11 @@ def point_query(
         f"return {row}",
     ]
     source = "\n    ".join([f"def query({', '.join(given)}):", *lines])
-    names_in_source: dict[str, Any] = {
-        **do.constants,
-        "rows": _Rows(numbers),
-        "descend": descend,
-        "codes": table.table.data,
-        "floor": floor,
-        "sqrt": sqrt,
-        "inf": np.float32(np.inf),
-        "nan": np.float32(np.nan),
-        "float32": np.float32,
-        "float64": np.float64,
-    }
-    exec(source, names_in_source)
-    return names_in_source["query"]
+    names: dict[str, Any] = {"rows": _Rows(numbers), "descend": descend, "codes": table.table.data, **do.constants}
+    names |= {"inf": np.float32(np.inf), "nan": np.float32(np.nan), "floor": floor, "sqrt": sqrt}
+    names |= {"float32": np.float32, "float64": np.float64}
+    exec(source, names)
+    return names["query"]
 
 
 _CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
@@ -257,18 +240,11 @@ class NumpyPLR:
         return js_module(self._program)
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Any:
-        """Return the distance at each point.
+        """Return the distance at each point ``(..., dim)``, float32 ``(...)``; a scalar for a single point.
 
-        Args:
-            x: Points, ``(..., dim)``.
-            outside: Answer outside the domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`. For
-                ``"clamp"``, coordinates must be finite in 32 bits, else the answer is ``inf``.
-
-        Returns:
-            Distances, ``(...)``, float32; a scalar for a single point.
-
-        Raises:
-            ValueError: If the points are not numbers of that shape, or ``outside`` is invalid.
+        ``outside`` is the answer outside the domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`. For
+        ``"clamp"``, coordinates must be finite in 32 bits, else the answer is ``inf``. ``ValueError`` if the points
+        are not numbers of that shape, or ``outside`` is invalid.
         """
         if outside != "inf":
             outside = as_outside(outside)
@@ -368,9 +344,8 @@ class NumpyPLR:
                 part[...] = self._evaluate_inside(program.relative(ARRAYS, moved), answer)
                 is_nan, others = np.isnan(points[~inside]).any(axis=1), np.inf
                 if outside == "clamp":
-                    others = self._evaluate_clamped(
-                        program.relative(ARRAYS, [along[~inside] for along in given]), answer
-                    )
+                    beyond = [along[~inside] for along in given]
+                    others = self._evaluate_clamped(program.relative(ARRAYS, beyond), answer)
                 elif outside == "nan" or answer == self._waypoints:
                     others = np.nan
                 part[~inside] = np.reshape(np.where(is_nan, np.nan, others), (-1, *[1] * len(shape)))
@@ -413,11 +388,9 @@ class NumpyPLR:
 
 
 def load_numpy(path: str | os.PathLike) -> NumpyPLR:
-    """Read a PLR that :func:`save` wrote, without importing JAX.
+    """Read a PLR that :func:`save` wrote, without importing JAX; ``OSError`` if the file cannot be read.
 
-    Raises:
-        ValueError: If the file is no PLR file that this release reads, or holds distances between any two points.
-        OSError: If the file cannot be read.
+    ``ValueError`` if it is no PLR file that this release reads, or holds distances between any two points.
     """
     path = file_path(path)
     try:

@@ -22,15 +22,11 @@ _ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # precedence o
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """Source text of an expression; Python's operators combine texts, with parentheses where precedence needs them.
-
-    ``level`` is the precedence of the outermost operator. ``type`` is ``float``, ``double``, ``uint32_t`` or, for
-    conditions, ``int``.
-    """
+    """Source text of an expression; operators combine texts, with parentheses where precedence needs them."""
 
     text: str
-    level: int
-    type: str
+    level: int  # precedence of the outermost operator
+    type: str  # float, double, uint32_t or, for conditions, int
     language: "Emitter"
 
     __array_ufunc__ = None  # NumPy's scalars leave operators to this class
@@ -89,20 +85,13 @@ class Expression:
 
 
 class Emitter(Operations, ABC):
-    """A base of generators of source code; subclasses define templates of their language, as attributes.
-
-    Attributes:
-        conjunction, conditional: Logical and; conditional expression.
-        root_of: Square root of a 32-bit float, rounded to 32 bits; a 64-bit root that is then rounded is the same.
-        cast, definition: Rounding to 32 bits; assignment of a value to a new variable.
-        is_rounded: Whether 32-bit operations are rounded to 32 bits without a cast.
-    """
+    """A base of generators of source code; subclasses define templates of their language, as attributes."""
 
     conjunction, conditional = "&&", "({} ? {} : {})"
-    root_of: str
-    cast: str
-    definition: str
-    is_rounded = True
+    root_of: str  # square root of a float, rounded to 32 bits; a 64-bit root that is then rounded is the same
+    cast: str  # rounding to 32 bits
+    definition: str  # assignment of a value to a new variable
+    is_rounded = True  # whether 32-bit operations are rounded to 32 bits without a cast
 
     def __init__(self) -> None:
         self.statements: list[str] = []
@@ -160,18 +149,9 @@ class Emitter(Operations, ABC):
 
 
 def write_lookup(
-    do: Emitter,
-    program: Program,
-    of_type: str,
-    read_leaf: Callable[[Any, list[Expression]], list[Expression]],
-    outside: list[str],
+    do: Emitter, program: Program, of_type: str, read_leaf: Callable[..., list[Expression]], outside: list[str]
 ) -> tuple[list[Expression], list[Expression]]:
-    """Generate the first statements of a C or JavaScript function of a point ``x``: those that find its leaf.
-
-    ``read_leaf`` generates the search, from expressions of the point's fraction bits, and returns those of the leaf
-    parameters. ``outside`` are the statements for points outside the domain. Returns expressions of the offsets from
-    the domain's lower corner, and of the leaf parameters.
-    """
+    """Generate the search of the leaf of a point ``x`` in C or JavaScript; return offsets and leaf parameters."""
     x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
     if of_type == "double":
         x = program.wrap_in_double(do, x)
@@ -186,7 +166,6 @@ def nan_condition(dim: int) -> str:
 
 
 def require_identifier(name: object) -> None:
-    """Raise ``ValueError`` unless the name is a C identifier that begins with a letter."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise ValueError(f"name must be a C identifier, such as plr_maze, got {shortened(name)}.")
 
@@ -207,7 +186,6 @@ def indent(lines: Iterable[str]) -> list[str]:
 
 
 def wrap_entries(entries: Iterable[str]) -> list[str]:
-    """Join entries with commas to lines of at most about 100 characters."""
     lines, line = [], ""
     for entry in entries:
         if len(line) + len(entry) > _WIDTH:
