@@ -225,14 +225,15 @@ function pairsReader(tables) {
     }
 
     function hides({ walls, isCertain }, px, py, qx, qy) {
-        const dx = f(qx - px), dy = f(qy - py), moment = f(f(dx * py) - f(dy * px));
+        const dx = f(qx - px), dy = f(qy - py);
         let goesIn = false, goesOut = false;
         for (let w = 0; w < walls.length; w += 7) {
             const ex = walls[w + 4], ey = walls[w + 5], turn = walls[w + 6];
             if (!(f(f(f(f(ex * py) - f(ey * px)) - turn) * f(f(f(ex * qy) - f(ey * qx)) - turn)) < 0)) continue;
-            const a = f(f(dx * walls[w + 1]) - f(dy * walls[w])), b = f(f(dx * walls[w + 3]) - f(dy * walls[w + 2]));
-            if (b >= moment && a < moment) goesIn = true;
-            if (a >= moment && b < moment) goesOut = true;
+            const aIsLeft = f(dx * f(walls[w + 1] - py)) >= f(dy * f(walls[w] - px));
+            const bIsLeft = f(dx * f(walls[w + 3] - py)) >= f(dy * f(walls[w + 2] - px));
+            if (bIsLeft && !aIsLeft) goesIn = true;
+            if (aIsLeft && !bIsLeft) goesOut = true;
         }
         return isCertain ? goesIn || goesOut : goesIn && goesOut;
     }

@@ -7,9 +7,9 @@ Operations follow IEEE 754, round to nearest, are not fused, and use 32-bit floa
     It is ``inf`` if a point is farther from the middle than half the domain width, rounded up. Of the two points,
     ``p`` is the lexicographically smaller, ``q`` the other.
 2.  *Sight.* A wall from ``a`` to ``b`` has as coefficients its ends, ``e = b - a`` and ``turn = e[0] a[1] - e[1]
-    a[0]``. Let ``d = q - p`` and ``m = d[0] p[1] - d[1] p[0]``. The segment from ``p`` to ``q`` crosses the wall if
-    ``(e[0] p[1] - e[1] p[0] - turn) (e[0] q[1] - e[1] q[0] - turn) < 0`` and ``d[0] a[1] - d[1] a[0] < m <= d[0] b[1]
-    - d[1] b[0]`` (inward) or the reverse (outward). It is blocked if it crosses one wall inward and one outward.
+    a[0]``. Let ``d = q - p``. An end ``x`` is left if ``d[0] (x[1] - p[1]) >= d[1] (x[0] - p[0])``. The segment from
+    ``p`` to ``q`` crosses the wall if ``(e[0] p[1] - e[1] p[0] - turn) (e[0] q[1] - e[1] q[0] - turn) < 0`` and only
+    ``b`` is left (inward) or only ``a`` (outward). It is blocked if it crosses one wall inward and one outward.
 3.  *Lengths* are ``sqrt(d[0] d[0] + d[1] d[1])``. If ``p`` sees ``q``, the distance is straight. Else it is the least
     ``|p - i| + (|q - j| + D(i, j))``, or ``inf``. Corner ``i`` is listed by the leaf of ``p`` and visible from ``p``,
     corner ``j`` likewise for ``q``. Leaves are found as for a PLR (see ``plr/portable``).
@@ -61,10 +61,10 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
     """
     (px, py), (qx, qy), (ax, ay, bx, by, ex, ey, turn) = p, q, wall
     dx, dy = qx - px, qy - py
-    moment = dx * py - dy * px
     crosses = (ex * py - ey * px - turn) * (ex * qy - ey * qx - turn) < 0
-    of_a, of_b = dx * ay - dy * ax, dx * by - dy * bx
-    return crosses & (of_b >= moment) & (of_a < moment), crosses & (of_a >= moment) & (of_b < moment)
+    # Differences to a nearby end are exact: they tell its side even if the wall is in line with the segment.
+    a_is_left, b_is_left = dx * (ay - py) >= dy * (ax - px), dx * (by - py) >= dy * (bx - px)
+    return crosses & b_is_left & ~a_is_left, crosses & a_is_left & ~b_is_left
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
