@@ -9,7 +9,7 @@ from pair_helpers import MAZE, WALL, exact, two_batches
 
 from experiments._js_modules import NodeModule
 from plr_jax import Workspace, construct_pairs
-from plr_jax.pairs.portable import crossings, walls_with_sides
+from plr_jax.pairs.portable import crossings
 
 _OF_ROWS = """
 export const distanceOfRow = z => distance(z.slice(0, 2), z.slice(2));
@@ -102,7 +102,7 @@ def test_a_segment_crosses_a_wall_that_begins_near_its_end_as_in_exact_arithmeti
     # The wall begins 1e-3 onward from p, at most 1e-7 beside the segment, and leads away from it.
     a = (p + 1e-3 * d + rng.uniform(-1e-7, 1e-7, (n, 1)) * aside).astype(np.float32)
     b = (a + rng.choice([-0.1, 0.1], (n, 1)) * aside).astype(np.float32)
-    inward, outward = crossings(p.T, q.T, walls_with_sides(np.concatenate([a, b], axis=1)).T)
+    inward, outward = crossings(p.T, q.T, np.concatenate([a, b], axis=1).T)
     # 64 bits hold differences of points exactly, and their products nearly.
     (dx, dy), a_from_p, b_from_p = (q - p.astype(float)).T, a - p.astype(float), b - p.astype(float)
     of_a, of_b = (dx * at[:, 1] - dy * at[:, 0] for at in (a_from_p, b_from_p))
