@@ -283,7 +283,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
       which the wall hangs may get the length of a path through this tip.
     - Paths around an end of such a wall may be up to 2e-6 widths too long.
 
-    Gaps between obstacles stay open however narrow they are, and contacts stay closed.
+    Gaps between obstacles stay open however narrow they are, and contacts stay closed. Only a gap of less than 6e-8
+    widths may be closed where obstacles touch beside it.
 
     Args:
         workspace: The free space, with at most 8,192 reflex corners; sharp tips of thin walls count twice.
