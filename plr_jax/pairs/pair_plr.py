@@ -280,7 +280,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
       the distance of a point on the other side, or one that is too small. Bounds still hold there. Lower bounds treat
       such walls as free space, so they may be far below the distance between points on opposite sides.
     - Points in line with such a wall, up to the rounding of 32-bit floats, and close to the tip of an obstacle from
-      which the wall hangs may get the length of a path through this tip.
+      which the wall hangs may get the length of a path through this tip. So may points within 4e-6 widths of another
+      wall, if 32-bit floats do not tell the ends of both walls apart.
     - Paths around an end of such a wall may be up to 2e-6 widths too long.
 
     Gaps between obstacles stay open however narrow they are, and contacts stay closed. Only a gap of less than 6e-8
