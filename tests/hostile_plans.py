@@ -241,17 +241,19 @@ class Judge:
         vertices = {tuple(end) for wall in near for end in wall.tolist() if np.hypot(*(end - x)) <= radius}
         return any(len(self.rounded.sectors_at(as_exact(vertex))) > 1 for vertex in vertices)
 
-    def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, slack: float):
+    def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, slack: float, everywhere: bool = False):
         """Count broken bounds; bounds that hold within the tolerance, or for 32-bit points, have separate names.
+
+        With ``everywhere``, upper bounds must be ``inf`` at points that cannot be reached, where others mean nothing.
 
         The proof is for the free space of the workspace, in which walls thinner than its rounding have vanished. The
         goal of an oracle that is within the tolerance of a contact or a wall has moved there (:meth:`placed`).
         """
         lower, upper = (np.asarray(each, float) for each in got)
         exact = self.rounded.distances(goal, [self.placed(each, _ROUNDED * self.plan.tolerance) for each in x])
-        reached, width = np.isfinite(exact), float(np.ptp(self.boundary.reshape(-1, 2), axis=0).max())
-        self.counts[f"{name}: asked"] += int(reached.sum())
-        for i in np.flatnonzero(reached & ((lower > exact + slack) | (upper < exact - slack))):
+        judged, width = np.isfinite(exact) | everywhere, float(np.ptp(self.boundary.reshape(-1, 2), axis=0).max())
+        self.counts[f"{name}: asked"] += int(judged.sum())
+        for i in np.flatnonzero(judged & ((lower > exact + slack) | (upper < exact - slack))):
             allowed = {
                 kind: self.interval(self.rounded, goal, x[i], radius)
                 for kind, radius in (
@@ -333,7 +335,7 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
                 got = np.asarray(numpy(x[is_free], goal), float)
                 result.pairs(goal, x[is_free], got, right[is_free], width)
             start = result.placed(goal, _ROUNDED * plan.tolerance)
-            result.bounds("bounds of pairs", start, x, numpy.bounds(x, goal), slack)
+            result.bounds("bounds of pairs", start, x, numpy.bounds(x, goal), slack, True)
         if number or "fields" not in ask or not np.isfinite(own(x)).any():
             continue
         for leaf, most in (("cone", 120), ("cone", 1000), ("plane", 400)):

@@ -275,11 +275,13 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     - Points within 8e-6 widths of a contact (where obstacles touch), or of a wall or gap thinner than that, may get
       the distance of a point on the other side, or one that is too small. Bounds still hold there. Lower bounds treat
       such walls as free space, so they may be far below the distance between points on opposite sides.
-    - Points in line with such a wall, up to the rounding of 32-bit floats, may get the length of a path through the
-      tip of an obstacle from which the wall hangs.
+    - Points in line with such a wall, up to the rounding of 32-bit floats, and close to the tip of an obstacle from
+      which the wall hangs may get the length of a path through this tip. So may points within 4e-6 widths of another
+      wall, if 32-bit floats do not tell the ends of both walls apart.
     - Paths around an end of such a wall may be up to 2e-6 widths too long.
 
-    Gaps between obstacles stay open however narrow they are, and contacts stay closed.
+    Gaps between obstacles stay open however narrow they are, and contacts stay closed. Only a gap of less than 6e-8
+    widths may be closed where obstacles touch beside it.
 
     Args:
         workspace: The free space, with at most 8,192 reflex corners; sharp tips of thin walls count twice.

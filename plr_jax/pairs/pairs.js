@@ -130,14 +130,10 @@ function readPairs({ domain, layers }, fileBytes) {
     const endsSight = Array.from(mx, (move, i) => outline.isContact[i] || move === 0 && my[i] === 0);
     const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => endsSight[i] ? nudged[axis][i] : at[axis][k]));
     const free = proud.map(along => Float64Array.from(corner, i => along[i]));
-    const wall = (ax, ay, bx, by) => {
-        const ex = f(bx - ax), ey = f(by - ay);
-        return [ax, ay, bx, by, ex, ey, f(f(ex * ay) - f(ey * ax))];
-    };
     const wallsOf = (distance, surely) => {
         const moved = movedPoints(outline, distance, surely), following = distance > 0 ? outline.pastContacts : outline.following;
         const [wx, wy] = moved.map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
-        const walls = Array.from(wx.keys()).flatMap(i => surely && isThin.has(i) ? [] : wall(wx[i], wy[i], wx[following[i]], wy[following[i]]));
+        const walls = Array.from(wx.keys()).flatMap(i => surely && isThin.has(i) ? [] : [wx[i], wy[i], wx[following[i]], wy[following[i]]]);
         if (distance <= 0 || surely) return walls;
         // Walls in both directions, from contacts or near tips that are cut off, to where the moved walls meet.
         for (const i of wx.keys()) {
@@ -145,7 +141,7 @@ function readPairs({ domain, layers }, fileBytes) {
             const far = Math.sqrt(away[0] * away[0] + away[1] * away[1]), most = outline.isContact[i] ? 0 : 4 * distance;
             if (!(far > most)) continue;
             const [sx, sy] = [x, y].map((at, axis) => f((at[i] - most / far * away[axis]) - middle[axis]));
-            walls.push(...wall(sx, sy, wx[i], wy[i]), ...wall(wx[i], wy[i], sx, sy));
+            walls.push(sx, sy, wx[i], wy[i], wx[i], wy[i], sx, sy);
         }
         return walls;
     };
@@ -158,7 +154,7 @@ function readPairs({ domain, layers }, fileBytes) {
             const end = k === 1 || k === 2 ? at[j] + along : at[i] - along;
             return f((k < 2 ? end + side[axis] : end - side[axis]) - middle[axis]);
         });
-        return wall(...corner(k), ...corner((k + 1) % 4));
+        return [...corner(k), ...corner((k + 1) % 4)];
     }));
     const scene = ([cx, cy], walls, isCertain) => (
         { walls: Float32Array.from(walls), isCertain, x: Float32Array.from(cx, x => x - middle[0]), y: Float32Array.from(cy, y => y - middle[1]) });
@@ -224,25 +220,29 @@ function pairsReader(tables) {
         return f(Math.sqrt(f(f(dx * dx) + f(dy * dy))));
     }
 
+    function beside(walls, w, x, y) {
+        const ax = walls[w], ay = walls[w + 1];
+        return f(f(f(walls[w + 2] - ax) * f(y - ay)) - f(f(walls[w + 3] - ay) * f(x - ax)));
+    }
+
     function hides({ walls, isCertain }, px, py, qx, qy) {
-        const dx = f(qx - px), dy = f(qy - py), moment = f(f(dx * py) - f(dy * px));
+        const dx = f(qx - px), dy = f(qy - py);
         let goesIn = false, goesOut = false;
-        for (let w = 0; w < walls.length; w += 7) {
-            const ex = walls[w + 4], ey = walls[w + 5], turn = walls[w + 6];
-            if (!(f(f(f(f(ex * py) - f(ey * px)) - turn) * f(f(f(ex * qy) - f(ey * qx)) - turn)) < 0)) continue;
-            const a = f(f(dx * walls[w + 1]) - f(dy * walls[w])), b = f(f(dx * walls[w + 3]) - f(dy * walls[w + 2]));
-            if (b >= moment && a < moment) goesIn = true;
-            if (a >= moment && b < moment) goesOut = true;
+        for (let w = 0; w < walls.length; w += 4) {
+            const aIsLeft = f(dx * f(py - walls[w + 1])) <= f(dy * f(px - walls[w]));
+            const bIsLeft = f(dx * f(py - walls[w + 3])) <= f(dy * f(px - walls[w + 2]));
+            if (aIsLeft === bIsLeft || !(f(beside(walls, w, px, py) * beside(walls, w, qx, qy)) < 0)) continue;
+            if (bIsLeft) goesIn = true; else goesOut = true;
         }
         return isCertain ? goesIn || goesOut : goesIn && goesOut;
     }
 
     function encloses({ walls }, px, py) {
         let turns = 0;
-        for (let w = 0; w < walls.length; w += 7) {
-            const ay = walls[w + 1], by = walls[w + 3], beside = f(f(f(walls[w + 4] * py) - f(walls[w + 5] * px)) - walls[w + 6]);
-            if (ay <= py && by > py && beside > 0) turns++;
-            if (by <= py && ay > py && beside < 0) turns--;
+        for (let w = 0; w < walls.length; w += 4) {
+            const ay = walls[w + 1], by = walls[w + 3];
+            if (ay <= py && by > py && beside(walls, w, px, py) > 0) turns++;
+            if (by <= py && ay > py && beside(walls, w, px, py) < 0) turns--;
         }
         return turns === 1;
     }

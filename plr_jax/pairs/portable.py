@@ -6,10 +6,11 @@ Operations follow IEEE 754, round to nearest, are not fused, and use 32-bit floa
 1.  *Points* are shifted by the middle of the domain in 64 bits and rounded. The answer is NaN if a coordinate is NaN.
     It is ``inf`` if a point is farther from the middle than half the domain width, rounded up. Of the two points,
     ``p`` is the lexicographically smaller, ``q`` the other.
-2.  *Sight.* A wall from ``a`` to ``b`` has as coefficients its ends, ``e = b - a`` and ``turn = e[0] a[1] - e[1]
-    a[0]``. Let ``d = q - p`` and ``m = d[0] p[1] - d[1] p[0]``. The segment from ``p`` to ``q`` crosses the wall if
-    ``(e[0] p[1] - e[1] p[0] - turn) (e[0] q[1] - e[1] q[0] - turn) < 0`` and ``d[0] a[1] - d[1] a[0] < m <= d[0] b[1]
-    - d[1] b[0]`` (inward) or the reverse (outward). It is blocked if it crosses one wall inward and one outward.
+2.  *Sight.* The coefficients of a wall are its ends ``a`` and ``b``. Let ``d = q - p`` and ``e = b - a``. A point
+    ``x`` is *beside* the wall by ``e[0] (x[1] - a[1]) - e[1] (x[0] - a[0])``. An end ``x`` is *left* if
+    ``d[0] (p[1] - x[1]) <= d[1] (p[0] - x[0])``. The segment from ``p`` to ``q`` crosses the wall if the product of
+    what both are beside it is negative, and only ``b`` is left (inward) or only ``a`` (outward). It is blocked if it
+    crosses one wall inward and one outward.
 3.  *Lengths* are ``sqrt(d[0] d[0] + d[1] d[1])``. If ``p`` sees ``q``, the distance is straight. Else it is the least
     ``|p - i| + (|q - j| + D(i, j))``, or ``inf``. Corner ``i`` is listed by the leaf of ``p`` and visible from ``p``,
     corner ``j`` likewise for ``q``. Leaves are found as for a PLR (see ``plr/portable``).
@@ -57,28 +58,22 @@ _PAIRS = 2**12  # pairs of points that are answered together
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
     """Return whether lines between points cross walls into an obstacle, and whether out of an obstacle.
 
-    A wall is seven coefficients, as in :func:`walls_with_sides`.
+    A wall is the coordinates of both ends.
     """
-    (px, py), (qx, qy), (ax, ay, bx, by, ex, ey, turn) = p, q, wall
-    dx, dy = qx - px, qy - py
-    moment = dx * py - dy * px
-    crosses = (ex * py - ey * px - turn) * (ex * qy - ey * qx - turn) < 0
-    of_a, of_b = dx * ay - dy * ax, dx * by - dy * bx
-    return crosses & (of_b >= moment) & (of_a < moment), crosses & (of_a >= moment) & (of_b < moment)
+    (px, py), (qx, qy), (ax, ay, bx, by) = p, q, wall
+    ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
+    # Differences between close points are exact. They tell sides even if a segment and a wall are almost in line.
+    away_x, away_y = px - ax, py - ay
+    crosses = (ex * away_y - ey * away_x) * (ex * (qy - ay) - ey * (qx - ax)) < 0
+    a_is_left, b_is_left = dx * away_y <= dy * away_x, dx * (py - by) <= dy * (px - bx)
+    return crosses & b_is_left & ~a_is_left, crosses & a_is_left & ~b_is_left
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
     """Return whether walls pass to the right of points upward, and whether downward."""
-    (px, py), (_, ay, _, by, ex, ey, turn) = p, wall
-    beside = ex * py - ey * px - turn
+    (px, py), (ax, ay, bx, by) = p, wall
+    beside = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
     return (ay <= py) & (by > py) & (beside > 0), (by <= py) & (ay > py) & (beside < 0)
-
-
-def walls_with_sides(walls: Float[np.ndarray, "walls 4"]) -> Float[np.ndarray, "walls 7"]:
-    """Return walls in 32 bits, rows ``ax, ay, bx, by, ex, ey, turn``, where ``turn`` is ``ex ay - ey ax``."""
-    ax, ay, bx, by = walls.astype(np.float32).T
-    ex, ey = bx - ax, by - ay
-    return np.stack([ax, ay, bx, by, ex, ey, ex * ay - ey * ax], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,14 +117,15 @@ class Scene:
         return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)
 
     @cached_property
-    def sides(self) -> list[Float[np.ndarray, "walls"]]:
-        return list(walls_with_sides(self.walls).T)
+    def wall_ends(self) -> Float[np.ndarray, "4 walls"]:
+        """Coordinates of both ends of walls in 32 bits, one row for each."""
+        return np.ascontiguousarray(self.walls.T, np.float32)
 
     def hides(self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         hidden, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
         for first in range(0, len(p), step):
             some = slice(first, first + step)
-            crossed = crossings(p[some].T[:, :, None], q[some].T[:, :, None], self.sides)
+            crossed = crossings(p[some].T[:, :, None], q[some].T[:, :, None], self.wall_ends)
             goes_in, goes_out = (each.any(axis=1) for each in crossed)
             hidden[some] = goes_in | goes_out if self.is_certain else goes_in & goes_out
         return hidden
@@ -137,7 +133,7 @@ class Scene:
     def encloses(self, p: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         inside, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
         for first in range(0, len(p), step):
-            up, down = winding(p[first : first + step].T[:, :, None], self.sides)
+            up, down = winding(p[first : first + step].T[:, :, None], self.wall_ends)
             inside[first : first + step] = up.sum(axis=1) - down.sum(axis=1) == 1
         return inside
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, UInt16, UInt32
 from plr_jax._arrays import padded, ragged_indices, size_in_eighths
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.hiding import NearWalls, occluders_of
-from plr_jax.pairs.portable import MARGIN, RECEDING, Scene, walls_with_sides
+from plr_jax.pairs.portable import MARGIN, RECEDING, Scene
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.tables import Tables, build_tables
@@ -32,12 +32,12 @@ class _NoLeaf:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Groups of neighboring walls, seven coefficients a wall (:func:`walls_with_sides`).
+    """Groups of neighboring walls, as the coordinates of both ends of each.
 
     Each box, ``(x, y)`` of its middle and then half its widths, contains a group, with a margin for rounding.
     """
 
-    groups: Float[Array, "groups 32 7"]
+    groups: Float[Array, "groups 32 4"]
     boxes: Float[Array, "groups 4"]
 
 
@@ -118,9 +118,9 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
         return jax.device_put(values.astype(np.float32))  # unlike `jnp.asarray`, compiles nothing
 
-    def in_groups(rows: Float[np.ndarray, "n 7"], of: int) -> Float[Array, "groups {of} 7"]:
+    def in_groups(rows: Float[np.ndarray, "n columns"], of: int) -> Float[Array, "groups {of} columns"]:
         groups = size_in_eighths(-(-len(rows) // of))
-        return in_32_bits(padded(rows, of * groups).reshape(-1, of, 7))
+        return in_32_bits(padded(rows, of * groups).reshape(-1, of, rows.shape[1]))
 
     def in_boxes(walls: Float[np.ndarray, "n 4"]) -> Walls:
         ends = walls.reshape(-1, 2, 2)
@@ -128,7 +128,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         place = ((ends.mean(axis=1) / domain.width + 0.5) * 2**10).astype(int)
         bits = place[:, :, None] >> np.arange(10) & 1
         order = np.argsort((bits << 2 * np.arange(10) + np.arange(2)[:, None]).sum(axis=(1, 2)), kind="stable")
-        groups, ends = in_groups(walls_with_sides(walls[order]), _CLUSTER), ends[order]
+        groups, ends = in_groups(walls[order], _CLUSTER), ends[order]
         count, margin = len(groups) * _CLUSTER, RECEDING * float(domain.width.max())
         lo = padded(ends.min(axis=1), count, _NOWHERE).reshape(-1, _CLUSTER, 2).min(axis=1) - margin
         hi = padded(ends.max(axis=1), count, -_NOWHERE).reshape(-1, _CLUSTER, 2).max(axis=1) + margin

@@ -9,6 +9,7 @@ from pair_helpers import MAZE, WALL, exact, two_batches
 
 from experiments._js_modules import NodeModule
 from plr_jax import Workspace, construct_pairs
+from plr_jax.pairs.portable import crossings
 
 _OF_ROWS = """
 export const distanceOfRow = z => distance(z.slice(0, 2), z.slice(2));
@@ -91,6 +92,31 @@ def test_a_module_answers_alike_to_the_bit(pairs, tmp_path):
     onward = module(np.concatenate([x, y], axis=1), "waypointOfRow", 2)
     legs = np.linalg.norm(onward - x, axis=1) + f(onward, y)
     np.testing.assert_allclose(legs, f(x, y), atol=1e-5 * pairs.domain.width.max())
+
+
+@pytest.mark.parametrize("in_line", [False, True])
+def test_a_segment_crosses_a_wall_that_begins_near_its_end_as_in_exact_arithmetic(in_line):
+    rng, n = np.random.default_rng(0), 2_000
+    p, q = rng.uniform(-0.5, 0.5, (2, n, 2)).astype(np.float32)
+    along = (q - p) / np.linalg.norm(q - p, axis=1, keepdims=True)
+    aside = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    # The wall begins 1e-3 onward from p, at most 1e-7 beside the segment.
+    a = (p + 1e-3 * along + rng.uniform(-1e-7, 1e-7, (n, 1)) * aside).astype(np.float32)
+    leads = rng.choice([-0.1, 0.1], (n, 1)) * aside
+    b = (a + (0.1 * along + 1e-5 * leads if in_line else leads)).astype(np.float32)
+    inward, outward = crossings(p.T, q.T, np.concatenate([a, b], axis=1).T)
+    # 64 bits hold differences of points exactly, and their products nearly.
+    p, q, a, b = (each.astype(float) for each in (p, q, a, b))
+
+    def sine(u, v):
+        return (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]) / (np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1))
+
+    of_a, of_b, of_p, of_q = sine(q - p, a - p), sine(q - p, b - p), sine(b - a, p - a), sine(b - a, q - a)
+    told = (np.abs([of_a, of_b, of_p, of_q]) > 2.0**-22).all(axis=0)  # more than rounding
+    crosses = of_p * of_q < 0
+    np.testing.assert_array_equal(inward[told], (crosses & (of_a < 0) & (of_b > 0))[told])
+    np.testing.assert_array_equal(outward[told], (crosses & (of_b < 0) & (of_a > 0))[told])
+    assert told.mean() > 0.8 and 0.1 < (inward | outward)[told].mean() < 0.7
 
 
 def test_what_it_refuses():
