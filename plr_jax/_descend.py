@@ -20,12 +20,7 @@ from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, fi
 from plr_jax.geometry.graph import Graph, dijkstra, first_visible_in_parts
 from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.spaces import (
-    ConfigurationSpace,
-    CostMap,
-    PlaneSpace,
-    require_space,
-)
+from plr_jax.spaces import ConfigurationSpace, CostMap, PlaneSpace, require_space
 
 
 class DescentStatus(enum.StrEnum):

@@ -22,14 +22,7 @@ from scipy.stats import qmc
 from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, padded_size
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.graph import first_visible_in_parts
-from plr_jax.spaces import (
-    ConfigurationSpace,
-    CostMap,
-    MotionCost,
-    cost_bounds,
-    motion_rates,
-    pulled,
-)
+from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds, motion_rates, pulled
 
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Points: TypeAlias = Float[np.ndarray, "_ dim"]

@@ -144,15 +144,7 @@ def info(
     facts: dict[str, Any] = {"file": str(file), "holds": type(content).__name__}
     facts |= {"lo": format_numbers(domain.lo), "hi": format_numbers(domain.hi)}
     facts["periodic_axes"] = [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic]
-    names = [
-        "label",
-        "num_bytes",
-        "num_leaves",
-        "num_unreachable",
-        "num_corners",
-        "depth",
-        "max_error",
-    ]
+    names = ["label", "num_bytes", "num_leaves", "num_unreachable", "num_corners", "depth", "max_error"]
     facts |= {name: getattr(content, name) for name in names if hasattr(content, name)}
     if isinstance(content, PLR):  # building the tables of pairs may take long
         facts |= {"leaf": content.leaf.name, "resident_bytes": content.resident_bytes}
@@ -203,8 +195,7 @@ MapOption = Annotated[
 def plot(
     file: FileArgument,
     output: Annotated[
-        Path,
-        typer.Option("--output", "-o", help="The picture to write: .png (the default ending), .pdf or .svg."),
+        Path, typer.Option("--output", "-o", help="The picture to write: .png (the default ending), .pdf or .svg.")
     ],
     map: MapOption = None,
     goal: GoalOption = None,
@@ -328,8 +319,7 @@ def view(
         ),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="The page to write.", show_default="FILE's name with .html"),
+        Path | None, typer.Option("--output", "-o", help="The page to write.", show_default="FILE's name with .html")
     ] = None,
 ) -> None:
     """Write an interactive web page of a file, which shows the distance at the pointer and needs no network."""

@@ -62,10 +62,7 @@ def _reading_option(help: str, default: str, **others: Any) -> Any:
     return typer.Option(help=help, show_default=default, rich_help_panel="How MAP is read", **others)
 
 
-ResolutionOption = Annotated[
-    float | None,
-    _reading_option("Side of a pixel of a picture, in workspace units.", "1"),
-]
+ResolutionOption = Annotated[float | None, _reading_option("Side of a pixel of a picture, in workspace units.", "1")]
 ThresholdOption = Annotated[
     float | None, _reading_option("Lightness above which a pixel is free, from 0 (black) to 1 (white).", "0.5")
 ]

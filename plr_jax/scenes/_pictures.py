@@ -176,9 +176,7 @@ def bands(picture: "Image") -> Iterator[Band]:
         yield Band(slice(top, bottom), *_lightness(part))
 
 
-def _lightness(
-    part: "Image",
-) -> tuple[Int[np.ndarray, "rows columns"], int, Int[np.ndarray, "rows columns"] | None]:
+def _lightness(part: "Image") -> tuple[Int[np.ndarray, "rows columns"], int, Int[np.ndarray, "rows columns"] | None]:
     if part.mode.startswith("I"):
         light, clear = np.asarray(part, np.int32), part.info.get("transparency")
         return light, 2**16 - 1, None if clear is None else np.where(light == clear, 0, OPAQUE)
