@@ -1,9 +1,9 @@
 """Paths that follow a cost-to-go from many starts to its goal, and never pass through a wall.
 
 For lengths in a workspace, paths go from corner to corner, since shortest paths among polygons turn only at convex
-corners. Let ``f`` be the cost-to-go. Each corner ``x`` is joined to the two visible places ``y`` (corners or goal) of
-least ``|x - y| + f(y)``, and Dijkstra's algorithm finds the paths to the goal along these edges. No path visits a
-corner twice, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
+corners. Each corner ``x`` is joined to the two visible places ``y`` (corners or goal) of least ``|x - y| + f(y)``,
+where ``f`` is the cost-to-go, and Dijkstra's algorithm finds the paths along these edges. So no path visits a corner
+twice, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
 """
 
 import enum
@@ -43,8 +43,7 @@ class Descent:
             path.
         lengths: Length of each path, ``(n,)``, in workspace units or by the space's ``motion_cost``; ``inf`` without
             a path.
-        costs: Integral of the cost map along each path, ``(n,)``; the length if there is no cost map, ``inf`` without
-            a path.
+        costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length.
     """
 
     status: Shaped[np.ndarray, "n"]
@@ -60,7 +59,7 @@ class Descent:
 
     @cached_property
     def paths(self) -> list[Float[np.ndarray, "m dim"]]:
-        """The paths without repetitions, as a list of arrays; an array without rows where there is no path."""
+        """The paths without repetitions; an array without rows where there is no path."""
         return [path[:count] for path, count in zip(self.vertices, self.counts.tolist(), strict=True)]
 
     def __len__(self) -> int:
@@ -219,7 +218,7 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return edges from each corner to the ``count`` visible corners (or goal) of least length plus field value."""
+    """Return edges from each corner to the ``count`` visible places of least length plus field value."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]
@@ -238,5 +237,4 @@ def _edges(
 
 
 def _unique_pairs(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
-    """Remove repeated pairs; the order within a pair does not matter."""
     return np.unique(np.sort(pairs, axis=1), axis=0)
