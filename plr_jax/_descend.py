@@ -109,9 +109,8 @@ def descend(
         ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
             free, or a returned value is invalid: NaN of the field, or not positive and finite for the cost map.
 
-    References:
-        Putman et al., Section I. Visibility graphs: de Berg et al., Computational Geometry (3rd ed.), chapter 15.
-        Finite steps as in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
+    References: Putman et al., Section I. Visibility graphs: de Berg et al., Computational Geometry (3rd ed.), chapter
+    15. Finite steps as in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
     """
     if isinstance(space, Workspace) and cost_map is None:
         vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)
@@ -121,9 +120,7 @@ def descend(
         if not isinstance(space, ConfigurationSpace):
             raise ValueError(f"space must have classify and are_free to prove motions free, got {shortened(space)}.")
         if cost_map is not None and not isinstance(cost_map, CostMap):
-            raise ValueError(
-                f"cost_map must be a CostMap, such as LipschitzCost or RasterCost, got {shortened(cost_map)}."
-            )
+            raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {shortened(cost_map)}.")
         vertices, counts, lengths, costs, is_free = by_lookahead(
             distance_fn, PathCosts(space, cost_map), starts, goal
         )

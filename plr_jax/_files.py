@@ -66,7 +66,6 @@ def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
 
 
 def yaml_of(path: Path) -> Any:
-    """Read a YAML file of plain values."""
     import yaml
 
     text, loader = text_of(path), _loader()

@@ -132,7 +132,6 @@ def require_problem(problem: object, path: object = None) -> None:
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
-    """Check the shape of a path of a problem, and return it as float64."""
     require_problem(problem, path)
     shape = f"(steps, robots, dof) = (steps, {len(problem.robots)}, {problem.dof})"
     array = as_numbers("A path", path, f"numbers of shape {shape}")

@@ -211,9 +211,7 @@ class HeuristicFn(Protocol):
     configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
     """
 
-    def __call__(self, q: Any, /) -> Float[np.ndarray, "n"]:
-        """Return the sum of the terms for joint configurations ``(n, robots, dof)``."""
-        ...
+    def __call__(self, q: Any, /) -> Float[np.ndarray, "n"]: ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:
         """Return the terms; each depends only on its own robot's configuration."""

@@ -362,7 +362,6 @@ def _entry_point(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], rad
 
 
 def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """Find a robot that does not begin at its start or end at its goal: robot, time and message."""
     for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
             got, should = path[row, i, : robot.dof].tolist(), wanted[i, : robot.dof].tolist()

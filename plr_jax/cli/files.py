@@ -86,9 +86,7 @@ def query(
             remedy = "build it with --leaf cone and several --goal"
             raise ValueError(f"{file} does not store which goal is nearest: {remedy}.") from error
     if bounds and not is_pairs and reader.max_error is None:
-        raise ValueError(
-            f"--bounds needs a file with proven bounds, such as plr-jax build writes, got {file} without any."
-        )
+        raise ValueError(f"--bounds needs a file with proven bounds, such as plr-jax build writes, got {file}.")
 
     def answers(x: np.ndarray) -> np.ndarray:
         ends = np.split(x, 2, axis=1) if is_pairs else [x]
@@ -115,7 +113,7 @@ def _reader(file: Path, is_pairs: bool) -> Any:
 
 
 def _gradients(file: Path) -> Any:
-    """Return a function that maps points to gradients, NaN for NaN points; it compiles for few batch sizes."""
+    """Return a function that maps points to gradients, NaN for NaN points."""
     import jax
 
     from plr_jax import load
@@ -169,8 +167,6 @@ def info(
 
 
 class Picture(StrEnum):
-    """The kinds of pictures that ``plr-jax plot`` draws."""
-
     distance = "distance"
     cells = "cells"
     surface = "surface"
@@ -217,9 +213,7 @@ def plot(
     is_pairs = not isinstance(content, PLR)
     plr = _distance_to_goal(content, file, goal) if is_pairs else content
     if plr.domain.dim != 2:
-        raise ValueError(
-            f"FILE must have 2 axes to be drawn, got {plr.domain.dim} in {file}: use plr_jax.plot.slices."
-        )
+        raise ValueError(f"FILE must have 2 axes, got {plr.domain.dim} in {file}: use plr_jax.plot.slices.")
     if not isinstance(plr, PLR) and kind is not Picture.distance:
         raise ValueError(f"--kind must be distance for pairs of cells of a grid, got {kind} for {file}.")
     text = joined_goals(goal)

@@ -62,8 +62,7 @@ class FunctionSpace:
             operators.append(csr_array(local @ values))
         return operators
 
-    def integrals(self) -> Float[np.ndarray, "dofs"]:
-        """Return the integral of each basis function over all cells that are not blocked."""
+    def basis_integrals(self) -> Float[np.ndarray, "dofs"]:
         mesh = self.mesh
         share = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * mesh.dim).ravel()
         weights = mesh.volumes[mesh.open_cells, None] * share

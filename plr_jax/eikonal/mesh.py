@@ -103,7 +103,6 @@ class Mesh:
 
     @property
     def corners(self) -> Int[np.ndarray, "cells corners"]:
-        """Indices of the `nodes` at the corners of each cell."""
         return self._corners[1]
 
     @property
@@ -209,7 +208,6 @@ class Mesh:
         return _mesh(self.domain, self.cells[stays].append(*parts), state, is_flush)
 
     def _parts(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
-        """Return the parts into which cells are split, their states, and which parts are flush."""
         cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] == CellState.MIXED
         # 1. Classify the parts of mixed cells, halved along all axes.
         state = np.repeat(self.state[which, None], len(bits), axis=1)

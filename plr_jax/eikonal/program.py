@@ -238,7 +238,7 @@ class SlopeProgram:
         at_goals = functions.interpolation(homes, mesh.local(homes, goals))
         at_goals = at_goals.toarray()[0] if len(goals) == 1 else at_goals
         costs = cell_costs(space, cost_map, mesh)
-        return cls(functions, gradient, costs, volume, functions.integrals(), at_goals, goals)
+        return cls(functions, gradient, costs, volume, functions.basis_integrals(), at_goals, goals)
 
     @property
     def dim(self) -> int:
@@ -270,7 +270,7 @@ class SlopeProgram:
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
     def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-        """Return the :func:`rescaling_of` values that makes the slopes of ``u`` admissible, rounding included."""
+        """Return the result of :func:`rescaling_of` that makes slopes of ``u`` admissible, rounding included."""
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
         control = nodal @ to_bernstein(space.degree, mesh.dim).T

@@ -147,7 +147,6 @@ def _homes(cost: Raster, side: Sides, points: Points) -> Int[np.ndarray, "k 2"]:
 
 
 def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
-    """Return distances from the sources' cells by fast marching over the centers of cells, and nearest sources."""
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
         raise ValueError(

@@ -212,9 +212,7 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     cost = cost[order]
     if (wrong := np.argwhere(cost <= 0)).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
-        raise ValueError(
-            f"costs must be positive, got {got}. For free passage use a small cost, for barriers NaN or a mask."
-        )
+        raise ValueError(f"costs must be positive, got {got}. Use a small cost for free passage, NaN for barriers.")
     return cost, box, order
 
 

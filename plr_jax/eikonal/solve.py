@@ -55,16 +55,16 @@ def solve_eikonal(
 ) -> PLR:
     """Build a PLR of the cost-to-go of a configuration space, without an oracle or a roadmap.
 
-    The goal may be several goals, such as exits. The cost-to-go is then that of the nearest, and ``plr.which(x)``
-    tells which one that is.
+    With several goals, such as exits, the cost-to-go is that of the nearest, and ``plr.which(x)`` tells which one
+    that is.
 
     With ``certified=False`` the PLR is an estimate, and takes about a second: scikit-fmm marches over a grid of
     160,000 nodes in the plane or up to a million in space, and continuous leaves compress the result. The mean error
     is mostly 0.01 to 0.5 %, as on the grid.
 
     By default the PLR also has proven bounds, which takes longer. Cells are halved where that matters, and proven
-    free or blocked, or stay mixed. ``plr(x)`` is an estimate between the bounds ``plr.bounds(x)``, which hold for
-    every point from which the goal can be reached.
+    free or blocked, or stay mixed. ``plr(x)`` is an estimate between ``plr.bounds(x)``, which hold for every point
+    from which the goal can be reached.
 
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
       every face that is not proven blocked, and nowhere steeper than a step costs. The straight line to the nearest
@@ -88,10 +88,10 @@ def solve_eikonal(
         seed: Seed of samples.
 
     Returns:
-        The PLR, of continuous leaves. Leaves are planes instead if ``certified=False`` and the cost of motions is the
-            sum of norms of several groups of axes, as for a body that turns. ``plr(x)`` is finite wherever a path
-            leads to the goal. The PLR does not test collision, so it may be finite in obstacles, and at points cut
-            off from the goal within a 64th of the domain of points that reach it.
+        The PLR, of continuous leaves, or of planes if ``certified=False`` and the cost of motions is a sum of norms
+            of several groups of axes, as for a body that turns. ``plr(x)`` is finite wherever a path leads to the
+            goal, but perhaps also in obstacles, and at points cut off from the goal within a 64th of the domain of
+            points that reach it.
 
     Warns:
         ConstructionInterrupted: If interrupted (Ctrl-C) after the first solution; the PLR then holds the latest one.
@@ -105,14 +105,11 @@ def solve_eikonal(
             blocked. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid
             sees a goal. If a directional cost map comes with a space whose costs are no lengths.
 
-    References:
-        Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952; see ``program.py``.
+    References: Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952.
     """
     require_space(space)
     if cost_map is not None and not isinstance(cost_map, CostMap):
-        raise ValueError(
-            f"cost_map must be a CostMap, such as LipschitzCost or RasterCost, got {shortened(cost_map)}."
-        )
+        raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {shortened(cost_map)}.")
     require_integer("seed", seed, 0)
     for name, limit in (("max_leaves", max_leaves), ("max_bytes", max_bytes)):
         if limit is not None:
@@ -126,9 +123,7 @@ def solve_eikonal(
     domain, goal = space.domain, as_numbers("goal", goal, "numbers, (dim,) or (k, dim)")
     if goal.ndim not in (1, 2) or goal.shape[-1] != domain.dim or not goal.size:
         got = f"{goal.size}" if goal.ndim == 1 else f"shape {goal.shape}"
-        raise ValueError(
-            f"goal must have {domain.dim} coordinates, as the space has axes, or be rows of these, got {got}."
-        )
+        raise ValueError(f"goal must have {domain.dim} coordinates, like the space, or be rows of these, got {got}.")
     goals = np.atleast_2d(goal)
     at = (domain.wrapped(goals) - domain.lo) / domain.width
     is_fine = np.asarray((np.abs(at - 0.5) <= 0.5 + _BESIDE).all(axis=1))  # False for NaN
@@ -282,7 +277,6 @@ class SlopeSolver:
         return self.program.below_goals(self.iterate.values)
 
     def refine(self, progress: tqdm) -> None:
-        """Solve and refine in turn, up to the limit of cells; then solve to convergence."""
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
         parts = 2**self.mesh.dim - 1  # most cells that a refined cell adds

@@ -100,10 +100,9 @@ def bl_plan(
     4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
        smaller weights.
 
-    References:
-        Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V of the
-        paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al., "Anytime
-        multi-agent path finding via large neighborhood search", 2021.
+    References: Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section
+    V of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
+    "Anytime multi-agent path finding via large neighborhood search", 2021.
     """
     if isinstance(heuristic, BLOptions):
         raise ValueError("heuristic must not be BLOptions(...): call bl_plan(problem, options=BLOptions(...)).")
@@ -427,9 +426,7 @@ class Searches:
     @property
     def found(self) -> tuple[str, State]:
         """Name of the search that reached the goals, and the lattice nodes of all robots, ``(steps, robots)``."""
-        return next(
-            (name, search.solution_states) for name, search in self.running.items() if search.found is not None
-        )
+        return next((name, each.solution_states) for name, each in self.running.items() if each.found is not None)
 
     @property
     def node_states(self) -> State:

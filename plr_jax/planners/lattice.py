@@ -201,9 +201,7 @@ class JointLattice:
     @property
     def least_costs(self) -> Float[np.ndarray, "robots"]:
         """For each robot, the least cost on its lattice from start to goal, without the other robots."""
-        return np.array(
-            [costs[lattice.start] for costs, lattice in zip(self.costs_to_go, self.lattices, strict=True)]
-        )
+        return np.array([costs[each.start] for costs, each in zip(self.costs_to_go, self.lattices, strict=True)])
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
         q = np.repeat(self.problem.starts[None], len(state), axis=0)
@@ -348,9 +346,8 @@ def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> Join
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
     """Return the cells of one kind of robot, with the motions between them; small grids are cached."""
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
-    return (_cached_cell_grid if is_small else _build_cell_grid)(
-        workspace, robot, weight, step, IgnoredByCache(deadline)
-    )
+    build = _cached_cell_grid if is_small else _build_cell_grid
+    return build(workspace, robot, weight, step, IgnoredByCache(deadline))
 
 
 def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float) -> CellGrid:

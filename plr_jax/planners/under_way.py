@@ -310,10 +310,8 @@ class _LifelongTeam:
         return status
 
     def result(self, status: Status) -> LifelongRun:
-        path = np.concatenate(self._done)
-        problem = Problem(
-            self.problem.workspace, self.problem.robots, path[0], path[-1], self.problem.rotation_weight
-        )
+        path, problem = np.concatenate(self._done), self.problem
+        problem = Problem(problem.workspace, problem.robots, path[0], path[-1], problem.rotation_weight)
         robots, rows = (np.array([each[k] for each in self.served], dtype=np.intp) for k in (0, 1))
         goals = np.array([goal for *_, goal in self.served]).reshape(-1, problem.dof)
         times, seconds = row_times(problem, path), np.array(self._seconds)

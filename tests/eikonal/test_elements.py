@@ -98,8 +98,8 @@ def test_integrals_are_sums_over_cells_by_quadrature(dim, degree):
     t = np.array(list(product((node + 1) / 2, repeat=dim)))
     share = np.prod(list(product(weight / 2, repeat=dim)), axis=1)
     expected = sum(mesh.volumes[c] * share @ values(degree, nodal, np.full(len(t), c), t) for c in mesh.open_cells)
-    np.testing.assert_allclose(space.integrals() @ dofs, expected, rtol=1e-12)
-    np.testing.assert_allclose(space.integrals().sum(), mesh.volumes[mesh.open_cells].sum(), rtol=1e-12)
+    np.testing.assert_allclose(space.basis_integrals() @ dofs, expected, rtol=1e-12)
+    np.testing.assert_allclose(space.basis_integrals().sum(), mesh.volumes[mesh.open_cells].sum(), rtol=1e-12)
 
 
 def test_every_degree_of_freedom_is_at_its_own_point():
