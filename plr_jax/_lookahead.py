@@ -36,7 +36,7 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"], num_goals: int = 1
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Follow ``first`` and ``onward`` to goals, the first nodes; return vertices and their number, 0 where stuck."""
+    """Follow each start's ``first`` node and the next ones to a goal; return vertices and their number or 0."""
     chain = [first]
     while (chain[-1] >= num_goals).any():
         chain.append(np.where(chain[-1] >= num_goals, onward[chain[-1]], chain[-1]))

@@ -40,11 +40,8 @@ class FunctionSpace:
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
-        """Return, for each axis, the matrix from degrees of freedom to the derivative's Bernstein coefficients.
-
-        Rows are ``number * nodes_of_cell + control point`` for the cells that are not blocked. Derivatives are by
-        coordinates times ``scale``.
-        """
+        """Return, by axis, the matrix to Bernstein coefficients of the derivative by coordinates times ``scale``."""
+        # Rows are `number * nodes_of_cell + control point` for the cells that are not blocked.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
         rows = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
         values, width = csr_array(self.values[rows]), mesh.widths[mesh.open_cells] * scale

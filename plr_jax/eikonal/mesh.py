@@ -31,7 +31,7 @@ Mask: TypeAlias = Bool[np.ndarray, "cells"]
 
 @dataclass(eq=False)
 class Mesh:
-    """The dyadic cells of a domain, in the order of the tree's traversal: each free, blocked, or mixed.
+    """The dyadic cells of a domain, in the order of the tree's traversal: each proven free, proven blocked, or mixed.
 
     Points are given as *fractions* of the domain, or in *local* coordinates of a cell, both from 0 to 1 along each
     axis. Blocked cells are *flush* if they border on free space. Rounding may place free points in a flush cell, so
@@ -287,7 +287,7 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Count a flush blocked cell as mixed if open cells touch only in an edge or a corner of it.
+    """Count a blocked cell as mixed if open (not blocked) cells touch only in an edge or a corner of it.
 
     A path may begin on either side of such a contact, and may pass if the space lets robots squeeze through.
     """

@@ -281,8 +281,8 @@ class SlopeProgram:
         """Return each cell's share of the gap between the lower bound and the cost of the flow.
 
         It is the volume times the excess, at least 0, of the flow's cost over the rise of the lower bound along the
-        flow; the rise counts as 0 in mixed cells. The sum approximates the integral of the true cost-to-go minus the
-        lower bound.
+        flow; the rise counts as 0 in cells that are neither proven free nor blocked. The sum approximates the
+        integral of the true cost-to-go minus the lower bound.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
@@ -384,13 +384,10 @@ class _Splitting:
 
 
 class _Poisson:
-    """The Poisson equation of each iteration, factored in up to two dimensions and on small meshes in three.
-
-    Otherwise conjugate gradients with algebraic multigrid improve the last solution. With a single goal, all flow
-    enters it, and the solution is unique up to a constant: the first unknown is 0.
-    """
+    """The Poisson equation of each iteration, solved by factoring, or on large meshes by conjugate gradients."""
 
     def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, "goals"]):
+        # All flow enters a single goal. The solution is then unique up to a constant, and the first unknown is 0.
         weights = np.tile(penalty * program.volume, program.dim)
         self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
         matrix, self.stiffness, self._first = self.divergence @ program.gradient, stiffness, 1

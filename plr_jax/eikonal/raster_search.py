@@ -199,10 +199,7 @@ def search(
     slope_fn: Slope = np.ones_like,
     from_sources: bool = False,
 ) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
-    """Return costs of shortest paths to centers and to corners of cells, nearest sources, and the paths.
-
-    Edges are straight. With heights, they join centers alone, and paths begin at the center of a source's cell.
-    """
+    """Return costs of paths to centers and (without heights) corners of cells, nearest sources, and paths."""
     # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
     home, (rows, columns) = _homes(cost, side, points), cost.shape

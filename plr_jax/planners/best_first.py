@@ -102,11 +102,7 @@ class SuccessorList:
 
 
 class BestFirstSearch:
-    """A best-first search in which each joint configuration belongs to the first node that reaches it.
-
-    The node with the least sum of cost-to-come and weighted heuristic is expanded first. Only its best child joins
-    the tree, and the node is queued again with the score of its next child. Infinite estimates prune nothing.
-    """
+    """A best-first search: the best node's best child joins the tree, then the node waits for its next child."""
 
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
         self.joint, self.budget, self.memory_use = joint, budget, MemoryUse(budget)

@@ -220,11 +220,7 @@ class Node:
 
 
 class LaCAM:
-    """A depth-first search: the newest node makes one more step of the whole team, until all are at their goals.
-
-    A node's first step is unconstrained. Later steps prescribe primitives of more and more robots, in the order of
-    priorities, so that in the end all steps are tried. A known node that is reached again becomes the newest.
-    """
+    """A depth-first search: the newest node makes one more step; a node's later steps prescribe more motions."""
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
         self.joint, self.moves, self.budget, self.memory_use = joint, moves, budget, MemoryUse(budget)

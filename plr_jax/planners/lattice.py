@@ -59,10 +59,10 @@ class Terminals(NamedTuple):
 class Kind:
     """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
 
-    Nodes are the representatives of the ``num_cells`` free cells, then the starts and goals, which no primitive of
-    the table leads to. Primitive 0 stays in place. A blocked primitive leads to its own node at infinite cost. Edges
-    that all robots share come first, then the edges into each robot's start and goal, then edge ``num_edges``, to
-    nowhere.
+    Nodes are the free configurations of the ``num_cells`` cells that have one, then the starts and goals, to which no
+    primitive of the table leads. Primitive 0 stays in place. A blocked primitive leads to its own node at infinite
+    cost. Edges shared by all robots come first, then the edges into each robot's start and goal, then ``num_edges``,
+    to nowhere.
     """
 
     def __init__(

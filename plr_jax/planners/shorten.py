@@ -224,7 +224,7 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _least_cost_through(cost: Costs) -> Costs:
-    """Return, for each motion, the least cost of a sequence through it that begins and ends at place 0."""
+    """Return, for each motion, the least cost of a sequence with it that begins and ends at place 0."""
     both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
@@ -234,7 +234,7 @@ def _least_cost_through(cost: Costs) -> Costs:
 
 
 def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
-    """Return, row by row, the places of the cheapest sequence of motions that begins and ends at place 0."""
+    """Return, row by row, the places of the cheapest sequence of motions whose first and last place are 0."""
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0

@@ -197,7 +197,7 @@ def animate(
     as_number("frames_per_second", frames_per_second, expected, lambda rate: 0 < rate <= _LARGEST_RATE)
     motion = timeline(problem, path)
     if motion.duration == 0:
-        raise ValueError(f"path must move a robot, got {len(np.asarray(path))} step(s) without motion.")
+        raise ValueError(f"path must move a robot to be animated, got {len(np.asarray(path))} step(s) at rest.")
     return Animation(problem, motion, float(seconds), float(frames_per_second))
 
 
