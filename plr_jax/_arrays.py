@@ -1,4 +1,4 @@
-"""Check the arguments of public functions, and other small helpers for NumPy arrays: ragged arrays, padding, hashes.
+"""Checks of the arguments of public functions, and small helpers for NumPy arrays: ragged arrays, padding, hashes.
 
 The ``as_...`` functions return a checked value, or raise a ``ValueError`` that calls the value by ``name``. NaN and
 infinity are accepted unless stated otherwise. Float64 arrays are returned without a copy.
@@ -23,7 +23,6 @@ _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB]
 
 
 def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "n dim"]:
-    """Check a batch of points ``(n, dim)`` and return it as float64; if ``dim`` is None, any dimension is allowed."""
     expected = f"shape (n, {'dim' if dim is None else dim})"
     points = as_numbers(name, value, f"numbers of {expected}")
     if points.ndim != 2 or points.shape[1] != (dim or max(1, points.shape[1])):
@@ -34,7 +33,6 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
 
 
 def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """Check one point ``(dim,)`` and return it as float64; if ``dim`` is None, any dimension is allowed."""
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
@@ -43,7 +41,7 @@ def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.nd
 
 
 def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
-    """Check one point ``(dim,)``, such as a goal, which must be finite; return a read-only copy."""
+    """Check one point, such as a goal, which must be finite; return a read-only copy."""
     point = as_point(name, value, dim).copy()
     if not np.isfinite(point).all():
         raise ValueError(f"{name} must have finite coordinates, got {point.tolist()}.")
@@ -55,9 +53,7 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
     """Check an array of real numbers, none masked, and return it as float64; ``expected`` describes it in errors."""
     try:
         numbers = np.asarray(value)
-        if (
-            value is None or numbers.dtype.kind in "cUSMm"
-        ):  # NumPy converts strings and dates, and drops imaginary parts
+        if value is None or numbers.dtype.kind in "cUSMm":  # NumPy would convert strings, dates and complex numbers
             raise TypeError
         numbers = np.asarray(numbers, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -140,14 +136,14 @@ def as_number(name: str, value: object, expected: str, in_range: Callable[[float
 
 
 def as_finite(name: str, value: object, *, positive: bool = False) -> float:
-    """Check a number, which must be finite and at least 0 (above 0 if ``positive``), and return it as a float."""
+    """Check a number, which must be finite and at least 0 (above 0 if ``positive``)."""
     if positive:
         return as_number(name, value, "a positive finite number", lambda number: 0 < number < math.inf)
     return as_number(name, value, "a finite number of at least 0", lambda number: 0 <= number < math.inf)
 
 
 def padded_size(n: int, sizes: Sequence[int] = ()) -> int:
-    """Return the size to which to pad ``n`` rows: the smallest of ``sizes`` that is enough, else a power of two."""
+    """Return the size to which to pad ``n`` rows: the least of ``sizes`` that is enough, else a power of two."""
     return next((size for size in sizes if size >= n), 1 << max(n - 1, 0).bit_length())
 
 
@@ -207,10 +203,7 @@ def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, "n"
 
 
 def row_products(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "..."]) -> Float[np.ndarray, "n ..."]:
-    """Return ``a @ b``, computed row by row.
-
-    For large products, BLAS starts threads, which wait busily afterwards and so take more CPU time than the product.
-    """
+    """Return ``a @ b`` row by row: for large products, threads of BLAS would take more CPU time than the product."""
     return np.matmul(a[:, None], b)[:, 0]
 
 
@@ -264,6 +257,5 @@ def shortened(value: object) -> str:
 
 
 def require_time(deadline: float, purpose: str, seconds: float = 0.0) -> None:
-    """Raise ``TimeoutError`` unless ``seconds`` are left before a deadline of ``time.perf_counter``."""
     if time.perf_counter() + seconds > deadline:
         raise TimeoutError(f"The deadline passed before {purpose}.")

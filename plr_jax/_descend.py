@@ -1,9 +1,9 @@
 """Paths that follow a cost-to-go from many starts to its goal, and never pass through a wall.
 
 For lengths in a workspace, paths go from corner to corner, since shortest paths among polygons turn only at convex
-corners. Let ``f`` be the cost-to-go. Each corner ``x`` is joined to the two visible places ``y`` (corners or goal) of
-least ``|x - y| + f(y)``, and Dijkstra's algorithm finds the paths to the goal along these edges. No path visits a
-corner twice, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
+corners. Each corner ``x`` is joined to the two visible places ``y`` (corners or goal) of least ``|x - y| + f(y)``,
+where ``f`` is the cost-to-go, and Dijkstra's algorithm finds the paths along these edges. So no path visits a corner
+twice, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
 """
 
 import enum
@@ -20,12 +20,7 @@ from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, fi
 from plr_jax.geometry.graph import Graph, dijkstra, first_visible_in_parts
 from plr_jax.geometry.vectors import distances_between
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.spaces import (
-    ConfigurationSpace,
-    CostMap,
-    PlaneSpace,
-    require_space,
-)
+from plr_jax.spaces import ConfigurationSpace, CostMap, PlaneSpace, require_space
 
 
 class DescentStatus(enum.StrEnum):
@@ -48,8 +43,7 @@ class Descent:
             path.
         lengths: Length of each path, ``(n,)``, in workspace units or by the space's ``motion_cost``; ``inf`` without
             a path.
-        costs: Integral of the cost map along each path, ``(n,)``; the length if there is no cost map, ``inf`` without
-            a path.
+        costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length.
     """
 
     status: Shaped[np.ndarray, "n"]
@@ -65,7 +59,7 @@ class Descent:
 
     @cached_property
     def paths(self) -> list[Float[np.ndarray, "m dim"]]:
-        """The paths without repetitions, as a list of arrays; an array without rows where there is no path."""
+        """The paths without repetitions; an array without rows where there is no path."""
         return [path[:count] for path, count in zip(self.vertices, self.counts.tolist(), strict=True)]
 
     def __len__(self) -> int:
@@ -115,9 +109,8 @@ def descend(
         ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
             free, or a returned value is invalid: NaN of the field, or not positive and finite for the cost map.
 
-    References:
-        Putman et al., Section I. Visibility graphs: de Berg et al., Computational Geometry (3rd ed.), chapter 15.
-        Finite steps as in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
+    References: Putman et al., Section I. Visibility graphs: de Berg et al., Computational Geometry (3rd ed.), chapter
+    15. Finite steps as in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
     """
     if isinstance(space, Workspace) and cost_map is None:
         vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)
@@ -127,9 +120,7 @@ def descend(
         if not isinstance(space, ConfigurationSpace):
             raise ValueError(f"space must have classify and are_free to prove motions free, got {shortened(space)}.")
         if cost_map is not None and not isinstance(cost_map, CostMap):
-            raise ValueError(
-                f"cost_map must be a CostMap, such as LipschitzCost or RasterCost, got {shortened(cost_map)}."
-            )
+            raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {shortened(cost_map)}.")
         vertices, counts, lengths, costs, is_free = by_lookahead(
             distance_fn, PathCosts(space, cost_map), starts, goal
         )
@@ -224,7 +215,7 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return edges from each corner to the ``count`` visible corners (or goal) of least length plus field value."""
+    """Return edges from each corner to the ``count`` visible places of least length plus field value."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]
@@ -243,5 +234,4 @@ def _edges(
 
 
 def _unique_pairs(pairs: Int[np.ndarray, "n 2"]) -> Int[np.ndarray, "distinct 2"]:
-    """Remove repeated pairs; the order within a pair does not matter."""
     return np.unique(np.sort(pairs, axis=1), axis=0)

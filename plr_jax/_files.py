@@ -26,7 +26,7 @@ _LARGEST_INTEGER = int(np.finfo(np.float64).max)
 
 
 def file_path(path: object) -> Path:
-    """Return a file name as a path; ``ValueError`` for other types, such as bytes or a file descriptor."""
+    """Return the name of a file as a path; other types, such as bytes or a file descriptor, are rejected."""
     if not isinstance(path, str | os.PathLike):
         got = f"{shortened(path)}."
         if isinstance(path, bytes | bytearray | memoryview):
@@ -45,7 +45,6 @@ def errors_named(path: Path) -> Iterator[None]:
 
 
 def text_of(path: Path, most_bytes: int = _MOST_BYTES) -> str:
-    """Read a file as UTF-8, with or without a byte-order mark; ``ValueError`` if it is binary or too large."""
     with path.open("rb") as file:
         data = file.read(most_bytes + 1)
     if len(data) > most_bytes:
@@ -67,7 +66,6 @@ def json_of(path: Path, most_bytes: int = _MOST_BYTES) -> Any:
 
 
 def yaml_of(path: Path) -> Any:
-    """Read a YAML file of plain values; ``ValueError`` if it is invalid, too large or too deeply nested."""
     import yaml
 
     text, loader = text_of(path), _loader()
@@ -96,7 +94,7 @@ def _loader() -> Any:
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
-    """Raise ``ValueError`` unless a document is of a kind, such as "scene", has a known version and all keys."""
+    """Require that a document is of a kind, such as "scene", and has a known version and all keys."""
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
     found = document.get("version")
@@ -147,11 +145,7 @@ def _require_shallow(nested: int) -> None:
 
 
 def write_atomically(path: Path, data: bytes) -> None:
-    """Write a regular file so that it is complete or unchanged, even after a crash.
-
-    The data goes to a temporary file, which then gets the given name. A symbolic link is followed, and a replaced
-    file keeps its permissions. Data for a device or pipe is written directly. An ``OSError`` names the given path.
-    """
+    """Write a regular file so that it is complete or unchanged, even after a crash."""
     try:
         mode = os.stat(path).st_mode
     except FileNotFoundError:
@@ -173,7 +167,5 @@ def write_atomically(path: Path, data: bytes) -> None:
         with suppress(OSError):
             temporary.unlink()
         if isinstance(error, OSError) and error.errno is not None:
-            raise OSError(
-                error.errno, error.strerror, os.fspath(path)
-            ) from error  # name the given path, not the temporary one
+            raise OSError(error.errno, error.strerror, os.fspath(path)) from error  # not the temporary path
         raise

@@ -14,9 +14,9 @@ from plr_jax.plr.container import GRID_MAGIC, holds_pairs, read_bytes
 def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
     """Write a PLR, a PairPLR or GridPairs to a file of ``plr.num_bytes`` bytes, completely or not at all.
 
-    For a ``MetricPairs``, save its ``plr``. The formats are documented in ``plr/portable/FORMAT.md``,
-    ``pairs/stored.py`` and ``pairs/grid_pairs.py``. Raises ``ValueError`` for another object or an invalid ``path``,
-    and ``OSError`` if the file cannot be written.
+    For a ``MetricPairs``, save its ``plr``. ``plr/portable/FORMAT.md``, ``pairs/stored.py`` and
+    ``pairs/grid_pairs.py`` document the formats. Raises ``ValueError`` for another object or an invalid ``path``, and
+    ``OSError`` if the file cannot be written.
     """
     if not isinstance(plr, PLR | PairPLR | GridPairs):
         raise ValueError(f"Only a PLR, a PairPLR or GridPairs can be saved, got {shortened(plr)}.")
@@ -24,12 +24,11 @@ def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
 
 
 def load(path: str | os.PathLike) -> Any:
-    """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote.
+    """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote; its answers are equal, bit for bit.
 
-    The result gives the same answers, bit for bit, as the saved object. The first query of a PairPLR builds lookup
-    tables, many times larger than the file; with thousands of corners, this takes seconds to minutes. Raises
-    ``ValueError`` if the file is truncated, corrupt, or of another kind or format version, and ``OSError`` if it
-    cannot be read.
+    The first query of a PairPLR builds lookup tables, many times larger than the file; with thousands of corners,
+    this takes seconds to minutes. Raises ``ValueError`` if the file is truncated, corrupt, or of another kind or
+    format version, and ``OSError`` if it cannot be read.
     """
     path = file_path(path)
     try:

@@ -1,11 +1,10 @@
 """Paths by lookahead: finite steps down a cost-to-go, in any space that proves motions free.
 
-1. From each configuration ``x``, steps to ``y`` of many lengths and directions are ranked by slope, the fall of the
-   field per cost: ``(f(x) - f(y)) / cost(x, y)``. By the principle of optimality, the slope is 1 along cheapest paths
-   and nowhere larger. A larger slope is an error of the field and counts as 1.
-2. Among nearly equal slopes, the longest step wins, so that kinks and dents smaller than a step do no harm. The slope
-   must be at least ``_FALL``, so that every path ends. Local minima are left by a best-first search.
-3. Finished paths are made cheaper: nodes are skipped, or shifted to where their two segments cost least.
+Steps of many lengths and directions are ranked by slope, the fall of the field per cost. By the principle of
+optimality, the slope is 1 along cheapest paths and nowhere larger; a larger slope is an error of the field and counts
+as 1. Among nearly equal slopes, the longest step wins, so that kinks and dents smaller than a step do no harm. The
+slope must be at least ``_FALL``, so that every path ends. A best-first search leaves local minima. Finished paths are
+made cheaper: nodes are skipped, or shifted to where their two segments cost least.
 """
 
 import heapq
@@ -22,31 +21,22 @@ from plr_jax._arrays import as_distances, as_finite_point, as_points, padded, pa
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.graph import first_visible_in_parts
 from plr_jax.plr.sampling import lattice
-from plr_jax.spaces import (
-    ConfigurationSpace,
-    CostMap,
-    MotionCost,
-    cost_bounds,
-    motion_rates,
-    pulled,
-)
+from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds, motion_rates, pulled
 
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Points: TypeAlias = Float[np.ndarray, "_ dim"]
 Next: TypeAlias = Int[np.ndarray, "_"]  # the next node of each node
+Numbers: TypeAlias = Float[np.ndarray, "n"]
+# Vertices, counts, lengths, costs, and whether starts are free.
 Chains: TypeAlias = tuple[
-    Float[np.ndarray, "n longest dim"],
-    Int[np.ndarray, "n"],
-    Float[np.ndarray, "n"],
-    Float[np.ndarray, "n"],
-    Bool[np.ndarray, "n"],
-]  # vertices, counts, lengths, costs, and whether starts are free
+    Float[np.ndarray, "n longest dim"], Int[np.ndarray, "n"], Numbers, Numbers, Bool[np.ndarray, "n"]
+]
 
 
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"], num_goals: int = 1
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Follow ``first`` and ``onward`` to goals, the first nodes; return vertices, and their number, 0 where stuck."""
+    """Follow each start's ``first`` node and the next ones to a goal; return vertices and their number or 0."""
     chain = [first]
     while (chain[-1] >= num_goals).any():
         chain.append(np.where(chain[-1] >= num_goals, onward[chain[-1]], chain[-1]))
@@ -66,10 +56,7 @@ _FALL = 0.1  # least fall of the field along a step, as a share of the step's co
 _LONGER = 0.01  # loss of slope that is accepted for a step twice as long
 _DEARER = 0.02  # a step may cost more than its estimate by this share
 _MOST_EXPANSIONS = 1000  # limit of the search that leaves a local minimum
-_CELL, _CELL_STEPS = (
-    1 / 32,
-    (1, 2, 4),
-)  # side of that search's cells, as a share of the domain; lengths of its steps, in sides
+_CELL, _CELL_STEPS = 1 / 32, (1, 2, 4)  # side of that search's cells, as a share of the domain; its steps, in sides
 _KNOWN = 1e-3  # estimates with a smaller relative error are trusted to find the best place
 _GAIN = 1e-6  # least saving of a change, as a share of the cost of the segments
 _WIDEST_SHIFT = 1 / 32  # first shift of a node, as a share of the domain
@@ -120,9 +107,9 @@ class PathCosts:
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, "n"]:
-        """Return costs of straight motions by the midpoint rule, halving intervals until bounds prove the accuracy.
+        """Integrate costs along straight motions: halve intervals until bounds prove the relative ``tolerance``.
 
-        The relative error is at most ``tolerance``, plus 1/16 of it if the cost map jumps within a motion.
+        The error is at most 1/16 of the tolerance larger if the cost map jumps within a motion.
         """
         if self.cost_map is None:
             return self.space.motion_cost.lengths(q0, q1, self.space.domain)
@@ -158,7 +145,6 @@ class PathCosts:
 
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
-    """Find paths by finite steps down a field; return vertices, counts, lengths, costs, and which starts are free."""
     domain = costs.space.domain
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
     if not costs.space.is_free(goal[None])[0]:
@@ -195,7 +181,6 @@ class _Lookahead:
         self.minima: list[tuple[Float[np.ndarray, dim], Points | None]] = []
 
     def values(self, x: Points) -> Float[np.ndarray, "n"]:
-        """Return the field (cost-to-go) at points, at least 0; ``inf`` outside the domain."""
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
         values = np.full(len(x), np.inf)
         if inside.any():
@@ -205,7 +190,7 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Step down the field; return nodes (0 is the goal), their next nodes (-1: stuck), and the starts' nodes."""
+        """Step down the field; return nodes (0: the goal), the next of each (-1: stuck), and the starts' nodes."""
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):
@@ -230,7 +215,7 @@ class _Lookahead:
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
     def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
-        """Return the end of each configuration's best step, and 1 if it is the goal, -1 without a step, or else 0."""
+        """Return the end of each configuration's best step, and 1 if it is the goal, -1 without a step, else 0."""
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
 
@@ -351,7 +336,7 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
 def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """Return the cheapest way points from ``before`` to ``after``: ``x``, or ``x`` plus one of ``changes``."""
+    """Return the cheapest points ``x``, or ``x`` plus one of ``changes``, on the way from ``before`` to ``after``."""
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:

@@ -90,14 +90,13 @@ class Problem:
 def motion_costs(
     problem: Problem, q0: Float[np.ndarray, "*#batch robots dof"], q1: Float[np.ndarray, "*#batch robots dof"]
 ) -> Float[np.ndarray, "*batch robots"]:
-    """Return the cost of each robot's straight motion between joint configurations."""
     return straight_costs(q0, q1, problem.rotation_weights)
 
 
 def straight_costs(
     q0: Float[np.ndarray, "*#batch dof"], q1: Float[np.ndarray, "*#batch dof"], rotation_weight: ArrayLike
 ) -> Float[np.ndarray, "*batch"]:
-    """Return costs of straight motions: length plus ``rotation_weight`` (one, or one per robot) times the angle."""
+    """Return costs of straight motions: lengths plus ``rotation_weight`` (of all or each robot) times the angles."""
     cost = np.hypot(q1[..., 0] - q0[..., 0], q1[..., 1] - q0[..., 1])
     if q0.shape[-1] == 3:
         cost = cost + rotation_weight * smaller_angle(q0[..., 2], q1[..., 2])
@@ -105,7 +104,7 @@ def straight_costs(
 
 
 def path_cost(problem: Problem, path: ArrayLike) -> float:
-    """Return the sum of motion costs over a path ``(steps, robots, dof)``; another shape raises ``ValueError``."""
+    """Return the sum of the motion costs of a path ``(steps, robots, dof)``; another shape raises ``ValueError``."""
     path = as_path(problem, path)
     return float(motion_costs(problem, path[:-1], path[1:]).sum())
 
@@ -119,13 +118,12 @@ def makespan(problem: Problem, path: ArrayLike) -> float:
 
 
 def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps"]:
-    """Return the time at which a path reaches each row: nondecreasing, from 0 to the :func:`makespan`."""
+    """Return the time at which a path reaches each row, from 0 to the :func:`makespan`."""
     path = as_path(problem, path)
     return np.append(0.0, np.cumsum(motion_costs(problem, path[:-1], path[1:]).max(axis=1)))
 
 
 def require_problem(problem: object, path: object = None) -> None:
-    """Raise ``ValueError`` if ``problem`` is no Problem, or ``path`` has an attribute ``path``, as a Solution has."""
     if not isinstance(problem, Problem):
         expected = "problem must be a Problem, such as Problem(workspace, robots, starts, goals)"
         raise ValueError(f"{expected}, got {shortened(problem)}.")
@@ -134,7 +132,6 @@ def require_problem(problem: object, path: object = None) -> None:
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
-    """Return a path of a problem as a float64 array; raise ``ValueError`` for a wrong shape."""
     require_problem(problem, path)
     shape = f"(steps, robots, dof) = (steps, {len(problem.robots)}, {problem.dof})"
     array = as_numbers("A path", path, f"numbers of shape {shape}")
@@ -197,7 +194,7 @@ def _require_no_overlap(
 
 
 def _require_connected(problem: Problem) -> None:
-    """Raise ``ValueError`` if obstacles leave no path from start to goal, even for a robot's inscribed disc."""
+    """Reject goals that obstacles cut off from their starts even for the robot's inscribed disc."""
     workspace, labels = problem.workspace, {}
     for i, robot in enumerate(problem.robots):
         radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open
@@ -223,7 +220,7 @@ def _require_connected(problem: Problem) -> None:
 
 
 def separation(a: Any, b: Any) -> float:
-    """Return the distance of two Shapely geometries; if they overlap, a negative depth (approximate for areas)."""
+    """Return the distance of Shapely geometries; if they overlap, a negative depth (approximate for areas)."""
     distance = shapely.distance(a, b)
     if distance > 0 or a.geom_type == b.geom_type == "Point":
         return distance

@@ -65,17 +65,12 @@ class Sources:
     The shortest path from a point starts with a straight segment to one of these points, the *source* of the point.
     So a point's distance is the length of this segment plus the source's distance to the goal. If there are several
     goals, they come first, and all distances are those to the nearest goal.
-
-    Attributes:
-        distances: Distances of the sources to the goal; ``inf`` where the goal cannot be reached.
-        parents: Next source on each source's shortest path; its own index for a goal and for unreachable sources.
-        goals: Index of each of several goals in the user's list; the first index of equal goals. None for one goal.
     """
 
     points: Float[np.ndarray, "sources dim"]
-    distances: Float[np.ndarray, "sources"]
-    parents: Int[np.ndarray, "sources"]
-    goals: Int[np.ndarray, "goals"] | None = None
+    distances: Float[np.ndarray, "sources"]  # to the goal; inf where it cannot be reached
+    parents: Int[np.ndarray, "sources"]  # next source on the path; itself for a goal and if unreachable
+    goals: Int[np.ndarray, "goals"] | None = None  # index of each of several goals; the first one of equal goals
 
 
 CellSources: TypeAlias = Any
@@ -100,7 +95,7 @@ class FamilyFn(Protocol):
         ...
 
     def shared_cells(self, lo: Any, hi: Any, /) -> Any:
-        """Return boxes' free convex pieces, and the corners that paths from each to any goal may turn at first."""
+        """Return boxes' free convex pieces, and the corners at which paths from each to any goal may turn first."""
         ...
 
     def cells_of_members(
@@ -149,9 +144,9 @@ class ChangingFn(CellwiseFn, Protocol):
     @property
     def sources(self) -> Sources: ...
 
-    def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"], /) -> CellSources:
-        """Return the sources of each box: the goal or corners to which shortest paths from there may go straight."""
-        ...
+    def sources_of_boxes(
+        self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"], /
+    ) -> CellSources: ...
 
     def changed_since(self, before: Any, /) -> Any:
         """Return how distances changed since ``before``, an older function; ``ValueError`` if not comparable."""
@@ -170,9 +165,7 @@ class FreeSpaceFn(Protocol):
 class StackableDistanceFn(Protocol):
     """A distance function, such as a PLR, whose class can combine one function per robot into one for a team."""
 
-    def __call__(self, x: Any, /) -> Any:
-        """Return distances of points, as a :data:`DistanceFn`."""
-        ...
+    def __call__(self, x: Any, /) -> Any: ...
 
     @staticmethod
     def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]:
@@ -198,7 +191,6 @@ class Symmetry:
 
     @classmethod
     def about(cls, point: Float[np.ndarray, "dim"], matrix: Float[np.ndarray, "dim dim"]) -> "Symmetry":
-        """Return the isometry with the given matrix that leaves the given point fixed."""
         return cls(matrix, point - matrix @ point)
 
 
@@ -219,10 +211,8 @@ class HeuristicFn(Protocol):
     configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
     """
 
-    def __call__(self, q: Any, /) -> Float[np.ndarray, "n"]:
-        """Return the sum of the terms, ``(n,)``, for joint configurations ``(n, robots, dof)``."""
-        ...
+    def __call__(self, q: Any, /) -> Float[np.ndarray, "n"]: ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:
-        """Return the terms, ``(n, robots)``; each depends only on its own robot's configuration."""
+        """Return the terms; each depends only on its own robot's configuration."""
         ...

@@ -1,11 +1,10 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-There are two exceptions: the points where obstacles touch, which come from the workspace, and the direction in which
-a robot turns, which is part of the meaning of a path.
-
-Bodies are Shapely geometries. A motion without turns sweeps a convex hull, whose distance is exact. Other motions are
-bisected in time: the clearance in the middle of an interval, less the distance that the bodies move, bounds it in
-the whole interval. Bisection ends when the smallest clearance is known and every interval is free or in collision.
+Shared are the points where obstacles touch, and the direction in which a robot turns, which is part of the meaning of
+a path. Bodies are Shapely geometries. A motion without turns sweeps a convex hull, whose distance is exact. Other
+motions are bisected in time: the clearance in the middle of an interval, less the distance that the bodies move,
+bounds it in the whole interval. Bisection ends when the smallest clearance is known and every interval is free or in
+collision.
 """
 
 from collections.abc import Sequence
@@ -120,7 +119,7 @@ class _Encounter:
 
     @property
     def reach(self) -> float:
-        """Distance that the bodies' cores must keep: the sum of the radii by which both are rounded."""
+        # The bodies' cores must keep the sum of the radii by which both are rounded.
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -133,7 +132,7 @@ class _Encounter:
         return distance - self.reach
 
     def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Return the smallest clearance during each of the given motions without turns, from swept convex hulls."""
+        """Return the smallest clearance during each of the given motions without turns, by swept convex hulls."""
         start, shift = _corners(self.robot, self.path[motion]), np.diff(self.path[:, :2], axis=0)[motion]
         others = np.full(len(motion), self.other)
         if self.other_path is not None:
@@ -163,8 +162,7 @@ class _Encounter:
         return max_rates + np.linalg.norm(velocity, axis=1)
 
     @cached_property
-    def turns(self) -> Any:
-        """Whether a body turns, for each motion."""
+    def turns(self) -> Any:  # whether a body turns, for each motion
         turns = _rim_speeds(self.robot, self.path) > 0
         return turns if self.other_path is None else turns | (_rim_speeds(self.other, self.other_path) > 0)
 
@@ -239,14 +237,13 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
 
 
 def _tolerance(workspace: Workspace) -> float:
-    """Return the tolerance of this check: 1e-7 of the extent, but at least twice the workspace's."""
     return max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
 
 
 def _least_clearances(
     robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]
 ) -> list[tuple[float, int, int]]:
-    """Return, sorted, a lower bound of the clearance of each two robots, from their circles, and both indices."""
+    """Return lower bounds of the clearances of all pairs of robots, sorted, with the indices of the robots."""
     radius = np.array([robot.circumscribed_radius for robot in robots])
     found = []
     for j in range(1, len(robots)):
@@ -272,7 +269,7 @@ def _turns(path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
-    """Return the largest displacement of a robot's corners by turning, in each motion."""
+    """Return the most that a robot's corners move by turning, in each motion."""
     if robot.dof == 2:
         return np.zeros(len(path) - 1)
     return np.linalg.norm(robot.core, axis=1).max() * np.abs(_turns(path))
@@ -293,7 +290,7 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 
 def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """Find the first passage of a point robot between obstacles that touch; return robot, time, message, or None."""
+    """Find the first passage of a point robot between obstacles that touch: robot, time and message."""
     workspace, squeezes = problem.workspace, []
     boundary = workspace.boundary
     if workspace.squeeze or not len(boundary.contacts):
@@ -316,7 +313,7 @@ def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"])
 def _changes_of_side(
     boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
 ) -> list[int]:
-    """Return motions of a point near a contact (a vertex where obstacles touch), from its first change of side on.
+    """Return the motions of a point near a contact (a vertex where obstacles touch) from its first change of side on.
 
     There are none if ``motion`` misses the vertex. Sides are the sectors of free space there. In a disc of half the
     length of the vertex's shortest edge, sectors meet only at the vertex, so the path in this disc decides.
@@ -365,7 +362,6 @@ def _entry_point(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], rad
 
 
 def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """Find a robot that does not begin at its start or end at its goal; return robot, time, message, or None."""
     for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
             got, should = path[row, i, : robot.dof].tolist(), wanted[i, : robot.dof].tolist()

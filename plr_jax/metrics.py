@@ -58,11 +58,7 @@ class ErrorReport:
         return text + (f"; {self.num_unanswered:,} of them not answered" if self.num_unanswered else "")
 
 
-def error_map(
-    approximation: Callable[[ArrayLike], ArrayLike],
-    distance_fn: DistanceFn,
-    x: ArrayLike,
-) -> ErrorReport:
+def error_map(approximation: Callable[[ArrayLike], ArrayLike], distance_fn: DistanceFn, x: ArrayLike) -> ErrorReport:
     """Measure the error of an approximation at given points: ``epsilon_g`` of Putman et al., Section IV-A.
 
     Args:

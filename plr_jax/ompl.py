@@ -50,9 +50,8 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
         ImportError: If OMPL is not installed.
         ValueError: If ``plr`` is not a PLR with proven bounds, or ``coordinates`` must be given.
 
-    References:
-        Gammell et al., "Batch Informed Trees (BIT*)", 2020. The bound (ALT): Goldberg and Harrelson, "Computing the
-        shortest path: A* search meets graph theory", 2005.
+    References: Gammell et al., "Batch Informed Trees (BIT*)", 2020. The bound (ALT): Goldberg and Harrelson,
+    "Computing the shortest path: A* search meets graph theory", 2005.
     """
     try:
         from ompl import base

@@ -19,10 +19,7 @@ _SOON = 0.01  # seconds; callbacks of the garbage collector end within this time
 
 
 def main() -> None:
-    """Run the command ``plr-jax``: its entry point.
-
-    Ctrl-C ends the command with exit code 130, also while it loads; SIGTERM with 143. No partial files are left.
-    """
+    """Run the command ``plr-jax``; Ctrl-C ends it with exit code 130, also while it loads, and SIGTERM with 143."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # background jobs ignore Ctrl-C
         signal.signal(signal.SIGINT, _stop)
     signal.signal(signal.SIGTERM, _stop)
@@ -34,13 +31,11 @@ def main() -> None:
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """Handle SIGINT or SIGTERM by an exception, so that cleanup runs; during an import, end the process at once.
-
-    Some libraries swallow an exception in an incomplete import, or abort. No file is open for writing then.
-    """
+    """Handle SIGINT or SIGTERM by an exception, so that cleanup runs; during an import, end the process at once."""
     interrupted = number == signal.SIGINT
     while frame is not None:
-        if frame.f_code.co_name == "_find_and_load":  # a frame of importlib: an import is under way
+        # In an incomplete import, some libraries swallow an exception, or abort. No file is open for writing then.
+        if frame.f_code.co_name == "_find_and_load":
             os.write(2, b"Interrupted.\n" if interrupted else b"")
             os._exit(INTERRUPTED_EXIT if interrupted else TERMINATED_EXIT)
         frame = frame.f_back
@@ -57,7 +52,6 @@ def _resend_lost_signal(lost: "sys.UnraisableHookArgs") -> None:
 
 
 def load_app() -> "typer.Typer":
-    """Import the commands, in the order of the help, and return the application."""
     from plr_jax.cli import build, files, plan  # noqa: F401
     from plr_jax.cli.app import app
 

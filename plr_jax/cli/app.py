@@ -59,10 +59,7 @@ class _Command(TyperCommand):
 
 
 def command(*examples: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that registers a function as a command, with examples for its help.
-
-    A user's errors are printed on one line, with exit code 2; warnings on one line each. Ctrl-C gives exit code 130.
-    """
+    """Return a decorator that registers a function as a command and prints errors and warnings on one line."""
 
     def register(function: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(function)
@@ -106,7 +103,6 @@ def reason_of(error: OSError | ValueError) -> str:
 
 @contextmanager
 def progress(what: str) -> Iterator[None]:
-    """Show a message on the terminal, if there is one, while the block runs."""
     if not sys.stderr.isatty():
         yield
         return
@@ -126,16 +122,12 @@ def warn(message: str) -> None:
 
 
 def fail(message: str, code: int = 2) -> NoReturn:
-    """Print an error as one line on standard error and end the command."""
     typer.echo("Error: " + _as_line(message), err=True)
     raise typer.Exit(code)
 
 
 def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> tuple[Any, bool]:
-    """Call a function that returns partial work on Ctrl-C; return its result, and whether it was interrupted.
-
-    The function reports an interrupt by the warning ``ConstructionInterrupted``; other warnings are shown.
-    """
+    """Call a function that returns partial work on Ctrl-C; return its result, and whether it was interrupted."""
     from plr_jax.plr import ConstructionInterrupted
 
     show, interrupted = warnings.showwarning, False
@@ -154,10 +146,7 @@ def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> t
 
 
 def numbers_of(line: str) -> list[float]:
-    """Return a line's comma-separated numbers, including ``nan`` and ``inf``; empty if a field is not a number.
-
-    Numbers are ASCII, possibly surrounded by spaces; unlike in Python, ``1_000`` is not a number.
-    """
+    """Return a line's comma-separated numbers in ASCII, including ``nan`` and ``inf``; empty if a field is none."""
     texts = line.split(",")
     return [float(text) for text in texts] if all(map(_NUMBER.fullmatch, texts)) else []
 

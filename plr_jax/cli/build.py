@@ -101,9 +101,7 @@ def build(
     with progress(f"reading {map}"):
         workspace, goals = named.read()
     if goals is None:
-        raise ValueError(
-            f"expected a goal, but {map} has none, or one for each of several robots: give one with --goal X,Y."
-        )
+        raise ValueError(f"expected a goal, but {map} has none, or one for each of several robots: give --goal X,Y.")
     label = str(replace(named, goal=";".join(f"{x!r},{y!r}" for x, y in goals.tolist())))
     if len(label.encode()) > MOST_LABEL_BYTES:
         raise ValueError(
@@ -151,7 +149,6 @@ def build(
 
 
 def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
-    """Return a remark on the groups of at most 4 pixels (specks) that a map still has, or an empty text."""
     from plr_jax.geometry.masks import without_specks
 
     _, count = without_specks(without_specks(free, num_dropped)[0], _SPECK)

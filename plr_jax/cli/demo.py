@@ -23,13 +23,10 @@ _GIF_SECONDS, _GIF_RATE = 6, 12.5  # few frames, since drawing them takes longer
 
 
 def run(output: Path) -> None:
-    """Write the files of the demo into a folder, and print its results."""
     output.mkdir(parents=True, exist_ok=True)
     _maze(output)
     problem = scenes.four_rooms(4)
-    typer.echo(
-        "Four rooms around a center with narrow doors; four robots move to the opposite rooms at the same time."
-    )
+    typer.echo("Four rooms around a center with narrow doors; four robots move to the opposite rooms at once.")
     solution, report = solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES)
     if report is None or not report.valid:
         fail("There is no valid path for the four rooms.", code=1)

@@ -86,9 +86,7 @@ def query(
             remedy = "build it with --leaf cone and several --goal"
             raise ValueError(f"{file} does not store which goal is nearest: {remedy}.") from error
     if bounds and not is_pairs and reader.max_error is None:
-        raise ValueError(
-            f"--bounds needs a file with proven bounds, such as plr-jax build writes, got {file} without any."
-        )
+        raise ValueError(f"--bounds needs a file with proven bounds, such as plr-jax build writes, got {file}.")
 
     def answers(x: np.ndarray) -> np.ndarray:
         ends = np.split(x, 2, axis=1) if is_pairs else [x]
@@ -115,7 +113,7 @@ def _reader(file: Path, is_pairs: bool) -> Any:
 
 
 def _gradients(file: Path) -> Any:
-    """Return a function that maps points to gradients, NaN for NaN points; it compiles for few batch sizes."""
+    """Return a function that maps points to gradients, NaN for NaN points."""
     import jax
 
     from plr_jax import load
@@ -144,15 +142,7 @@ def info(
     facts: dict[str, Any] = {"file": str(file), "holds": type(content).__name__}
     facts |= {"lo": format_numbers(domain.lo), "hi": format_numbers(domain.hi)}
     facts["periodic_axes"] = [axis for axis, is_periodic in enumerate(domain.periodic) if is_periodic]
-    names = [
-        "label",
-        "num_bytes",
-        "num_leaves",
-        "num_unreachable",
-        "num_corners",
-        "depth",
-        "max_error",
-    ]
+    names = ["label", "num_bytes", "num_leaves", "num_unreachable", "num_corners", "depth", "max_error"]
     facts |= {name: getattr(content, name) for name in names if hasattr(content, name)}
     if isinstance(content, PLR):  # building the tables of pairs may take long
         facts |= {"leaf": content.leaf.name, "resident_bytes": content.resident_bytes}
@@ -177,8 +167,6 @@ def info(
 
 
 class Picture(StrEnum):
-    """The kinds of pictures that ``plr-jax plot`` draws."""
-
     distance = "distance"
     cells = "cells"
     surface = "surface"
@@ -203,8 +191,7 @@ MapOption = Annotated[
 def plot(
     file: FileArgument,
     output: Annotated[
-        Path,
-        typer.Option("--output", "-o", help="The picture to write: .png (the default ending), .pdf or .svg."),
+        Path, typer.Option("--output", "-o", help="The picture to write: .png (the default ending), .pdf or .svg.")
     ],
     map: MapOption = None,
     goal: GoalOption = None,
@@ -226,9 +213,7 @@ def plot(
     is_pairs = not isinstance(content, PLR)
     plr = _distance_to_goal(content, file, goal) if is_pairs else content
     if plr.domain.dim != 2:
-        raise ValueError(
-            f"FILE must have 2 axes to be drawn, got {plr.domain.dim} in {file}: use plr_jax.plot.slices."
-        )
+        raise ValueError(f"FILE must have 2 axes, got {plr.domain.dim} in {file}: use plr_jax.plot.slices.")
     if not isinstance(plr, PLR) and kind is not Picture.distance:
         raise ValueError(f"--kind must be distance for pairs of cells of a grid, got {kind} for {file}.")
     text = joined_goals(goal)
@@ -328,8 +313,7 @@ def view(
         ),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="The page to write.", show_default="FILE's name with .html"),
+        Path | None, typer.Option("--output", "-o", help="The page to write.", show_default="FILE's name with .html")
     ] = None,
 ) -> None:
     """Write an interactive web page of a file, which shows the distance at the pointer and needs no network."""

@@ -54,7 +54,6 @@ GoalOption = Annotated[
 
 
 def choices(names: Sequence[str]) -> dict[str, Any]:
-    """Return arguments for ``typer.Option`` that show the choices in the help and in shell completion."""
     return {"metavar": f"[{'|'.join(names)}]", "autocompletion": lambda: list(names)}
 
 
@@ -62,10 +61,7 @@ def _reading_option(help: str, default: str, **others: Any) -> Any:
     return typer.Option(help=help, show_default=default, rich_help_panel="How MAP is read", **others)
 
 
-ResolutionOption = Annotated[
-    float | None,
-    _reading_option("Side of a pixel of a picture, in workspace units.", "1"),
-]
+ResolutionOption = Annotated[float | None, _reading_option("Side of a pixel of a picture, in workspace units.", "1")]
 ThresholdOption = Annotated[
     float | None, _reading_option("Lightness above which a pixel is free, from 0 (black) to 1 (white).", "0.5")
 ]
@@ -91,7 +87,6 @@ RadiusOption = Annotated[
 
 
 def parse_goals(text: str) -> Float[np.ndarray, "goals 2"]:
-    """Parse goals ``X,Y;X,Y``; ``ValueError`` if a goal is not two finite numbers."""
     goals = []
     for goal in text.split(";"):
         goals.append(numbers_of(goal))
@@ -112,16 +107,12 @@ def oracle_of(workspace: "Workspace", goals: Float[np.ndarray, "goals 2"]) -> "V
 
 
 def option_of(key: str) -> str:
-    """Return the command-line option of a field of :class:`NamedMap`, such as ``--drop-specks``."""
     return f"--{key.replace('_', '-')}"
 
 
 @dataclass(frozen=True)
 class NamedMap:
-    """A map and its options, as given on the command line; ``str`` of it is the label of files built from it.
-
-    None stands for a default: the goal of a scene of one robot, the reader's value of an option, radius 0.
-    """
+    """A map and its options (None: defaults), as on the command line; as text, the label of files built from it."""
 
     name: str
     goal: str | None = None
@@ -136,7 +127,6 @@ class NamedMap:
 
     @classmethod
     def parse(cls, text: str) -> "NamedMap":
-        """Parse a label, such as ``scan.png --resolution=0.05``; ``ValueError`` if it is invalid."""
         try:
             name, *options = shlex.split(text)
             pairs = [option.removeprefix("--").split("=", 1) for option in options]
@@ -155,7 +145,6 @@ class NamedMap:
         return {key: value for key, value in fields_of_map.items() if value is not None}
 
     def free_pixels(self) -> Bool[np.ndarray, "rows columns"] | None:
-        """Return which pixels of a picture or of a ``map_server`` map are free; None for other kinds of maps."""
         from plr_jax.scenes._pictures import PICTURE_ENDINGS, YAML_ENDINGS, free_pixels
 
         if self.name in SCENES or Path(self.name).suffix.lower() not in (*PICTURE_ENDINGS, *YAML_ENDINGS):
@@ -163,10 +152,7 @@ class NamedMap:
         return free_pixels(Path(self.name), *([] if self.threshold is None else [self.threshold]))
 
     def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
-        """Return the workspace, inflated by the radius, and the goals, or None if there is none.
-
-        An unknown map, or an option that its reader does not have, raises ``ValueError``.
-        """
+        """Return the workspace, inflated by the radius, and the goals, or None if there is none."""
         from plr_jax import scenes
 
         if Path(self.name).suffix.lower() in _VOLUMES:
@@ -213,10 +199,10 @@ class NamedMap:
 def read_map_of_file(
     file: Path, content: Any, map_text: str | None, goal: str | None, *, is_needed: bool
 ) -> tuple["Workspace | None", Float[np.ndarray, "goals 2"] | None]:
-    """Return the workspace and the goals of a file; each is None if neither the user nor the file's label names it.
+    """Return the workspace and the goals of a file of a PLR or pairs, each None if not known.
 
-    The user's ``map_text`` (MAP and options) and ``goal`` override the label of ``content``, the PLR or pairs. A map
-    is also looked for beside ``file``. If a map is not needed and cannot be read, a warning is shown.
+    The user's ``map_text`` (MAP and options) and ``goal`` override the label of ``content``. A map is also looked for
+    beside ``file``. If a map is not needed and cannot be read, a warning is shown.
     """
     try:
         labeled = NamedMap.parse(getattr(content, "label", ""))
@@ -262,10 +248,7 @@ def read_map_of_file(
 def require_writable(
     path: Path | None, endings: Sequence[str] = (), *, inputs: Sequence[str | Path | None] = ()
 ) -> None:
-    """Raise an error, before any work is done, if a file cannot be written, or if it is one of the inputs.
-
-    None is accepted. If ``endings`` are given, the file must have one of them.
-    """
+    """Raise an error if a file cannot be written, is one of the inputs, or has none of the ``endings``, if any."""
     if path is None:
         return
     if endings and path.suffix.lower() not in endings:

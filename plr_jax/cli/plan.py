@@ -23,8 +23,6 @@ _DEFAULT_ROBOTS = {"four_rooms": 4, "cross": 2}
 
 
 class Heuristic(StrEnum):
-    """The heuristics of ``plr-jax plan``."""
-
     lattice = "lattice"
     none = "none"
     straight_line = "straight-line"
@@ -134,11 +132,7 @@ def _read_problem(name: str, num_robots: int | None) -> "Problem":
 def solve(
     problem: "Problem", heuristic: Heuristic, options: "BLOptions", max_bytes: int
 ) -> "tuple[Solution, ValidationReport | None]":
-    """Build a heuristic, plan with it, validate the path, and print a report.
-
-    The lower bound of the cost is the sum of each robot's exact distance if alone. Ctrl-C before the search raises
-    ``KeyboardInterrupt``; during the search, it sets the solution's status.
-    """
+    """Build a heuristic, plan with it, validate the path, and print a report; Ctrl-C may leave a partial solution."""
     from dataclasses import replace
 
     from plr_jax import bl_plan, robot_distance_fns, sum_of_distances, validate
@@ -191,9 +185,8 @@ def _build_heuristic(
         case Heuristic.point_plr:
             exact = robot_distance_fns(problem, inflated=False)
     plrs: dict[object, Any] = {}
-    keys = [
-        (id(oracle.workspace), *oracle.goal.tolist()) for oracle in exact
-    ]  # robots of equal size share a workspace
+    # Robots of equal size share a workspace.
+    keys = [(id(oracle.workspace), *oracle.goal.tolist()) for oracle in exact]
     for key, oracle in zip(keys, exact, strict=True):
         if key not in plrs:
             with warnings.catch_warnings():

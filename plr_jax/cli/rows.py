@@ -30,7 +30,6 @@ class PointTable:
     strict: bool = False
 
     def chunks(self, file: io.BufferedIOBase) -> Iterator[Float[np.ndarray, "n dim"]]:
-        """Yield batches of points ``(n, dim)`` as lines arrive; ``ValueError`` if the table as a whole is invalid."""
         expected, num_lines, num_bad, is_empty = f"{self.dim} comma-separated numbers", 0, 0, True
         may_be_header = True
         for block in self._blocks(file):
@@ -98,7 +97,6 @@ class PointTable:
 
 
 def open_table(source: str) -> tuple[str, Any]:
-    """Return the name and the byte stream of a file, or of standard input if ``source`` is ``-``."""
     if source != "-":
         return source, open(source, "rb")
     if sys.stdin is None:
@@ -107,7 +105,6 @@ def open_table(source: str) -> tuple[str, Any]:
 
 
 def print_answers(chunks: Iterable[Float[np.ndarray, "n columns"]]) -> None:
-    """Print each row of numbers on a line, comma-separated, as soon as its batch arrives."""
     for answers in chunks:
         line = ",".join(["%.9g"] * answers.shape[1]) + "\n"
         sys.stdout.write(line * len(answers) % tuple(answers.ravel().tolist()))

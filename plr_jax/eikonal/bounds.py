@@ -1,7 +1,7 @@
 """Bounds of the cost-to-go on a mesh, an estimate between them, and their PLR.
 
-The PLR has a leaf for each cell of the mesh or, if bytes are limited, leaves of its own partition. The bounds of such
-a leaf are the worst bounds of all cells that it meets.
+The PLR has a leaf for each cell of the mesh or, if bytes are limited, a partition of its own. The bounds of a leaf
+are the worst bounds of all cells that it meets.
 """
 
 import warnings
@@ -34,8 +34,7 @@ from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes, VoxelSpace
 
-# Most voxels of spaces in which paths from voxel to voxel give upper bounds.
-_MOST_VOXELS = 1 << 24
+_MOST_VOXELS = 1 << 24  # most voxels of spaces in which paths from voxel to voxel give upper bounds
 _VOXEL_GOALS = 8  # goals to which such paths lead; any of all goals serve
 _PAIRS_AT_ONCE = 1 << 20  # pairs of a leaf and a voxel handled together
 _BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has thousands of points
@@ -57,13 +56,12 @@ CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
 
 @dataclass(frozen=True, eq=False)
 class MeshEstimate:
-    """An estimate of the cost-to-go on a mesh, given by values at the corners of each cell (0 in blocked cells)."""
+    """An estimate of the cost-to-go, multilinear in each cell of a mesh; ``inf`` in blocked cells."""
 
     mesh: Mesh
-    corner_values: CellCorners
+    corner_values: CellCorners  # 0 in blocked cells
 
     def __call__(self, x: Points) -> Numbers:
-        """Return the estimate at points, multilinear in each cell; ``inf`` in blocked cells."""
         mesh = self.mesh
         at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
         cell = mesh.locate(at)
@@ -73,25 +71,15 @@ class MeshEstimate:
 
 @dataclass(frozen=True, eq=False)
 class CostToGoField:
-    """A proven lower bound of the cost-to-go on a mesh, a proven upper bound, and an estimate between them.
+    """A proven lower bound of the cost-to-go on a mesh, a proven upper bound, and an estimate between them."""
 
-    Attributes:
-        program: The convex program for the lower bound.
-        values: Its solution, at most 0 at goals; slopes may be a little too large before they are rescaled.
-        paths: The paths from nodes to the goal that give the upper bound.
-        nodal_estimate: An estimate at the nodes (corners of cells) of the mesh; ``inf`` if there is none.
-        nodal_goal: The goal to which the path of this estimate leads from each node; None if there is a ``guide``.
-        space: The configuration space.
-        guide: An estimate at any point, interpolated on a grid; None beyond three axes.
-    """
-
-    program: SlopeProgram
-    values: Float[np.ndarray, "dofs"]
-    paths: NodePaths
-    nodal_estimate: Float[np.ndarray, "nodes"]
-    nodal_goal: Int[np.ndarray, "nodes"] | None
+    program: SlopeProgram  # of the lower bound
+    values: Float[np.ndarray, "dofs"]  # its solution, at most 0 at goals; before rescaling, slopes may be too large
+    paths: NodePaths  # paths to the goal, whose costs are upper bounds
+    nodal_estimate: Float[np.ndarray, "nodes"]  # at the corners of cells; inf where unknown
+    nodal_goal: Int[np.ndarray, "nodes"] | None  # the goal of the estimated path from each node, without a guide
     space: ConfigurationSpace
-    guide: GridEstimate | None
+    guide: GridEstimate | None  # an estimate interpolated on a grid, for up to three axes
 
     @property
     def mesh(self) -> Mesh:
@@ -122,18 +110,14 @@ class CostToGoField:
         return np.maximum(proven, (costs.least_rate * straight)[mesh.corners])
 
     @cached_property
-    def _corner_costs(self) -> CellCorners:
-        """Cost of a path to the goal from each corner of cells that are not blocked; ``inf`` if there is none."""
+    def _upper_at_corners(self) -> CellCorners:
         is_open = self.mesh.state != CellState.BLOCKED
         return np.where(is_open[:, None], self.paths.cost[self.mesh.corners], np.inf)
 
     @cached_property
     def estimate(self) -> MeshEstimate:
-        """The estimate, clipped to the bounds; where it is unknown, nearby values are used.
-
-        A ``UserWarning`` says where the estimate was outside of its bounds by more than a tenth.
-        """
-        mesh, lower, upper = self.mesh, self._lower_at_corners, self._corner_costs
+        """The estimate, clipped to the bounds (with a warning if it is far off); unknown values come from nearby."""
+        mesh, lower, upper = self.mesh, self._lower_at_corners, self._upper_at_corners
         node, cell = mesh.corners[mesh.open_cells], mesh.open_cells
         excess = np.where(np.isfinite(self.nodal_estimate), self.nodal_estimate, np.nan)[node] - lower[cell]
         is_off = np.maximum(-excess, excess + lower[cell] - upper[cell]) > _OFF * np.maximum(
@@ -150,7 +134,7 @@ class CostToGoField:
         return MeshEstimate(mesh, values)
 
     def which(self, x: Points) -> CellIndex:
-        """Return the index of the goal to which the shortest path from each point of the domain leads."""
+        """Return the index of the goal to which the shortest path from each point leads."""
         mesh = self.mesh
         if self.nodal_goal is None:
             assert self.guide is not None
@@ -167,16 +151,15 @@ class CostToGoField:
 
     @property
     def mean_gap(self) -> float:
-        """Mean of upper minus lower bound at the corners that have both."""
-        known = np.isfinite(self._corner_costs)
-        return float((self._corner_costs - self._lower_at_corners)[known].mean()) if known.any() else 0.0
+        known = np.isfinite(self._upper_at_corners)
+        return float((self._upper_at_corners - self._lower_at_corners)[known].mean()) if known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Return lower and upper bounds of the cost-to-go minus multilinear functions over boxes in open cells.
+        """Bound the cost-to-go minus multilinear functions from both sides, over boxes in cells that are not blocked.
 
-        Box ends are local coordinates of ``cell``, which is not blocked; functions are given by their values at the
-        boxes' ``corners``. Bounds include points that rounding may place in a box, for the function at the nearest
-        point of the box. Upper bounds are ``inf`` if no path is known from all free points.
+        Boxes are in local coordinates of their cell, functions are given by their values at the boxes' ``corners``.
+        The bounds also hold at points that rounding may place in a box, with the function at the box's nearest point.
+        Upper bounds are ``inf`` if no path is known from all free points.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
@@ -202,7 +185,7 @@ class CostToGoField:
             for corner, place in enumerate(corner_bits(dim)):
                 change = ((place - at) * mesh.widths[c][:, None]).reshape(-1, dim)
                 straight = self.program.costs.of_motions(change, np.repeat(c, at.shape[1])).reshape(at.shape[:2])
-                by_corner = self._corner_costs[c, corner, None] + straight - function
+                by_corner = self._upper_at_corners[c, corner, None] + straight - function
                 by_corner[~self._sees[c, corner]] = np.inf
                 most = np.minimum(most, by_corner[:, vertices].max(axis=2))
             x = mesh.fractions(c[:, None], at)
@@ -216,14 +199,11 @@ class CostToGoField:
         return below, above
 
     def _below_straight(self, lo: Points, hi: Points) -> AtCorners:
-        """Return, at the corners of boxes, concave lower bounds of the cost of straight motions to the nearest goal.
-
-        To the goal nearest to the middle of the box, they are tangent to the least cost of these motions there. To
-        others, they are the cost from the middle less that of half a diagonal. They are 0 if an axis is periodic.
-        """
+        """Return, at corners of boxes, concave lower bounds of the cost of straight motions to the nearest goal."""
         costs, domain, bits = self.program.costs, self.mesh.domain, corner_bits(self.mesh.dim)
         if domain.is_periodic:  # costs of motions either way around are not convex
             return np.zeros((len(lo), len(bits)))
+        # The tangent of the cost to the nearest goal, and for others the cost from the middle less half a diagonal's.
         distance, nearest = nearest_goals(self.goals, domain, costs.motion, (lo + hi) / 2, 2)
         goal = self.goals[nearest[:, 0]]
         middle, slope = (lo + hi) / 2 - goal, np.zeros_like(lo)
@@ -236,11 +216,11 @@ class CostToGoField:
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
-        """For each cell, path nodes (or the goal) such that all straight motions to them are free; else -1."""
+        """For each cell, three path nodes to which all straight motions from the cell are free; -1 for others."""
         mesh, paths = self.mesh, self.paths
         if self.program.costs.cost_map is not None:
             return np.full((0, len(mesh.state)), -1)
-        cells, costs = np.arange(len(mesh.state)), self._corner_costs
+        cells, costs = np.arange(len(mesh.state)), self._upper_at_corners
         nearest, farthest = (mesh.corners[cells, corner] for corner in (costs.argmin(axis=1), costs.argmax(axis=1)))
         ahead = paths.next[nearest]
         target = np.stack([ahead, paths.next[ahead], paths.next[farthest]])
@@ -255,7 +235,7 @@ class CostToGoField:
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
-        """A margin for rounding, and for motions to a cell from points that rounding places in the cell."""
+        """A margin for rounding, including motions to a cell from points that rounding places in it."""
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
         way = costs.motion.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
@@ -264,7 +244,7 @@ class CostToGoField:
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
-        """Whether straight motions to a corner are free from all free points that rounding places in its cell."""
+        """Whether straight motions to a cell's corner are free from all points that rounding places in the cell."""
         mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
         free = np.flatnonzero(mesh.state == CellState.FREE)
         is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE
@@ -281,7 +261,7 @@ class CostToGoField:
         sees = np.zeros((len(mesh.state), 2**mesh.dim), bool)
         sees[free[is_clear]] = True
         if isinstance(self.space, SeesBoxes):
-            cell, corner = np.nonzero(np.isfinite(self._corner_costs) & ~sees)
+            cell, corner = np.nonzero(np.isfinite(self._upper_at_corners) & ~sees)
             q = np.stack(mesh.boxes)[corner_bits(mesh.dim)[corner], cell[:, None], np.arange(mesh.dim)]
             sees[cell, corner] = self.space.sees_boxes(q, lo[cell], hi[cell])
         return sees
@@ -386,17 +366,14 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
 
 
 def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
-    """Return goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if it has no such form.
-
-    A file stores one goal at most. The margin covers rounding of coordinates to 32 bits, the rate covers rounding of
-    the length.
-    """
+    """Return goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if it has another form."""
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
     (_, weight), *others = costs.motion.blocks
     sizes = np.array([largest, costs.least_rate * largest])
     if others or domain.is_periodic or len(field.goals) > 1 or not ((sizes > _TINIEST) & (sizes < _LARGEST)).all():
         return None
+    # The rate covers rounding of the length, the margin that of coordinates to 32 bits.
     goal = field.program.at[0] * domain.width
     rate = (1 - _OF_LENGTHS) * weight * costs.least_rate
     return np.array([*goal, rate, 8 * UNIT * rate * largest], np.float32).astype(np.float64)
@@ -409,12 +386,7 @@ def _above_voxel_paths(
     coefficients: Float[np.ndarray, "leaves corners"],
     across: Float[np.ndarray, "leaves dim"],
 ) -> Float[np.ndarray, "leaves"]:
-    """Return upper bounds of the cost-to-go minus the function of each leaf, by paths from voxel to voxel.
-
-    From a point of a free voxel, a straight motion leads to the voxel's center, and moves to any of 26 neighbors lead
-    on to the goal. These bounds also hold where walls are thinner than cells. They are ``inf`` for balls, for very
-    many voxels, and for other than three axes.
-    """
+    """Bound the cost-to-go minus each leaf's function from above by paths along centers of voxels, or by ``inf``."""
     grid = space.grid
     above = np.full(len(cells), np.inf)
     if grid.dim != 3 or space.radius > 0 or space.free.size > _MOST_VOXELS:

@@ -19,40 +19,29 @@ from scipy.sparse.csgraph import connected_components
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.plr.faces import eliminate_constraints, face_points, resolve_constraints
 
-# Most weights a node in the equations of nodes that hang on several cells.
-_MOST_WEIGHTS_OF_NODE = 2**8
+_MOST_WEIGHTS_OF_NODE = 2**8  # in the equations of nodes that hang on several cells
 _QUADRATURE = {1: np.array([1, 1]) / 2, 2: np.array([1, 4, 1]) / 6}
 _TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1]])}
 
 
 @dataclass(frozen=True, eq=False)
 class FunctionSpace:
-    """The continuous piecewise polynomials on a mesh, of ``degree`` along every axis.
-
-    Attributes:
-        lattice: The nodes of a cell, from 0 to 1 along each axis.
-        values: Maps degrees of freedom to values at all nodes, ``cell * nodes_of_cell + node``; 0 in blocked cells.
-        points: The place of each degree of freedom, as a fraction of the domain.
-        node_of: A node of each degree of freedom, numbered like the rows of ``values``.
-    """
+    """The continuous piecewise polynomials on a mesh, of ``degree`` along every axis."""
 
     mesh: Mesh
     degree: int
-    lattice: Float[np.ndarray, "nodes dim"]
-    values: csr_array
-    points: Float[np.ndarray, "dofs dim"]
-    node_of: Int[np.ndarray, "dofs"]
+    lattice: Float[np.ndarray, "nodes dim"]  # the nodes of a cell, from 0 to 1 along each axis
+    values: csr_array  # maps dofs to values at all nodes, `cell * nodes_of_cell + node`; 0 in blocked cells
+    points: Float[np.ndarray, "dofs dim"]  # fractions of the domain
+    node_of: Int[np.ndarray, "dofs"]  # a node of each degree of freedom, numbered like the rows of `values`
 
     def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
-        """Return the matrix from degrees of freedom to values at points ``t`` of cells, from 0 to 1 each."""
+        """Return the matrix from degrees of freedom to values at points of cells, from 0 to 1 along each axis."""
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
-        """Return, for each axis, the matrix from degrees of freedom to Bernstein coefficients of that derivative.
-
-        Rows are ``number * nodes_of_cell + control point`` for the cells that are not blocked. Derivatives are by
-        coordinates times ``scale``.
-        """
+        """Return, by axis, the matrix to Bernstein coefficients of the derivative by coordinates times ``scale``."""
+        # Rows are `number * nodes_of_cell + control point` for the cells that are not blocked.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
         rows = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
         values, width = csr_array(self.values[rows]), mesh.widths[mesh.open_cells] * scale
@@ -70,8 +59,7 @@ class FunctionSpace:
             operators.append(csr_array(local @ values))
         return operators
 
-    def integrals(self) -> Float[np.ndarray, "dofs"]:
-        """Return the integral of each basis function over all cells that are not blocked."""
+    def basis_integrals(self) -> Float[np.ndarray, "dofs"]:
         mesh = self.mesh
         share = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * mesh.dim).ravel()
         weights = mesh.volumes[mesh.open_cells, None] * share
@@ -97,14 +85,14 @@ def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
 
 
 def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
-    """Build the space of piecewise polynomials that are continuous across faces between open (not blocked) cells."""
+    """Build the piecewise polynomials that are continuous across faces between cells that are not blocked."""
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
     # 1. Find nodes that are one with a node of another cell, and nodes that hang on a cell, with their place in it.
     place = (degree + 1) ** np.arange(mesh.dim)[::-1]
     same, hanging, on_cell, at, crossing, places = [], [], [], [], [], []
     for axis in range(mesh.dim):
-        faces = mesh.faces[mesh.faces.axis == axis]
+        faces = mesh.open_faces[mesh.open_faces.axis == axis]
         for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
             on_face = np.flatnonzero(lattice[:, axis] == end)
             t = mesh.local(other[:, None], mesh.fractions(cell[:, None], lattice[on_face]))

@@ -49,12 +49,12 @@ def carried_goals(
     periodic: tuple[bool, ...],
     num_goals: int,
 ) -> GoalIndex:
-    """Return the goal to which the path of each node leads, -1 without a path, given the goals of some nodes.
+    """Return the goal to which each node's path leads, -1 without a path, given the goals of some nodes of a grid.
 
-    The cost of a node depends on its cheapest neighbor along each axis, by shares that are the differences over the
-    squared steps. Bits of the goals' indices, as numbers 1 and -1, are averaged with these shares. So signs tell the
-    goal of more than half of what a node depends on. Where no goal has so much, which check bits tell, it is that of
-    the neighbor with the largest share.
+    The cost of a node depends on its cheapest neighbor along each axis, in shares that are the differences over the
+    squared steps. Bits of the goals' indices, as numbers 1 and -1, are averaged with these shares, so their signs
+    tell the goal of more than half of the shares. Check bits tell where no goal has so much; a node there takes the
+    goal of the neighbor with the largest share.
     """
     # 1. Shares of neighbors, in the order of costs.
     open_ = np.flatnonzero(np.isfinite(cost))

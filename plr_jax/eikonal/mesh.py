@@ -18,12 +18,9 @@ from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 
 _COARSE = 4  # boxes of the grid that locates points, for each cell
-# Largest ratio of a cell's widths: beyond it, the equations lose all digits along the long axis.
-_MOST_SLENDER = 2e5
-# A cell is halved along axes in which it is wider than this share of its largest width.
-_LONG = 0.7
-# Least number of halvings of a periodic axis: no two cells may touch on both sides.
-_LEAST_PERIODIC = 2
+_MOST_SLENDER = 2e5  # largest ratio of a cell's widths: beyond it, the equations lose all digits along the long axis
+_LONG = 0.7  # a cell is halved along axes in which it is wider than this share of its largest width
+_LEAST_PERIODIC = 2  # least number of halvings of a periodic axis: no two cells may touch on both sides
 
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
 Fractions: TypeAlias = Float[np.ndarray, "n dim"]
@@ -34,7 +31,7 @@ Mask: TypeAlias = Bool[np.ndarray, "cells"]
 
 @dataclass(eq=False)
 class Mesh:
-    """The dyadic cells of a domain, in the order of the tree's traversal, and the state of each.
+    """The dyadic cells of a domain, in the order of the tree's traversal: each proven free, proven blocked, or mixed.
 
     Points are given as *fractions* of the domain, or in *local* coordinates of a cell, both from 0 to 1 along each
     axis. Blocked cells are *flush* if they border on free space. Rounding may place free points in a flush cell, so
@@ -58,12 +55,10 @@ class Mesh:
 
     @cached_property
     def all_faces(self) -> SharedFaces:
-        """Faces between any two cells, blocked or not."""
         return shared_faces(self.tree, self.domain.periodic)
 
     @cached_property
     def boxes(self) -> Corners:
-        """Lower and upper corners of the cells."""
         return self.cells.boxes(self.domain)
 
     @cached_property
@@ -92,7 +87,7 @@ class Mesh:
 
     @cached_property
     def _coarse(self) -> tuple[Int[np.ndarray, "dim"], Int[np.ndarray, "..."]]:
-        """Splits of a grid along each axis, and the smallest tree node that contains each of its boxes."""
+        """Splits along each axis of a grid, and for each of its boxes, the smallest tree node that contains it."""
         depth = np.zeros(self.dim, np.int64)
         while (depth < self._finest).any() and 2 ** (depth.sum() + 1) <= _COARSE * len(self.state):
             depth[np.argmax(self._finest - depth)] += 1
@@ -108,7 +103,6 @@ class Mesh:
 
     @property
     def corners(self) -> Int[np.ndarray, "cells corners"]:
-        """Indices of the `nodes` at the corners of each cell."""
         return self._corners[1]
 
     @property
@@ -121,11 +115,9 @@ class Mesh:
         return np.ldexp(0.25, -self._finest)
 
     def fractions(self, cell: Int[np.ndarray, "*#n"], t: Num[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
-        """Convert local coordinates of cells to fractions of the domain; dyadic coordinates stay exact."""
         return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
 
     def local(self, cell: Int[np.ndarray, "*#n"], x: Float[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
-        """Convert fractions of the domain to local coordinates of cells."""
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:
@@ -155,31 +147,25 @@ class Mesh:
 
     @property
     def open_cells(self) -> Int[np.ndarray, "open"]:
-        """Indices of the cells that are not blocked."""
         return np.flatnonzero(self.state != CellState.BLOCKED)
 
     @property
     def is_open_face(self) -> Bool[np.ndarray, "faces"]:
-        """Mask of the faces in `all_faces` between two cells that are not blocked."""
         is_open = self.state != CellState.BLOCKED
         return is_open[self.all_faces.lower] & is_open[self.all_faces.upper]
 
     @property
-    def faces(self) -> SharedFaces:
-        """Faces between cells that are not blocked."""
+    def open_faces(self) -> SharedFaces:
         return self.all_faces[self.is_open_face]
 
     @property
     def flush_pairs(self) -> Int[np.ndarray, "2 pairs"]:
-        """Pairs of a blocked cell that borders on free space (flush), and a cell touching it that is not blocked."""
+        """Pairs of a blocked cell that borders on free space, and a cell that touches it and is not blocked."""
         flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
         return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
     def shared_boxes(self, cell: CellIndex, other: CellIndex) -> tuple[Fractions, Fractions, Fractions]:
-        """Return lower and upper ends of the intersections of touching cells, and turns to the other cell.
-
-        A turn is 1 or -1 if the other cell is across the seam of a periodic axis, else 0.
-        """
+        """Return the ends of the boxes that touching cells share, and the turns (-1, 0, 1) across periodic seams."""
         (lo, hi), (low, high) = (
             [self.fractions(c, np.full(self.dim, end)) for end in (0.0, 1.0)] for c in (cell, other)
         )
@@ -187,8 +173,8 @@ class Mesh:
         return np.maximum(lo, low - turn), np.minimum(hi, high - turn), turn
 
     def connected_to(self, cells: CellIndex | int) -> Mask:
-        """Return a mask of the cells that faces between cells that are not blocked connect to any of some cells."""
-        num, faces = len(self.state), self.faces
+        """Return a mask of the cells that chains of open faces connect to any of the given cells."""
+        num, faces = len(self.state), self.open_faces
         graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
         part = connected_components(graph, directed=False)[1]
         return np.isin(part, part[cells])
@@ -198,16 +184,14 @@ class Mesh:
         mesh.state = state
         return mesh
 
-    def without(self, is_closed: Mask) -> "Mesh":
-        """Return the mesh with the cells of a mask counted as blocked."""
+    def with_blocked(self, is_closed: Mask) -> "Mesh":
         return self.with_state(np.where(is_closed, np.int8(CellState.BLOCKED), self.state))
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None) -> "Mesh":
-        """Return the mesh with cells ``which``, in this order, halved along all their long axes while there is room.
+        """Return the mesh with cells ``which``, in this order, halved along all their long axes.
 
-        ``room`` is the number of cells that may be added; None: any. If halving a mixed cell along one axis gives a
-        half that is proven free or blocked, only this axis is halved. Walls along halves of cells then take few
-        cells.
+        At most ``room`` cells are added; None: any number. If halving a mixed cell along one axis gives a half that
+        is proven free or blocked, only this axis is halved, so that walls along halves of cells take few cells.
         """
         parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
         while num < len(which) and (room is None or room >= most):
@@ -224,7 +208,6 @@ class Mesh:
         return _mesh(self.domain, self.cells[stays].append(*parts), state, is_flush)
 
     def _parts(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
-        """Return the parts into which cells are split, their states, and which parts are flush."""
         cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] == CellState.MIXED
         # 1. Classify the parts of mixed cells, halved along all axes.
         state = np.repeat(self.state[which, None], len(bits), axis=1)
@@ -304,7 +287,7 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Count a flush blocked cell as mixed if cells that are not blocked touch only in an edge or a corner of it.
+    """Count a blocked cell as mixed if open (not blocked) cells touch only in an edge or a corner of it.
 
     A path may begin on either side of such a contact, and may pass if the space lets robots squeeze through.
     """

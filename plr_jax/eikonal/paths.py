@@ -1,14 +1,11 @@
 """Short paths from the nodes of a mesh to the nearest goal, through free cells: upper bounds of the cost-to-go.
 
-1. A graph joins the corners of each free cell, in which every straight motion is free. Dijkstra's algorithm finds
-   shortest paths in it. They zigzag.
-2. As in Theta*, a node skips the next node of its path, or takes the next node of a neighbor's path, if the straight
-   motion there stays in free cells and costs less.
+Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. They zigzag. As in
+Theta*, a node then skips the next node of its path, or takes the next node of a neighbor's path, if the straight
+motion there stays in free cells and costs less. If a goal's cell is not free, as beside a wall, straight motions to
+the goal are tested one by one.
 
-If a goal's cell is not free, as beside a wall, straight motions to the goal are tested one by one.
-
-References:
-    Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
+References: Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
 """
 
 from collections.abc import Iterator
@@ -29,8 +26,7 @@ from plr_jax.spaces import CellState, ConfigurationSpace, cost_bounds, pulled
 # Most rounds of straightening, and the share of all costs that a round must gain for another one.
 _ROUNDS, _ENOUGH = 24, 1e-4
 _GAIN = 1e-9  # share of a path's cost that a change of the path must save
-# Distance beyond a face at which the next cell is located, as a share of the domain.
-_AHEAD = 2.0**-44
+_AHEAD = 2.0**-44  # distance beyond a face at which the next cell is located, as a share of the domain
 _ROUNDING = 1e-10  # share by which upper bounds are increased, for rounding
 _EDGES_AT_ONCE = 1 << 18  # edges handled together, to bound the memory
 # Most nodes, the nearest ones, that are joined to goals whose cells are not free; least number for each goal.
@@ -45,17 +41,11 @@ Points: TypeAlias = Float[np.ndarray, "n dim"]
 
 @dataclass(frozen=True, eq=False)
 class NodePaths:
-    """Paths to the nearest goal from the nodes (corners of cells) of a mesh.
+    """Paths to the nearest goal from the nodes (corners of cells) of a mesh."""
 
-    Attributes:
-        points: The nodes as fractions of the domain, then the goals.
-        cost: Cost of each node's path, rounded up; ``inf`` if none was found.
-        next: Index of the second node of each path; a goal's own index for goals, the first goal's without a path.
-    """
-
-    points: Float[np.ndarray, "nodes dim"]
-    cost: Costs
-    next: Nodes
+    points: Float[np.ndarray, "nodes dim"]  # the nodes as fractions of the domain, then the goals
+    cost: Costs  # of each node's path, rounded up; inf if none was found
+    next: Nodes  # the second node of each path; a goal itself for goals, the first goal without a path
 
     @property
     def ends(self) -> Nodes:
@@ -96,7 +86,7 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
 
 
 def _along(next_: Nodes, leg: Costs) -> Costs:
-    """Sum the costs of first edges (``leg``) along paths to a goal by pointer doubling."""
+    """Sum the costs of the paths' first edges (``leg``) along each path to a goal, by pointer doubling."""
     cost = leg
     while (next_ != next_[next_]).any():
         cost, next_ = cost + cost[next_], next_[next_]
@@ -104,7 +94,7 @@ def _along(next_: Nodes, leg: Costs) -> Costs:
 
 
 class _FreeGraph:
-    """A graph of the corners of free cells, with the goals last. Edges are straight motions within a cell."""
+    """A graph of the corners of free cells and the goals; edges are straight motions within a cell."""
 
     def __init__(self, mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace):
         self.mesh, self.costs, num = mesh, costs, len(mesh.nodes)
@@ -135,12 +125,12 @@ class _FreeGraph:
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
     def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
-        """Yield begins, ends and costs of edges, sorted, for some nodes at a time, since cells share many edges."""
+        """Yield begins, ends and costs of the edges, sorted, for some nodes at a time."""
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
         nodes, cells = [self.goals[is_free[homes]]], [homes[is_free[homes]]]
         for axis, bits in enumerate(corner_bits(mesh.dim).T):  # corners of a cell that hang on a larger cell
-            faces = mesh.faces[mesh.faces.axis == axis]
+            faces = mesh.open_faces[mesh.open_faces.axis == axis]
             for cell, other, end in ((faces.lower, faces.upper, 1), (faces.upper, faces.lower, 0)):
                 hangs = (
                     (mesh.cells.depth[cell] > mesh.cells.depth[other]).any(axis=1) & is_free[cell] & is_free[other]
@@ -186,7 +176,7 @@ class _FreeGraph:
         return next_, leg
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
-        """Return, for each node, the best second node of a neighbor's path, if no wall were in the way."""
+        """Return, for each node, the best second node of a neighbor's path, as if no wall were in the way."""
         best, bounds = next_.copy(), np.append(self.first, len(self.end))
         counts = np.diff(bounds)
         for some in parts(counts, _EDGES_AT_ONCE):

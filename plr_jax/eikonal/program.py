@@ -1,21 +1,14 @@
 """A convex program for the largest lower bound of the cost-to-go in a finite-element space.
 
 A function is nowhere above the cost of any path if it is 0 at the goal, continuous across every face that is not
-proven blocked, and nowhere steeper than a step costs. The Bernstein coefficients of the gradient (control vectors,
-one at each control point of a cell) bound the slope of a polynomial. So the largest such function ``u``, by its
-integral, solves
+proven blocked, and nowhere steeper than a step costs. The Bernstein coefficients of the gradient (control vectors)
+bound its slope. The program maximizes the function's integral. The alternating direction method of multipliers solves
+it, with a Poisson equation in each iteration; the multipliers are a flow along cheapest paths to the goal. At last a
+piecewise linear function of the values rescales them until they satisfy the constraints, rounding included. So the
+bound is proven after any number of iterations. With several goals, the function is at most 0 at each.
 
-    maximize  sum of w u   subject to  |control vector| <= least cost of a step in the cell,
-
-where ``w`` are the integrals of the basis functions. The multipliers are a flow from everywhere to the goal along
-cheapest paths. The alternating direction method of multipliers solves the program, with a Poisson equation in each
-iteration. With several goals, ``u`` is at most 0 at each, and the multipliers of these constraints are the flows into
-the goals. At last a piecewise linear function of the values rescales them until they satisfy the constraints,
-rounding included. So the bound is proven after any number of iterations.
-
-References:
-    Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and degenerate
-        elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
+References: Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and
+degenerate elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
 """
 
 from collections.abc import Sequence
@@ -56,26 +49,20 @@ class CellCosts:
 
     A motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``, where ``|dq|`` is
     the norm ``motion``. Without pulls, the factor of ``|dq|`` also lies between two linear functions of the place.
-
-    Attributes:
-        slope: Change of the linear bounds across each cell, along each axis.
-        least: The lower linear bound in the middle of the cell.
-        most: The upper linear bound in the middle of the cell.
-        pulls: Two vectors for each cell, if costs depend on the direction, else None.
     """
 
     motion: MotionCost
     cost_map: CostMap | None
     lower: Float[np.ndarray, "cells"]
     upper: Float[np.ndarray, "cells"]
-    slope: Float[np.ndarray, "cells dim"]
-    least: Float[np.ndarray, "cells"]
-    most: Float[np.ndarray, "cells"]
-    pulls: Float[np.ndarray, "2 cells dim"] | None = None
+    slope: Float[np.ndarray, "cells dim"]  # change of the linear bounds across each cell
+    least: Float[np.ndarray, "cells"]  # the lower linear bound in the middle of the cell
+    most: Float[np.ndarray, "cells"]  # the upper linear bound in the middle of the cell
+    pulls: Float[np.ndarray, "2 cells dim"] | None = None  # if costs depend on the direction
 
     @property
     def midway(self) -> "CellCosts":
-        """Costs for estimates: the upper bounds of the factor are replaced by the middle of both bounds."""
+        """Costs for estimates: the middle of both bounds replaces the upper bounds of the factor."""
         lower, least = self.lower, self.least
         if self.pulls is not None:  # no cost is negative
             longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
@@ -84,7 +71,7 @@ class CellCosts:
 
     @cached_property
     def least_rate(self) -> float:
-        """A lower bound, at least 0, of the cost of any motion of length 1, in any cell and direction."""
+        """A lower bound, at least 0, of the cost of any motion of length 1."""
         if self.pulls is None:
             return float(self.lower.min())
         return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
@@ -99,7 +86,6 @@ class CellCosts:
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
-    """Bound the cost of motions in each cell of a mesh; ``ValueError`` if the cost map gives no bounds."""
     motion, num = space.motion_cost, len(mesh.state)
     flat, ones = np.zeros((num, mesh.dim)), np.ones(num)
     if cost_map is None:
@@ -135,12 +121,12 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
 def rescaling_of(
     lowest: Numbers, highest: Numbers, factor: Numbers
 ) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-    """Return a piecewise linear function of the values of a bound that makes slopes that are too large admissible.
+    """Return a piecewise linear function that reduces the slopes of a bound where they are larger than admissible.
 
     In a cell, values lie between ``lowest`` and ``highest``, and the slope is ``factor`` times the largest admissible
-    one. Between these values the function has at most the slope ``1 / factor``. Values farther from the goal move
-    down by this loss alone, far less than if all were divided by the largest factor. Returned are breakpoints,
-    ascending, and the function there, 0 at 0.
+    one; the function's slope between these values is at most ``1 / factor``. Values farther from the goal fall by
+    this loss alone, far less than if all were divided by the largest factor. Return its ascending breakpoints, and
+    its values there; it is 0 at 0.
     """
     order = np.argsort(factor, kind="stable")
     order = order[factor[order] > 1]
@@ -157,10 +143,9 @@ def rescaling_of(
 class SlopeSets:
     """The convex set of admissible gradients of a lower bound, at each control point.
 
-    A lower bound may fall along a motion by at most the motion's cost. So minus its gradient lies in the set whose
-    support function is that cost: a ball for a length, a product of balls for a sum of norms over groups of axes
-    (``blocks``). If costs depend on the direction, it is all balls with centers on the segment between the two
-    negated ``pulls`` of :class:`CellCosts`. A step of length 1 along the axes of one group costs 1.
+    A bound may fall along a motion by at most the motion's cost. So minus its gradient lies in a ball if costs are
+    lengths, and in a product of balls if they are sums of norms over groups of axes (``blocks``). If costs depend on
+    the direction, it lies in a ball around a point of the segment between the two ``pulls`` of :class:`CellCosts`.
     """
 
     blocks: Sequence[Sequence[int]]
@@ -168,11 +153,10 @@ class SlopeSets:
     pulls: Float[np.ndarray, "2 dim controls"] | None = None
 
     def lengths(self, g: Vectors) -> list[PerControl]:
-        """Return, for each group of axes that share one norm, the lengths of the vectors' parts in the group."""
+        """Return, for each group of axes, the lengths of the vectors' parts in the group."""
         return [np.sqrt(np.sum(g[list(block)] ** 2, axis=0)) for block in self.blocks]
 
     def project(self, g: Vectors) -> Vectors:
-        """Return the nearest vectors that are admissible gradients."""
         offset, radius = self._nearest_offset(g), self.radius
         g, nearest = g - offset, np.empty_like(g)
         for block, length in zip(self.blocks, self.lengths(g), strict=True):
@@ -187,7 +171,7 @@ class SlopeSets:
         return first + np.clip(t, 0.0, 1.0) * along
 
     def factors(self, g: Vectors) -> PerControl:
-        """Return factors, division by which makes vectors admissible gradients: at most 1 for vectors that are."""
+        """Return the factors by which to divide vectors to make them admissible; at most 1 for those that are."""
         g = g - self._nearest_offset(g)
         length = np.max(self.lengths(g), axis=0)
         if self.pulls is None:
@@ -196,7 +180,7 @@ class SlopeSets:
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
-        """Return the cost of motion against a flow; motion against the flow leads toward the goal."""
+        """Return the cost of motion against a flow, which leads toward the goal."""
         norm = np.sum(self.lengths(flow), axis=0)
         if self.pulls is None:
             return self.radius * norm
@@ -209,8 +193,7 @@ _RELAXATION = 1.6
 _LEAST_INFLOW = 0.1  # least flow into a goal, as a share of the mean, for the weight of the value there
 # Iterations between evaluations of the bound; and its least relative rise within so many iterations.
 _LOOK_EVERY, _GAIN, _PATIENCE = 10, 5e-4, 30
-# Share of the residual that conjugate gradients leave, and most steps.
-_RESIDUAL, _MOST_STEPS = 1e-2, 50
+_RESIDUAL, _MOST_STEPS = 1e-2, 50  # share of the residual that conjugate gradients leave, and most steps
 # Most unknowns of a factored matrix in three dimensions, and of the coarsest grid of multigrid.
 _MOST_FACTORED, _COARSEST_GRID = 100_000, 100
 
@@ -226,34 +209,26 @@ class Iterate:
 
 @dataclass(frozen=True, eq=False)
 class SlopeProgram:
-    """The program for the largest lower bound, on one finite-element space.
-
-    Attributes:
-        gradient: Maps degrees of freedom to control vectors, axis by axis, in the coordinates of `sets`.
-        volume: Share of its cell's volume of each control point.
-        weight: The integral of each basis function.
-        goal: Maps degrees of freedom to the value at the goal; a matrix if there are several goals.
-        at: The goals, fractions of the domain.
-    """
+    """The program for the largest lower bound, on one finite-element space."""
 
     space: FunctionSpace
-    gradient: csr_array
+    gradient: csr_array  # maps dofs to control vectors, axis by axis, in the coordinates of `sets`
     costs: CellCosts
-    volume: PerControl
-    weight: Dofs
-    goal: Dofs | csr_array
-    at: Float[np.ndarray, "goals dim"]
+    volume: PerControl  # share of the cell's volume
+    weight: Dofs  # integrals of the basis functions
+    goal: Dofs | csr_array  # maps dofs to the value at the goal; a matrix if there are several goals
+    at: Float[np.ndarray, "goals dim"]  # the goals, fractions of the domain
 
     @classmethod
     def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goals: Motions) -> "SlopeProgram":
-        """Build the program on the part of a mesh that is connected to the goals, fractions of the domain."""
+        """Build the program on the part of a mesh that is connected to the goals (fractions of the domain)."""
         homes = mesh.locate(goals)
         if (mesh.state[homes] == CellState.BLOCKED).any():  # goals are free to a tolerance
             state = mesh.state.copy()
             state[homes[state[homes] == CellState.BLOCKED]] = CellState.MIXED
             mesh = mesh.with_state(state)
         mesh = with_open_contacts(mesh, space)
-        mesh = mesh.without(~mesh.connected_to(homes))
+        mesh = mesh.with_blocked(~mesh.connected_to(homes))
         # Degree 2 errs far less a cell, but takes too long beyond two dimensions.
         functions = function_space(mesh, (2 if mesh.dim <= 2 else 1))
         gradient = csr_array(vstack(functions.gradients(space.motion_cost.scale)))
@@ -262,15 +237,14 @@ class SlopeProgram:
         at_goals = functions.interpolation(homes, mesh.local(homes, goals))
         at_goals = at_goals.toarray()[0] if len(goals) == 1 else at_goals
         costs = cell_costs(space, cost_map, mesh)
-        return cls(functions, gradient, costs, volume, functions.integrals(), at_goals, goals)
+        return cls(functions, gradient, costs, volume, functions.basis_integrals(), at_goals, goals)
 
     @property
     def dim(self) -> int:
         return self.space.mesh.dim
 
     @cached_property
-    def homes(self) -> CellIndex:
-        """The cells of the goals."""
+    def goal_cells(self) -> CellIndex:
         return self.space.mesh.locate(self.at)
 
     def below_goals(self, u: Dofs) -> Dofs:
@@ -288,15 +262,14 @@ class SlopeProgram:
         return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
     def gradients(self, u: Dofs) -> Vectors:
-        """Return the control vectors of a function, which enclose its gradient, in the coordinates of `sets`."""
+        """Return the control vectors of a function, which enclose its gradient."""
         return (self.gradient @ u).reshape(self.dim, -1)
 
     def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:
-        """Return the mean gradient in each cell that is not blocked, in the coordinates of `sets`."""
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
     def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-        """Return the function of :func:`rescaling_of` that makes slopes of ``u`` admissible, rounding included."""
+        """Return the result of :func:`rescaling_of` that makes slopes of ``u`` admissible, rounding included."""
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
         control = nodal @ to_bernstein(space.degree, mesh.dim).T
@@ -304,11 +277,11 @@ class SlopeProgram:
         return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
 
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """Return each open (not blocked) cell's share of the gap between the lower bound and the cost of the flow.
+        """Return each cell's share of the gap between the lower bound and the cost of the flow.
 
-        It is the volume times the excess, at least 0, of the flow's cost (its upper bound) over the rise of the lower
-        bound along the flow; the rise counts as 0 in mixed cells. The sum approximates the integral of the true
-        cost-to-go minus the lower bound.
+        It is the volume times the excess, at least 0, of the flow's cost over the rise of the lower bound along the
+        flow; the rise counts as 0 in cells that are neither proven free nor blocked. The sum approximates the
+        integral of the true cost-to-go minus the lower bound.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
@@ -321,21 +294,21 @@ class SlopeProgram:
     def losses_at_goals(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
         """Return the gap in each goal's cell if the flow that reaches the cell's nodes went straight to the goal.
 
-        Inside this cell, inflow on one side may leave on the other. Such a flow has no gap, though values behind the
-        goal are as far below 0 as they should be above. Other cells have 0.
+        In such a cell, flow may enter on one side and leave on another without a gap, though values behind the goal
+        are as far below 0 as they should be above. Other cells have 0.
         """
         space, mesh, domain = self.space, self.space.mesh, self.space.mesh.domain
         nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion, domain.at(space.points))[1][:, 0]
         change = domain.difference(domain.width * self.at[nearest], domain.width * space.points)
-        excess = self.costs.of_motions(change, self.homes[nearest]) - self.below_goals(iterate.values)
+        excess = self.costs.of_motions(change, self.goal_cells[nearest]) - self.below_goals(iterate.values)
         climbed = self.volume * np.sum(iterate.flow * self.gradients(excess), axis=0)
         gap = np.zeros(len(mesh.state))
         gap[mesh.open_cells] = climbed.reshape(-1, len(space.lattice)).sum(axis=1)
-        np.add.at(gap, self.homes, iterate.inflow * (self.goal @ excess))
-        return np.where(np.isin(mesh.open_cells, self.homes), gap[mesh.open_cells], 0.0)
+        np.add.at(gap, self.goal_cells, iterate.inflow * (self.goal @ excess))
+        return np.where(np.isin(mesh.open_cells, self.goal_cells), gap[mesh.open_cells], 0.0)
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
-        """Iterate from a start (None: 0). Before the iterations ``factor_at``, penalties are rescaled to the flow."""
+        """Iterate from a start (None: 0); before the iterations ``factor_at``, penalties are rescaled to the flow."""
         if start is None:
             flow, inflow = np.zeros((self.dim, len(self.volume))), np.full(len(self.at), self.weight.sum())
             start = Iterate(np.zeros(len(self.weight)), flow, inflow)
@@ -365,9 +338,8 @@ class SlopeProgram:
 class _Splitting:
     """The alternating direction method of multipliers, with penalties as large as the flow that it starts from.
 
-    ``z`` is the projection to the admissible gradients of the gradients of ``u``; ``penalty * y`` is the flow. Values
-    at several goals are treated like gradients, with the numbers up to 0 as their admissible set. The flow into one
-    goal is known.
+    ``z`` is the projection of the gradients of ``u`` to the admissible ones; ``penalty * y`` is the flow. Values at
+    several goals are treated like gradients, and must be at most 0. The flow into one goal is known.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
@@ -376,7 +348,7 @@ class _Splitting:
         if len(inflow) == 1:
             self._load = self._load - program.weight.sum() * program.goal
         # A cell's costs are to values at goals what the radius is to slopes.
-        lower, widths = program.costs.lower[program.homes], program.space.mesh.widths[program.homes]
+        lower, widths = program.costs.lower[program.goal_cells], program.space.mesh.widths[program.goal_cells]
         across = lower * program.costs.motion.norm(widths)
         if not flow.any():  # start from the flow of least squares, which has the right size in any units
             system = _Poisson(program, 1 / radius, inflow * lower / across**2)
@@ -411,15 +383,10 @@ class _Splitting:
 
 
 class _Poisson:
-    """The Poisson equation that each iteration of :class:`_Splitting` solves.
-
-    With a single goal, all flow enters it, and the solution is unique up to a constant: the first unknown is 0.
-
-    In up to two dimensions, and on small meshes in three, the matrix is factored. Otherwise conjugate gradients with
-    algebraic multigrid improve the last solution.
-    """
+    """The Poisson equation of each iteration, solved by factoring, or on large meshes by conjugate gradients."""
 
     def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, "goals"]):
+        # All flow enters a single goal. The solution is then unique up to a constant, and the first unknown is 0.
         weights = np.tile(penalty * program.volume, program.dim)
         self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
         matrix, self.stiffness, self._first = self.divergence @ program.gradient, stiffness, 1

@@ -1,15 +1,13 @@
 """Cost distance over a grid of costs: a search for shortest paths, proven lower bounds, and a march over large grids.
 
-- Dijkstra's algorithm finds shortest paths over straight edges between the centers and corners of cells. Edges are up
-  to four cells long, and their costs are exact for costs that are constant in each cell. Unlike with 8 or 16
-  neighbors, lengths hardly depend on the direction.
-- If heights give directed costs, edges join centers alone and are up to six cells long.
-- Lower bounds are the distances, projected onto the functions that are nowhere steeper than the costs allow.
-- Over grids too large for a search, scikit-fmm marches.
+Dijkstra's algorithm finds shortest paths over straight edges between the centers and corners of cells. Edges are up
+to four cells long, and their costs are exact for costs that are constant in each cell. Unlike with 8 or 16 neighbors,
+lengths hardly depend on the direction. If heights give directed costs, edges join centers alone and are up to six
+cells long. Lower bounds are the distances, projected onto the functions that are nowhere steeper than the costs
+allow. Over grids too large for a search, scikit-fmm marches.
 
-References:
-    Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
-    Mitchell and Papadimitriou, "The weighted region problem", 1991: shortest paths among regions of constant costs.
+References: Sethian, "A fast marching level set method for monotonically advancing fronts", 1996. Mitchell and
+Papadimitriou, "The weighted region problem", 1991: shortest paths among regions of constant costs.
 """
 
 from collections.abc import Callable
@@ -49,7 +47,7 @@ Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 
 
 def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
-    """Return odd numbers of parts of each cell along rows and columns, if cells are long or the raster is small."""
+    """Return odd numbers of parts into which to divide each cell along rows and columns."""
     scale = max(np.sqrt(_FINE_CELLS / cost.size * side.min() / side.max()), 1.0)
     wanted = side[::-1] / side.min() * ((scale - 1) // 2 * 2 + 1)
     return (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
@@ -57,24 +55,15 @@ def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
 
 @dataclass(frozen=True)
 class PathTree:
-    """Shortest paths from the centers of cells to their nearest sources.
+    """Shortest paths from the centers of cells to their nearest sources."""
 
-    Attributes:
-        next_node: For each node the next one toward the source; negative at sources, which are the last nodes, and
-            where no source can be reached. Nodes at corners of parts of cells are first, if there are any, then those
-            at centers.
-        shape: Numbers of rows and columns of parts of cells.
-        side: Sides of a part.
-        ends: Where paths reach the sources.
-    """
-
-    next_node: Int[np.ndarray, "nodes"]
-    shape: tuple[int, int]
-    side: Sides
-    ends: Points
+    next_node: Int[np.ndarray, "nodes"]  # of corners, if any, of centers, and of sources; negative if there is none
+    shape: tuple[int, int]  # rows and columns of parts of cells
+    side: Sides  # of a part
+    ends: Points  # where paths reach the sources
 
     def path(self, center: Float[np.ndarray, "2"]) -> Points:
-        """Return where the path from a node at a center turns, and its ends; nothing if no source can be reached."""
+        """Return the turns of the path from a node at a center, and its ends; nothing if no source can be reached."""
         (rows, columns), first_source = self.shape, len(self.next_node) - len(self.ends)
         num_corners, vertices = first_source - rows * columns, []
         row, column = (center / self.side).astype(int)[::-1]
@@ -98,7 +87,7 @@ class PathTree:
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
-    """Return distances and nearest sources by paths over parts of cells; bounds, if asked for; and the paths."""
+    """Return distances and nearest sources by paths over parts of cells, bounds if asked for, and the paths."""
     fine, of_part = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1), side / parts[::-1]
     distance, at_corners, nearest, tree = search(fine, of_part, points)
     results = [distance, nearest]
@@ -113,8 +102,7 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
 
     The center divides a cell into four triangles. A function that is linear in each triangle, nowhere steeper than
     the cost of the cell and at most 0 at the sources, is a lower bound. Projections onto the gradients that are
-    allowed in one triangle, averaged over triangles, make the given distances nearly such a function.
-    :func:`rescaling_of` does the rest.
+    allowed in one triangle make the distances nearly such a function, and :func:`rescaling_of` does the rest.
     """
     # 1. The triangles, one at each side of a cell: the ends of the side, its axis, and the most cost there.
     least = cost.min()  # costs are divided by the least, so that squares neither overflow nor vanish
@@ -159,7 +147,6 @@ def _homes(cost: Raster, side: Sides, points: Points) -> Int[np.ndarray, "k 2"]:
 
 
 def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
-    """Return distances by fast marching over the centers of cells, from those of the sources' cells, and labels."""
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
         raise ValueError(
@@ -179,10 +166,7 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
 
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
-    """Give each node the label of the source that steepest descent reaches.
-
-    ``carried_goals`` is more exact, but takes 13 numbers and more a node: too many for rasters of 10^8 cells.
-    """
+    """Label each node by the source that steepest descent reaches; needs less memory than ``carried_goals``."""
     # 1. The next node: of sixteen around it, the one through which the distance is least.
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
     number, least = toward.copy(), np.full(distance.shape, np.inf)
@@ -215,10 +199,7 @@ def search(
     slope_fn: Slope = np.ones_like,
     from_sources: bool = False,
 ) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
-    """Return costs of shortest paths over straight edges to centers and corners of cells, nearest sources, and paths.
-
-    With heights, edges join centers alone, and paths begin at the center of a source's cell.
-    """
+    """Return costs of paths to centers and (without heights) corners of cells, nearest sources, and paths."""
     # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
     home, (rows, columns) = _homes(cost, side, points), cost.shape
@@ -296,13 +277,11 @@ def _straight_costs(
     home: Int[np.ndarray, "k 2"],
     near: Int[np.ndarray, "nodes 2"],
 ) -> Float[np.ndarray, "k nodes"]:
-    """Return costs of straight motions from points to nodes, ``near`` half cells from the centers of their cells.
-
-    ``cost`` has a rim. A motion leaves the row and the column of the first cell at most once each.
-    """
+    """Return costs of straight motions from points to nodes, ``near`` half cells from the centers of their cells."""
     begin = points[:, None, ::-1] / side[::-1]
     change = home[:, None] + 0.5 + near / 2 - begin
     with np.errstate(divide="ignore", invalid="ignore"):
+        # A motion leaves the row and the column of the first cell at most once each.
         leaves = np.where(np.abs(near) > 1, (home[:, None] + (near > 0) - begin) / change, 1.0)
         first, last = leaves.min(axis=2), leaves.max(axis=2)
         beyond = np.sign(near) * (leaves < 1)
@@ -324,7 +303,7 @@ def _mean_factor(
     slope_fn: Slope,
     from_sources: bool,
 ) -> np.ndarray:
-    """Return the mean factor of slopes along a straight motion to the cell ``(i, j)`` further."""
+    """Return the mean factor of the slopes along a straight motion by ``(i, j)`` cells."""
     heights, count = [], max(abs(i), abs(j))
     for part in range(count + 1):
         (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
@@ -341,8 +320,8 @@ def _mean_factor(
 def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
     """Return the mean cost along a straight motion by ``(i, j)`` half cells; ``inf`` if barriers stop it.
 
-    It begins in the center of a cell (``half`` 1) or in its lower corner (0). ``cost_at`` gives the costs of cells by
-    the rows and columns to them.
+    It begins in the center of a cell (``half`` 1) or in its lower corner (0). ``cost_at`` returns the costs of cells
+    that are so many rows and columns away.
     """
     # 1. Cut the motion where it enters another cell.
     ends = {0.0, 1.0}

@@ -1,7 +1,6 @@
 """Cost distance over a raster: the least accumulated cost between each cell and the nearest source.
 
-References:
-    Tobler, "Three presentations on geographical analysis and modeling", 1993.
+References: Tobler, "Three presentations on geographical analysis and modeling", 1993.
 """
 
 from dataclasses import dataclass, field
@@ -34,7 +33,7 @@ _REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray t
 
 
 def tobler(slope: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Return seconds per horizontal meter of walking at slopes, rise over run, by Tobler's hiking function."""
+    """Return the seconds that a hiker takes per horizontal meter at slopes (rise over run), by Tobler's function."""
     return 0.6 * np.exp(3.5 * np.abs(slope + 0.05))
 
 
@@ -46,10 +45,9 @@ class CostDistance:
         distance: Cost distance to the nearest source; ``inf`` where no source can be reached.
         nearest: Number of that source, from 0; -1 where no source can be reached. It may be another source whose
             distance is at most about 1 % larger.
-        lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is the
-            distance, which is the cost of a path, rounded up. So only ``lower`` adds information. The bounds are on
-            average 2 to 4 % of the distance apart in our experiments, and up to 100 % near sources and beside much
-            cheaper cells.
+        lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
+            ``distance``, rounded up. On average they are 2 to 4 % of the distance apart in our experiments, and up to
+            100 % near sources and beside much cheaper cells.
         plr: The distance as a PLR over the raster's box; None if not asked for. It has no proven bounds, and finite
             values in barriers.
     """
@@ -104,11 +102,10 @@ def cost_distance(
     """Compute the least accumulated cost between every cell of a raster and the nearest source.
 
     ``result = plr_jax.cost_distance(costs, sources)`` has ``result.distance`` and ``result.nearest``, arrays of the
-    raster's shape. Distances are costs of paths, and ``result.path(point)`` is such a path. Distances are on average
-    about 0.1 % above the least; the largest excess in our experiments is 2.2 % of the mean distance. The search for
-    paths takes about 2 kB of memory a cell. Over more than 2 million cells a front marches instead, in 100 bytes a
-    cell. Its errors are those of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they
-    jump.
+    raster's shape. ``result.path(point)`` is a path whose cost is the distance. Distances are on average about 0.1 %
+    above the least; the largest excess in our experiments is 2.2 % of the mean distance. The search for paths takes
+    about 2 kB of memory a cell. Over more than 2 million cells a front marches instead, in 100 bytes a cell, with the
+    errors of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
@@ -123,8 +120,7 @@ def cost_distance(
         heights: Height of each cell, in the unit of ``cell_size``, for directed costs; barriers like those of costs.
         slope_cost: With heights, the factor of the cost at each slope, rise over horizontal run along the path: a
             function of arrays, or ``"tobler"``, the seconds of a hiker per horizontal meter.
-        from_sources: With heights, whether paths lead from the sources to the cells. By default they lead to the
-            sources.
+        from_sources: With heights, whether paths lead from the sources to the cells instead of to the sources.
         bounds: Whether to prove bounds, between which the distance then lies, for costs that are constant in each
             cell; takes 3 to 4 s for 160,000 cells. Not with heights.
         max_bytes: If given, the result has a PLR of at most so many bytes.
@@ -186,7 +182,6 @@ def cost_distance(
 
 
 def _require_aligned(name: str, raster: Any, costs: Any) -> None:
-    """Require that a raster with coordinates has those of the costs; ``ValueError`` if not."""
     if not (is_data_array(raster) and is_data_array(costs)):
         return
     pairs = [(raster[axis].values, costs[axis].values) for axis in costs.dims if axis in raster.dims]
@@ -217,9 +212,7 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     cost = cost[order]
     if (wrong := np.argwhere(cost <= 0)).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
-        raise ValueError(
-            f"costs must be positive, got {got}. For free passage use a small cost, for barriers NaN or a mask."
-        )
+        raise ValueError(f"costs must be positive, got {got}. Use a small cost for free passage, NaN for barriers.")
     return cost, box, order
 
 
@@ -230,7 +223,7 @@ def _cells(points: Float[np.ndarray, "*n 2"], box: Box, shape: tuple[int, int]) 
 
 
 def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, slice]) -> Points:
-    """Return sources relative to the lower corner of the raster."""
+    """Check sources, and return them relative to the lower corner of the raster."""
     shape = np.array(cost.shape)
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         if np.shape(sources) != cost.shape:

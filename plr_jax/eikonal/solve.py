@@ -1,7 +1,7 @@
 """Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap.
 
-A convex program (``program.py``) gives the lower bound. It is solved on meshes that are refined where the lower bound
-is estimated to be farthest below the truth.
+A convex program gives the lower bound. It is solved on meshes that are refined where the lower bound is estimated to
+be farthest below the truth.
 """
 
 import math
@@ -35,11 +35,9 @@ _MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
 _MAX_LEAVES = 2_000
 _LEAVES_PER_BYTE = 2  # no file has more leaves per byte
 _BYTES_A_CELL = 4_000  # least memory that construction takes for each cell
-# Splits along each axis of leaves that are cut off from the goal beside leaves that are not.
-_CUT_OFF_SPLITS = 6
+_CUT_OFF_SPLITS = 6  # splits along each axis of leaves that are cut off from the goal beside leaves that are not
 _LEAST_COST = 1e-30  # least cost that 32 bits resolve
-# Share of the domain's width by which a goal may lie outside: a space may count such goals as free.
-_BESIDE = 1e-6
+_BESIDE = 1e-6  # share of the domain's width by which a goal may lie outside: a space may count such goals as free
 
 Goals = Float[np.ndarray, "goals dim"]
 
@@ -57,16 +55,16 @@ def solve_eikonal(
 ) -> PLR:
     """Build a PLR of the cost-to-go of a configuration space, without an oracle or a roadmap.
 
-    The goal may be several goals, such as exits. The cost-to-go is then that of the nearest, and ``plr.which(x)``
-    tells which one that is.
+    With several goals, such as exits, the cost-to-go is that of the nearest, and ``plr.which(x)`` tells which one
+    that is.
 
     With ``certified=False`` the PLR is an estimate, and takes about a second: scikit-fmm marches over a grid of
     160,000 nodes in the plane or up to a million in space, and continuous leaves compress the result. The mean error
     is mostly 0.01 to 0.5 %, as on the grid.
 
     By default the PLR also has proven bounds, which takes longer. Cells are halved where that matters, and proven
-    free or blocked, or stay mixed. ``plr(x)`` is an estimate between the bounds ``plr.bounds(x)``, which hold for
-    every point from which the goal can be reached.
+    free or blocked, or stay mixed. ``plr(x)`` is an estimate between ``plr.bounds(x)``, which hold for every point
+    from which the goal can be reached.
 
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
       every face that is not proven blocked, and nowhere steeper than a step costs. The straight line to the nearest
@@ -90,10 +88,10 @@ def solve_eikonal(
         seed: Seed of samples.
 
     Returns:
-        The PLR, of continuous leaves. Leaves are planes instead if ``certified=False`` and the cost of motions is the
-            sum of norms of several groups of axes, as for a body that turns. ``plr(x)`` is finite wherever a path
-            leads to the goal. The PLR does not test collision, so it may be finite in obstacles, and at points cut
-            off from the goal within a 64th of the domain of points that reach it.
+        The PLR, of continuous leaves, or of planes if ``certified=False`` and the cost of motions is a sum of norms
+            of several groups of axes, as for a body that turns. ``plr(x)`` is finite wherever a path leads to the
+            goal, but perhaps also in obstacles, and at points cut off from the goal within a 64th of the domain of
+            points that reach it.
 
     Warns:
         ConstructionInterrupted: If interrupted (Ctrl-C) after the first solution; the PLR then holds the latest one.
@@ -107,14 +105,11 @@ def solve_eikonal(
             blocked. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid
             sees a goal. If a directional cost map comes with a space whose costs are no lengths.
 
-    References:
-        Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952; see ``program.py``.
+    References: Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952.
     """
     require_space(space)
     if cost_map is not None and not isinstance(cost_map, CostMap):
-        raise ValueError(
-            f"cost_map must be a CostMap, such as LipschitzCost or RasterCost, got {shortened(cost_map)}."
-        )
+        raise ValueError(f"cost_map must be a CostMap, such as RasterCost, got {shortened(cost_map)}.")
     require_integer("seed", seed, 0)
     for name, limit in (("max_leaves", max_leaves), ("max_bytes", max_bytes)):
         if limit is not None:
@@ -128,9 +123,7 @@ def solve_eikonal(
     domain, goal = space.domain, as_numbers("goal", goal, "numbers, (dim,) or (k, dim)")
     if goal.ndim not in (1, 2) or goal.shape[-1] != domain.dim or not goal.size:
         got = f"{goal.size}" if goal.ndim == 1 else f"shape {goal.shape}"
-        raise ValueError(
-            f"goal must have {domain.dim} coordinates, as the space has axes, or be rows of these, got {got}."
-        )
+        raise ValueError(f"goal must have {domain.dim} coordinates, like the space, or be rows of these, got {got}.")
     goals = np.atleast_2d(goal)
     at = (domain.wrapped(goals) - domain.lo) / domain.width
     is_fine = np.asarray((np.abs(at - 0.5) <= 0.5 + _BESIDE).all(axis=1))  # False for NaN
@@ -195,8 +188,8 @@ def _require_goals(
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
     """Return the largest error of each leaf, and more for large leaves that are cut off from the goal.
 
-    A leaf that no path joins to the goal borrows the function of an adjacent leaf, for points that rounding places in
-    it. If it contains free points, it must be small, since these should answer ``inf``.
+    A leaf without a path to the goal borrows the function of an adjacent leaf, for points that rounding places in it.
+    If it contains free points, it must be small, since these should answer ``inf``.
     """
     error = largest_error(fit)
     inside = (np.abs(fit.pattern.u) < 1).all(axis=1)  # samples on faces may see the other side of a wall
@@ -251,33 +244,22 @@ _SHARE = 0.8  # share of the loss (gap) in the cells that are refined together
 # If mixed cells have more than `_LEAKING` of the loss, flows leak through walls. Some cells are then saved for later,
 # unless fewer than `_LAST` of all are left.
 _LEAKING, _LAST = 0.1, 0.01
-# Least and largest factor by which a refinement multiplies the number of cells.
-_GROWTH = 1.3, 2.0
+_GROWTH = 1.3, 2.0  # least and largest factor by which a refinement multiplies the number of cells
 # Iterations on the first mesh, on each later mesh, and most iterations at the end on the last mesh.
 _FIRST, _NEXT, _MOST = 100, 20, 1000
-# After these iterations of the first solve, penalties are rescaled to fit the flow.
-_FACTORED_FIRST = (20, 40, 80)
-# Largest factor by which a suspected thin wall raises a cell's loss.
-_DETOUR = 16
-# Most halvings of a cell along an axis, if a query's tables resolve as many.
-_DEEPEST = 13
+_FACTORED_FIRST = (20, 40, 80)  # after these iterations of the first solve, penalties are rescaled to fit the flow
+_DETOUR = 16  # largest factor by which a suspected thin wall raises a cell's loss
+_DEEPEST = 13  # most halvings of a cell along an axis, if a query's tables resolve as many
 _INSET = 1e-9  # distance of points from the faces of a cell, as a share of its width
 
 
 class SlopeSolver:
-    """The convex program for the lower bound, solved on finer and finer meshes.
-
-    Attributes:
-        goals: The goals, fractions of the domain.
-        tolerance: Estimated mean distance of the lower bound to the truth at which the mesh is fine enough.
-        program: The program on the finest mesh so far.
-        iterate: Its solution; None before there is one.
-    """
+    """The convex program for the lower bound, solved on finer and finer meshes."""
 
     def __init__(
         self, space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, max_cells: int, tolerance: float
     ):
-        self.space, self.cost_map, self.goals = space, cost_map, goals
+        self.space, self.cost_map, self.goals = space, cost_map, goals  # goals: fractions of the domain
         self.max_cells, self.tolerance = max_cells, tolerance
         mesh = coarse_mesh(space, max(int(_COARSEST * max_cells), _FEWEST), max_cells)
         self.program = SlopeProgram.on(mesh, space, cost_map, goals)
@@ -295,7 +277,6 @@ class SlopeSolver:
         return self.program.below_goals(self.iterate.values)
 
     def refine(self, progress: tqdm) -> None:
-        """Solve and refine in turn, up to the limit of cells; then solve to convergence."""
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
         parts = 2**self.mesh.dim - 1  # most cells that a refined cell adds
@@ -334,17 +315,14 @@ class SlopeSolver:
             )
 
     def mesh_without_mixed(self) -> Mesh:
-        """Return the mesh with each mixed cell counted as free or blocked.
-
-        A mixed cell is free if the straight motion through its middle, along the gradient of the lower bound, is
-        free. The answer is kept from the mesh in which the cell first appeared.
-        """
+        """Return the mesh with each mixed cell counted as free or blocked, as in the mesh where it first appeared."""
         mesh = self.mesh
         mixed = np.flatnonzero(mesh.state == CellState.MIXED)
         new = mixed[self._through[mixed] == CellState.MIXED]
         slope = np.zeros((len(mesh.state), mesh.dim))
         slope[mesh.open_cells] = self.program.mean_gradients(self.values) / self.space.motion_cost.scale
         lo, hi = (corner[new] for corner in mesh.boxes)
+        # A cell counts as free if the motion through its middle, along the gradient of the lower bound, is free.
         share = np.abs(slope[new] / (hi - lo)).max(axis=1, keepdims=True)
         half = np.divide(slope[new], 2 * share, out=np.zeros_like(lo), where=share > 0)
         is_free = self.space.are_free((lo + hi) / 2 - half, (lo + hi) / 2 + half)
@@ -352,7 +330,7 @@ class SlopeSolver:
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
-        """Return the cells to refine, mostly in order of their loss (gap), and how many cells this may add."""
+        """Return the cells to refine, mostly by their loss (``SlopeProgram.losses``), and how many cells to add."""
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow
@@ -382,13 +360,12 @@ class SlopeSolver:
         return mesh.open_cells[order[~deepest]], int(min(max(enough, fewest), most, left))
 
 
-# Numbers of samples of a box, and of a motion.
-_NUM_SAMPLES, _NUM_OF_MOTION = 8, 33
+_NUM_SAMPLES, _NUM_OF_MOTION = 8, 33  # numbers of samples of a box, and of a motion
 
 
 @dataclass(frozen=True, eq=False)
 class SampledSpace(CheckedSpace):
-    """A space that only tests configurations. It classifies boxes by samples, so nothing is proven."""
+    """A space that only tests configurations. Samples classify its boxes, so nothing is proven."""
 
     seed: int
 
@@ -397,7 +374,6 @@ class SampledSpace(CheckedSpace):
         return (1 + sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u) / 2
 
     def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
-        """Return the state of each box: free or blocked if all its samples are, else mixed."""
         x = lo[:, None] + (hi - lo)[:, None] * self._samples
         free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
         state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)

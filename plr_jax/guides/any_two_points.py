@@ -55,8 +55,8 @@ assert (to_dock(positions) == graph(positions)).all()
 # Another metric
 
 `plr_jax.MetricPairs` is one PLR over pairs of points, in boxes of at most 3 dimensions. It needs only a symmetric
-function of two batches of points. It suits smooth metrics. Among obstacles, its errors are far larger than
-the errors of `construct_pairs`.
+function of two batches of points, and suits smooth metrics: among obstacles, its errors are far larger than those of
+`construct_pairs`.
 
 ```python
 def great_circle(a, b):  # angle between two places on a sphere, each a latitude and a longitude
@@ -80,14 +80,8 @@ plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=
 stack = plr_jax.stack(plrs)
 print(stack([0, 5, 7], x[:3]))  # the distance of x[0] to goal 0, of x[1] to goal 5, of x[2] to goal 7
 nearest = stack(np.arange(8)[:, None], x).min(axis=0)  # (n,); this also works inside jit
-
-docks = plr_jax.NearestGoal(oracles)
-print(docks(x[:3]), docks.which(x[:3]))  # distances, and which goal is nearest
-one = plr_jax.construct(docks, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
-print(one(x[:3]), one.which(x[:3]), one.bounds(x[:3]))  # all from one file
 ```
 
-A stack is fastest if all its PLRs have one leaf model. `NearestGoal` runs on the host. A PLR of it can have cones,
-proofs and `which` if its oracles are `VisibilityGraph`s of one workspace. A wide goal, such as a door, is a row of
-goals: the error is at most half of their spacing. All classes of pairs are in `plr_jax.pairs`.
+A stack is fastest if all its PLRs have one leaf model. If only the nearest goal counts, a single PLR of a
+`plr_jax.NearestGoal` is enough: see `plr_jax.guides.distance_function`. All classes of pairs are in `plr_jax.pairs`.
 """

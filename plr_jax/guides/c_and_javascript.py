@@ -60,8 +60,8 @@ cc -std=c99 -O2 -ffp-contract=off main.c -lm
 The tables of this header are 4 to 40 times as large as the file. `plr.c_header("maze", compact=True)`, or `plr-jax
 export --compact`, writes the same functions for machines with little memory. Instead of tables, this header has
 bytes, in the plane at most about four times the file's size, and a decoder, which all compact headers in a program
-share. The decoder takes 1 to 4.5 KB of code and 1 KB of stack, a query on a PC 0.1 to 0.3 microseconds. Smooth leaves
-need several KB of stack and 2 microseconds. The decoder can also query bytes that a robot receives while it runs. If
+share. The decoder takes 1 to 4.5 KB of code and 1 KB of stack. A query takes 0.1 to 0.3 microseconds on a PC. Smooth
+leaves need several KB of stack and 2 microseconds. The decoder can also query bytes that a robot receives. If
 `plr_jax_open` accepts damaged bytes, answers may be wrong, but no query reads outside of the bytes. For planes and
 smooth leaves, the decoder computes in double precision.
 

@@ -45,7 +45,7 @@ affects. Its distances equal those of a new oracle, up to rounding. For another 
   `plr.updated(new_oracle, old_oracle)`.
 
 The new PLR keeps the byte budget, unless `max_bytes` sets another one, and has its own proof. Its errors are about as
-large as those of a PLR that is built for the new map. The first update of a PLR takes longer than later updates.
+large as those of a PLR that is built for the new map. The first update of a PLR takes longest.
 
 ```python
 plr_jax.save(plr, "maze.plr")

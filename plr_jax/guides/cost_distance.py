@@ -1,8 +1,7 @@
 """Guide: cost distance over rasters, for GIS: travel times to the nearest of several sources, and catchments.
 
-`plr_jax.cost_distance` takes a raster of costs per unit of length and sources. Its answers are about 0.1 % above the
-least cost on average; the largest excess in our experiments is 2.2 % of the mean distance. Shortest paths over 8
-neighbors are 3 to 5 % too long, and favor some directions.
+`plr_jax.cost_distance` takes a raster of costs per unit of length, and sources. On average, its distances are about
+0.1 % above the least cost. Shortest paths over 8 neighbors are 3 to 5 % too long, and favor some directions.
 
 ```python
 import numpy as np
@@ -21,8 +20,8 @@ The result is a `plr_jax.CostDistance`. Its arrays have the shape of the raster.
 `distance` is `inf` and `nearest` is -1.
 
 - The sources may also be a boolean mask of the raster's shape, such as the cells of a road.
-- Up to 2 million cells, about 2 kB of memory a cell. Larger rasters take 100 bytes a cell, with the errors of
-  scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
+- Rasters of up to 2 million cells take about 2 kB of memory a cell. Larger rasters take 100 bytes a cell, and have
+  the errors of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
 
 # A least-cost path
 
@@ -37,8 +36,8 @@ print(result.path(village))  # vertices (n, 2)
 # How good is it?
 
 `bounds=True` adds `result.lower` and `result.upper`, which are proven for costs that are constant in each cell.
-`upper` is the distance, which is the cost of a path, rounded up, so only `lower` adds information. The bounds are on
-average 2 to 4 % of the distance apart in our experiments, and up to 100 % near sources and beside much cheaper cells.
+`upper` is the distance, rounded up, so only `lower` adds information. The bounds are on average 2 to 4 % of the
+distance apart in our experiments, and up to 100 % near sources and beside much cheaper cells.
 
 ```python
 result = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)
@@ -77,7 +76,7 @@ these coordinates, and so must heights and masks. Use a projection in meters, no
 costs = rioxarray.open_rasterio("friction.tif", masked=True).squeeze("band")
 result = plr_jax.cost_distance(costs, clinics)
 result.distance.rio.to_raster("minutes.tif")  # inf where no clinic can be reached
-minutes = result.distance.where(np.isfinite(result.distance), -9999)  # -9999 there instead
+minutes = result.distance.where(np.isfinite(result.distance), -9999)  # -9999 instead of inf
 minutes.rio.write_nodata(-9999).rio.to_raster("minutes.tif")
 raster = plr_jax.RasterCost(costs, interpolation="nearest")  # for descend, in the coordinates of the file
 ```

@@ -21,11 +21,10 @@ exits = plr_jax.solve_eikonal(space, [(0.5, 2), (5.5, 3.5)], cost_map=cost, cert
 print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, and the index of that exit
 ```
 
-- `certified=False` gives an estimate, in about a second, in up to three dimensions. To get paths, follow the
-  estimate.
+- `certified=False` gives an estimate, in about a second, in up to three dimensions.
 - `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Upper bounds are `inf` where
   no path through proven free cells was found, mostly beside obstacles: with more leaves, there are fewer such points.
-- Give a row for each of several goals. `which` is no part of files of such leaves, and cannot be called under `jit`.
+- Several goals are rows. Files do not store `which`, and it cannot be called under `jit`.
 - Limits are `max_bytes`, `max_leaves` and, for certified PLRs, `tolerance`.
 
 # Costs

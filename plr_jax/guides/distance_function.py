@@ -1,8 +1,8 @@
 """Guide: store the distance to a goal in a file of a few kilobytes.
 
 There are three steps: describe the map, choose an *oracle* (a function that computes the distance to the goal), and
-compress the oracle into a *piecewise linear regression*, a `plr_jax.PLR`. A PLR halves a box again and again. Each
-final cell, a *leaf*, approximates the distance by a simple function.
+compress the oracle into a *piecewise linear regression*, a `plr_jax.PLR`. Construction halves a box again and again.
+In each final cell, a *leaf*, a simple function approximates the distance.
 
 ```python
 import plr_jax
@@ -24,9 +24,9 @@ print(plr_jax.metrics.error_map(plr, oracle, x))
 A map of polygons is a `plr_jax.Workspace`. `plr_jax.scenes.read_workspace` reads pictures, ROS `map_server` YAML,
 GeoJSON, WKT, Moving AI grids and polygons in JSON. `Workspace.from_mask(free)` takes pixels and
 `Workspace.from_polygons(parts)` takes free space as polygons. For a disc, `workspace.inflate(radius)` grows
-obstacles. Polygons inscribed in the round corners replace the arcs, so distances are never longer than the true
-distances. `plr_jax.scenes` also has ready-made maps. The domain of a PLR is a `plr_jax.Box` of any dimension, and may
-be periodic along some axes.
+obstacles, with polygons inscribed in the arcs of the round corners, so distances are never too long.
+`plr_jax.scenes` has ready-made maps. The domain of a PLR is a `plr_jax.Box` of any dimension, and may be periodic
+along some axes.
 
 # Oracles
 
@@ -71,8 +71,8 @@ the largest error in a cell. Leaves:
 
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
-existing PLR. `plr.lower` is a distance function that is never above the true distance, so it is an admissible
-heuristic. It jumps between leaves, so it is not consistent: A* must reopen nodes.
+existing PLR. `plr.lower` is a distance function that is never above the true distance, so A* with this heuristic
+stays optimal. It jumps between leaves, so it is not consistent: A* must reopen nodes.
 
 Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` warning.
 
@@ -95,10 +95,10 @@ plr_jax.plot.plot_contours(plr, workspace=workspace, goal=(9, 1))
 
 # Several exits
 
-`plr_jax.NearestGoal` is the distance to the nearest of several goals; `which(x)` is the index of that goal. Cones of
-`VisibilityGraph`s of one workspace can be certified, and their file stores the index, which other files do not. A
-wide door is a row of goals. Routes: `plr_jax.guides.follow_the_field`; a PLR per goal:
-`plr_jax.guides.any_two_points`.
+`plr_jax.NearestGoal` is the distance to the nearest of several goals; `which(x)` is the index of that goal. If its
+oracles are `VisibilityGraph`s of one workspace, its PLRs of cones can be certified, and their files store the index.
+Other files do not. A wide door is a row of goals: the error is at most half of their spacing. For routes see
+`plr_jax.guides.follow_the_field`, for a PLR of each goal `plr_jax.guides.any_two_points`.
 
 ```python
 exits = plr_jax.NearestGoal([oracle, oracle.with_goal((1, 5))])

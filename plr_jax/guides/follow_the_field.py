@@ -32,8 +32,8 @@ assert all(status is plr_jax.DescentStatus.REACHED for status in descent.status)
 ```
 
 The result is a `plr_jax.Descent`; each `plr_jax.DescentStatus` says how one descent ended. In a configuration space,
-or with a `cost_map`, `descend` takes finite steps instead, and can get stuck. With a cost map, each start
-takes a few tenths of a second.
+or with a `cost_map`, `descend` takes finite steps instead, and can get stuck. With a cost map, each start takes a few
+tenths of a second.
 
 ```python
 space = plr_jax.PlaneSpace(workspace)
@@ -46,8 +46,8 @@ print(descent.costs, costs(starts[:2]))
 # Trace
 
 A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths
-from the file. Give the workspace, if you have it: then no path crosses a wall. Without it, a few paths cut a corner.
-The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path.
+from the file. Give it the workspace, if you have it, so that no path cuts a corner. The result is a `plr_jax.Traces`,
+with a `plr_jax.TraceStatus` for each path.
 
 ```python
 cones = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
@@ -98,10 +98,4 @@ toward_goal = -jax.vmap(jax.grad(cones))(starts)
 exact = oracle.directions(starts)
 print(np.einsum("ij,ij->i", toward_goal, exact).min())  # the smallest cosine of an angle between the two directions
 ```
-
-# Search with a heuristic
-
-`plr.lower`, of a certified PLR, is never above the true distance. With this heuristic, A* on a grid or a roadmap
-stays optimal if it reopens nodes. `plr_jax.ompl_objective` gives these lower bounds to planners of OMPL: see
-`plr_jax.guides.teams`.
 """

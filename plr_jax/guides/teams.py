@@ -32,8 +32,9 @@ time that this takes, at unit speed.
 # The planner
 
 `plr_jax.bl_plan` searches finer and finer lattices with two alternating searches, LaCAM and best-first search (BL).
-It stops after the first search that succeeds, and shortens the path. Finding no path proves nothing. There are no
-dynamics. A `plr_jax.Solution` has a `plr_jax.Status`, which says why the search ended, and `plr_jax.Stats`.
+It stops after the first search that succeeds, and shortens the path. If it finds no path, one may still exist. Robots
+change speed and direction at once. A `plr_jax.Solution` has a `plr_jax.Status`, which says why the search ended, and
+`plr_jax.Stats`.
 
 `plr_jax.validate` shares no geometry with the planner. Its `plr_jax.ValidationReport` says whether a path is valid,
 how close robots come to obstacles and to one another, and what the first violation is.
@@ -58,8 +59,8 @@ print(better.stats.num_nodes, plr_jax.zero()(starts), plr_jax.straight_line(prob
 ```
 
 With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the path until the cost is at most 1.05 times the
-lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. The distances
-of `robot_distance_fns` leave out the cost of turns, so robots that turn may never reach a small factor.
+lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. Distances of
+`robot_distance_fns` leave out the cost of turns, so robots that turn may never reach a small factor.
 
 In place of the cost-to-go along lattices, `bl_plan` accepts a `plr_jax.HeuristicFn`: `plr_jax.zero`,
 `plr_jax.straight_line`, or `plr_jax.sum_of_distances` of one distance function for each robot. If the heuristic is a

@@ -10,14 +10,7 @@ from jaxtyping import Float
 
 from plr_jax._arrays import as_numbers, as_values, padded, padded_size, shortened, with_inf_for_masked
 from plr_jax._problem import Problem, motion_costs
-from plr_jax._types import (
-    ArrayLike,
-    BoundingFn,
-    DimensionedFn,
-    HeuristicFn,
-    JointConfigurations,
-    StackableDistanceFn,
-)
+from plr_jax._types import ArrayLike, BoundingFn, DimensionedFn, HeuristicFn, JointConfigurations, StackableDistanceFn
 
 AnyDistanceFn: TypeAlias = Callable[[Any], ArrayLike]  # returns a NumPy or JAX array
 PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # never returns NaN
@@ -27,21 +20,17 @@ _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 
 @dataclass(frozen=True, eq=False)
 class SumOverRobots:
-    """A heuristic (:class:`plr_jax._types.HeuristicFn`) that is the sum of one term per robot.
+    """A heuristic of a team, the sum of one term per robot (see :class:`plr_jax._types.HeuristicFn`).
 
-    Args:
-        per_robot: Function of joint configurations ``(n, robots, dof)`` that returns the terms, ``(n, robots)``.
-        is_lower_bound: Whether the sum never exceeds the true cost-to-go; it then proves lower bounds of path costs.
+    ``per_robot`` maps joint configurations ``(n, robots, dof)`` to the terms, ``(n, robots)``. If ``is_lower_bound``,
+    the sum never exceeds the true cost-to-go; it then proves lower bounds of path costs.
     """
 
     per_robot: PerRobot
     is_lower_bound: bool = False
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
-        """Return estimated costs-to-go ``(n,)`` of joint configurations ``(n, robots, dof)``, in workspace units.
-
-        They are never NaN, and ``inf`` where a robot's term is. ``ValueError`` for another shape or team size.
-        """
+        """Return estimated costs-to-go of joint configurations, in workspace units; they are never NaN."""
         terms = self.per_robot(q)
         # Robot by robot: NumPy's sum over a short last axis takes several times as long.
         return reduce(np.add, terms.T, np.zeros(len(terms)))
@@ -53,11 +42,7 @@ def zero() -> SumOverRobots:
 
 
 def straight_line(problem: Problem) -> SumOverRobots:
-    """Return the heuristic that ignores obstacles: the cost of straight motions to the goals, including turns.
-
-    It is a lower bound of the true cost-to-go of the problem's team, and ``inf`` for configurations that are not
-    finite.
-    """
+    """Return a lower bound that ignores obstacles: the cost of straight motions and turns to a problem's goals."""
     num_robots, dof = problem.goals.shape
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
@@ -123,7 +108,6 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
 
 
 def require_heuristic(heuristic: object) -> None:
-    """Raise ``ValueError`` unless a heuristic has a method ``per_robot``; hint if it is a factory not yet called."""
     for factory, arguments in ((zero, ""), (straight_line, "problem"), (sum_of_distances, "distance_fns")):
         if heuristic is factory:
             name = factory.__name__
@@ -134,7 +118,7 @@ def require_heuristic(heuristic: object) -> None:
 
 
 def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
-    """Return a heuristic's values, negative ones as 0, masked ones as ``inf``; refuse NaN and wrong shapes."""
+    """Check a heuristic's values, and return them with negative values as 0 and masked values as ``inf``."""
     numbers = as_numbers("The result of a heuristic", with_inf_for_masked(values), "numbers")
     if numbers.shape != shape:
         raise ValueError(f"A heuristic must return an array of shape {shape}, got {numbers.shape}.")
@@ -144,7 +128,6 @@ def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarra
 
 
 def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
-    """Return distances ``(n, robots)``; a function without an attribute ``dim`` gets all coordinates."""
     distances, dof = np.empty(q.shape[:2]), q.shape[2]
     for begin in range(0, len(q), _BATCH_SIZES[-1]):
         part = q[begin : begin + _BATCH_SIZES[-1]]
@@ -166,7 +149,7 @@ def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations
 
 
 def _joint_configurations(q: ArrayLike, num_robots: int | None = None, dof: int | None = None) -> JointConfigurations:
-    """Return ``q`` as a NumPy array of joint configurations; None allows any number of robots, or a dof of 2 or 3."""
+    """Check and convert joint configurations; None allows any number of robots, or both 2 and 3 coordinates."""
     expected = f"shape (n, {num_robots or 'robots'}, {dof or 'dof'})"
     q = as_numbers("Joint configurations", q, f"numbers of {expected}")
     if q.ndim != 3 or q.shape[1] != (num_robots or q.shape[1]) or q.shape[2] not in ((dof,) if dof else (2, 3)):

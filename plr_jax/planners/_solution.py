@@ -1,4 +1,4 @@
-"""Input and result of the planners: options and limits, the solution with its path, and the solution's JSON file."""
+"""Options and limits of the planners, the solution with its path, and its JSON file."""
 
 import enum
 import json
@@ -84,11 +84,10 @@ class Solution:
         lower_bound: Proven lower bound of the cost of every path.
         status: Reason why the planner ended. Any status may come with a path.
         stats: Effort of the planner.
-        samples: Joint configurations of the search nodes, ``(nodes, robots, dof)``, in the order of creation. For
-            ``bl_plan``, the nodes of the larger search on the lattices that were searched last.
-        motions_factor: Proven upper bound of a ratio: the cost of the path before shortening, over the cost of the
-            cheapest path made of the same motions. For ``bl_plan``, these are the motions of the lattices that the
-            path was found on. ``inf`` if nothing is proven.
+        samples: Joint configurations ``(nodes, robots, dof)`` of the search nodes, in the order of creation. For
+            ``bl_plan``, those of the larger search on the last lattices.
+        motions_factor: Proven upper bound of the cost of the path before shortening, over the cost of the cheapest
+            path made of the same lattice motions. ``inf`` if nothing is proven.
         times: Time at which the path reaches each row, ``(steps,)``: nondecreasing, from 0 to the makespan. None if
             no path was found.
     """
@@ -118,9 +117,9 @@ class Solution:
     def path_at(self, times: ArrayLike) -> Float[np.ndarray, "*batch robots dof"]:
         """Return the joint configurations at given times; all robots follow the path by one clock.
 
-        Each motion, from one row of the path to the next, takes as long as its costliest robot needs at unit speed.
-        The other robots move at a constant rate and arrive at the same time. Headings turn the shorter way, starting
-        from the value in the row before.
+        Each motion between two rows takes as long as its costliest robot needs at unit speed. The other robots move
+        at a constant rate and arrive at the same time. Headings turn the shorter way from the value in the row
+        before.
 
         Args:
             times: Times of any shape, such as ``(n,)``. Before 0 the robots are at their starts, after the makespan
@@ -147,10 +146,10 @@ class Solution:
         return at.reshape(*times.shape, *self.path.shape[1:])
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the solution, without its samples, as a JSON file in the format that :meth:`load` describes.
+        """Write the solution, without its samples, to a JSON file that :meth:`load` describes; the write is atomic.
 
-        The write is atomic. It raises ``ValueError`` if the solution is inconsistent (such as a path without a cost)
-        or takes more than 64 MiB, and ``OSError`` if the file cannot be written.
+        It raises ``ValueError`` if the solution is inconsistent (such as a path without a cost) or takes more than 64
+        MiB, and ``OSError`` if the file cannot be written.
         """
         stats = self.stats
         entry = {
@@ -218,7 +217,6 @@ def make_solution(
     samples: Float[np.ndarray, "nodes robots dof"],
     motions_factor: float = math.inf,
 ) -> Solution:
-    """Return a solution with a path's cost, makespan and times; without a path, ``motions_factor`` is ignored."""
     if path is None:
         return Solution(None, math.inf, math.inf, lower_bound, status, stats, samples)
     cost, times = path_cost(problem, path), row_times(problem, path)
@@ -226,7 +224,6 @@ def make_solution(
 
 
 def straight_line_bound(problem: Problem) -> float:
-    """Return a lower bound of the cost of every path: the cost of straight motions of all robots to their goals."""
     return float(motion_costs(problem, problem.starts, problem.goals).sum())
 
 
@@ -298,8 +295,7 @@ class BLOptions:
         cost_factor: The search stops at a path whose cost is at most this multiple of the lower bound. Until then, or
             until a limit, it continues with smaller weights and steps; 1 usually means until a limit.
         lower_bound: Known lower bound of all path costs, in workspace units. The planner uses the largest of it, the
-            cost of straight motions, and the heuristic at the starts if that is a lower bound (such as exact
-            distances).
+            cost of straight motions, and the heuristic at the starts if that is a lower bound.
         time_limit: Seconds, positive or ``inf``. A running call of Shapely or of the heuristic, or a running
             computation of costs-to-go, is not interrupted.
         max_expansions: Largest number of search nodes expanded; deterministic, unlike the time limit.

@@ -1,4 +1,4 @@
-"""Best-first search over joint configurations, after Barraquand and Latombe; a beam search finds the children."""
+"""Best-first search over joint configurations (Barraquand and Latombe), with beam search for the children."""
 
 import heapq
 import math
@@ -78,7 +78,7 @@ def best_successors(
 
 
 def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math.inf) -> list[Table]:
-    """Return each robot's term of the heuristic at all nodes of its lattice; raise ``TimeoutError`` if time is up."""
+    """Return each robot's term of the heuristic at all nodes of its lattice."""
     size, chunk = max(len(lattice.q) for lattice in joint.lattices), max(1, _CHUNK // (1 + len(joint.lattices) // 16))
     # One column per robot, so that one call evaluates a team's PLRs. Shorter columns repeat their first rows.
     state = np.stack([np.resize(np.arange(len(lattice.q)), size) for lattice in joint.lattices], axis=1)
@@ -92,8 +92,6 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math
 
 @dataclass
 class SuccessorList:
-    """The stored children of an expanded node, the best first."""
-
     score: Float[np.ndarray, "m"]  # cost-to-come plus weighted heuristic
     cost: Float[np.ndarray, "m"]  # cost-to-come
     state: State
@@ -104,11 +102,7 @@ class SuccessorList:
 
 
 class BestFirstSearch:
-    """A best-first search in which each joint configuration belongs to the first node that reaches it.
-
-    The node with the least sum of cost-to-come and weighted heuristic is expanded first. Only its best child joins
-    the tree, and the node is queued again with the score of its next child. Infinite estimates prune nothing.
-    """
+    """A best-first search: the best node's best child joins the tree, then the node waits for its next child."""
 
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
         self.joint, self.budget, self.memory_use = joint, budget, MemoryUse(budget)
@@ -158,7 +152,6 @@ class BestFirstSearch:
 
     @property
     def solution_states(self) -> State:
-        """Lattice nodes of all robots, ``(steps, robots)``, from the starts to the goals, once these are found."""
         assert self.found is not None
         node, states = self.found, [self.states[self.found]]
         while self.parents[node] >= 0:
@@ -168,7 +161,6 @@ class BestFirstSearch:
 
     @property
     def node_states(self) -> State:
-        """Lattice nodes of all robots, ``(nodes, robots)``, in each search node, in the order of creation."""
         return np.array(self.states)
 
     def _expand(self, nodes: list[int]) -> None:
@@ -247,6 +239,5 @@ class BestFirstSearch:
 
 
 def bytes_of_tables(joint: JointLattice) -> int:
-    """Estimate the memory, in bytes, of the score tables of best-first search on some lattices."""
     sizes = [(lattice.kind.child.size, len(lattice.q)) for lattice in joint.lattices]
     return sum(_MOTION_BYTES * num_motions + _ESTIMATE_BYTES * num_nodes for num_motions, num_nodes in sizes)

@@ -78,12 +78,12 @@ def bl_plan(
         options: How to search, and when to stop.
 
     Returns:
-        The best path found, with a lower bound of all path costs and a status. SOLVED: the cost is within
-        ``cost_factor`` (default: any) of the lower bound. EXHAUSTED: no search is left on the finest lattice (the
-        given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the limit
-        was reached, or best-first search found nothing after it left out children to save memory. Otherwise another
-        limit, or INTERRUPTED after Ctrl-C. Any status except SOLVED may come without a path. Results are
-        deterministic unless the time limit ends a search.
+        The best path found, a lower bound of all path costs, and a status. SOLVED: the cost is within ``cost_factor``
+        (default: any) of the lower bound. EXHAUSTED: no search is left on the finest lattice (the given ``step``, or
+        1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the limit was reached, or
+        best-first search found nothing after it left out children to save memory. Otherwise another limit, or
+        INTERRUPTED after Ctrl-C. Only SOLVED always comes with a path. Results are deterministic unless the time
+        limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
@@ -92,19 +92,17 @@ def bl_plan(
 
     1. A few discs among few walls move one after the other, from corner to corner. This path is kept if no cheaper
        one is found.
-    2. Robots move on lattices (grids of configurations) that include the exact starts and goals. Two searches
-       alternate, on finer and finer lattices, until one succeeds. LaCAM moves the whole team one step at a time: each
-       robot takes its best free motion and pushes others out of its way (PIBT). It is fast, even for a hundred
-       robots. Best-first search finds coordinated maneuvers, such as a swap in a tight place.
+    2. Robots move on finer and finer lattices (grids of configurations that include the exact starts and goals) until
+       one of two searches succeeds. LaCAM moves the whole team one step at a time: each robot takes its best free
+       motion and pushes others out of its way (PIBT). Best-first search finds coordinated maneuvers, such as a swap.
     3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
        and deviations within narrow corridors, shorten the path.
     4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
        smaller weights.
 
-    References:
-        Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section V of the
-        paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al., "Anytime
-        multi-agent path finding via large neighborhood search", 2021.
+    References: Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section
+    V of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
+    "Anytime multi-agent path finding via large neighborhood search", 2021.
     """
     if isinstance(heuristic, BLOptions):
         raise ValueError("heuristic must not be BLOptions(...): call bl_plan(problem, options=BLOptions(...)).")
@@ -149,7 +147,6 @@ class Run:
         self.num_bytes, self.extent = 0.0, float(problem.workspace.bounds.width.max())
 
     def offer(self, path: JointPath, found_by: str, motions_factor: float) -> None:
-        """Store a path if it is cheaper than the best one so far."""
         seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
         if cost < self.cost:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
@@ -177,7 +174,6 @@ class Run:
         return Status.SOLVED if self.cost <= accepted_cost else None
 
     def search_until_limit(self) -> Status:
-        """Search until the path's cost is accepted, a limit is reached or no search is left; return the reason."""
         options, weight = self.options, self.options.heuristic_weight
         step = options.step or first_step(self.problem, self._fits)
         if weight is None:
@@ -200,10 +196,7 @@ class Run:
                 return Status.EXHAUSTED
 
     def _search_lattices(self, step: float, weight: float, options: BLOptions) -> tuple[Status, float]:
-        """Run searches on finer and finer lattices, in turns, until one succeeds or a limit is reached.
-
-        Return the status, and the step of the lattices whose search ended this, or else the next step to be tried.
-        """
+        """Search finer and finer lattices; return why this ended, and the cell size at the end or to try next."""
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
         is_complete = True
@@ -333,7 +326,7 @@ class Run:
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Return the path along lattice nodes ``state`` of all robots, and its cost over the robots' least costs."""
+        """Return the path along lattice nodes of all robots, and its cost over the least cost on the lattices."""
         path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
@@ -341,7 +334,6 @@ class Run:
         return path, (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
 
     def _fits(self, step: float) -> bool:
-        """Return whether lattices of cell size ``step`` fit into memory; record the memory that they need."""
         needed = self._needed(step)
         self.num_bytes = max(self.num_bytes, needed)
         return needed < self.options.max_memory
@@ -365,7 +357,6 @@ def num_bytes(problem: Problem, step: float) -> float:
 
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
-    """Estimate the work to test all motions of lattices of cell size ``step``, in tests of motions without turns."""
     of_dof = {2: 1, 3: _TURNING}
     each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
     return (1 + len(PRIMITIVES)) * sum(each)
@@ -435,13 +426,10 @@ class Searches:
     @property
     def found(self) -> tuple[str, State]:
         """Name of the search that reached the goals, and the lattice nodes of all robots, ``(steps, robots)``."""
-        return next(
-            (name, search.solution_states) for name, search in self.running.items() if search.found is not None
-        )
+        return next((name, each.solution_states) for name, each in self.running.items() if each.found is not None)
 
     @property
     def node_states(self) -> State:
-        """Lattice nodes of all robots, ``(nodes, robots)``, in the search with the most nodes, or at the starts."""
         starts = np.array([[lattice.start for lattice in self.joint.lattices]])
         return max((search.node_states for search in self.running.values()), key=len, default=starts)
 

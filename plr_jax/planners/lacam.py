@@ -1,10 +1,9 @@
 """LaCAM: a lazy search over joint configurations, which adds constraints to the team steps that PIBT finds.
 
 PIBT (priority inheritance with backtracking) finds one step of the whole team. Robots choose in the order of their
-priorities. A robot takes its best primitive (motion to a neighboring cell, or a stay) that is clear of all chosen
-ones. Robots that can then no longer stay in place must make way: they choose next, and if one of them fails, the
-primitive is given up. Every robot without a choice can thus stay in place, so that without constraints a step always
-exists. Robots have a shape here, so one robot may ask several others to make way.
+priorities: each takes its best primitive (motion to a neighboring cell, or a stay) that is clear of all chosen ones.
+Robots that can then no longer stay in place choose next; if one of them finds no motion, the primitive is given up.
+So without constraints a step always exists. As robots have a shape, one may ask several others to make way.
 
 References: Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022;
 Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
@@ -45,7 +44,7 @@ class Moves(NamedTuple):
 
 
 class TeamMoves:
-    """A callable that computes the :class:`Moves` of a team; past the deadline it raises ``TimeoutError``."""
+    """A callable that finds the team's :class:`Moves` from a joint configuration, or raises ``TimeoutError``."""
 
     def __init__(self, joint: JointLattice, terms: Sequence[Float[np.ndarray, "_"]]):
         self.kinds, self.terms, self.num_robots = joint.kinds, terms, len(joint.lattices)  # terms by robot and node
@@ -57,7 +56,6 @@ class TeamMoves:
         self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in joint.kinds]
 
     def __call__(self, state: JointNode) -> Moves:
-        """Return the motion primitives of all robots from a joint state, best first, and which of them collide."""
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
         places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.of_kind, strict=True):
@@ -103,7 +101,7 @@ class TeamMoves:
         cells: Int[np.ndarray, "m 2"],
         neighbors: list[list[tuple[int, list[Bits]]]],
     ) -> None:
-        """Add to ``neighbors`` the collisions of robots ``i`` and ``j`` of kind ``k`` that are ``cells`` apart."""
+        """Add to ``neighbors`` the collisions of robots of one shape, from a cache by their offset in cells."""
         known, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
         if new := list({*keys, *back} - known.keys()):
@@ -122,7 +120,7 @@ class TeamMoves:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
-        """Yield pairs of kinds, ``a`` and ``b``, and pairs of their robots near enough to collide in a step."""
+        """Yield, for each two kinds of robots, the pairs of robots that are near enough to collide in a step."""
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
@@ -143,7 +141,7 @@ def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
 
 
 class PIBT:
-    """A search for one step of the team: motion primitives chosen so far, and primitives that these still allow."""
+    """A search for one step of the team: the motion primitives chosen so far, and those still allowed."""
 
     def __init__(self, moves: Moves):
         self.moves = moves
@@ -155,7 +153,7 @@ class PIBT:
         self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
-        """Return one primitive per robot, free of collisions, or None. Constraints are pairs (robot, primitive)."""
+        """Return one primitive per robot, free of collisions, or None. A constraint fixes a robot's primitive."""
         in_the_way = []
         for robot, primitive in constraints:
             if not self.allowed[robot] >> primitive & 1:
@@ -169,7 +167,6 @@ class PIBT:
         return self.chosen
 
     def _decide(self, robot: int) -> bool:
-        """Choose the best motion for which all robots in the way can make way; return whether there is one."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
                 self.num_left -= 1
@@ -196,7 +193,6 @@ class PIBT:
         return in_the_way
 
     def _make_way(self, robots: list[int]) -> bool:
-        """Choose motions of robots that cannot stay in place; return whether all of them find one."""
         for robot in robots:
             if self.chosen[robot] < 0:
                 if self.num_left < 0 or self.num_failures[robot] == _MOST_FAILURES:
@@ -216,32 +212,22 @@ class PIBT:
 
 @dataclass(eq=False)
 class Node:
-    """A joint configuration of the search."""
-
     state: JointNode
     parent: "Node | None"
-    priority: Float[
-        np.ndarray, "robots"
-    ]  # steps since the start, or since the robot was at its goal, plus a share below 1
+    priority: Float[np.ndarray, "robots"]  # steps since the start, or since the goal was left, plus a share below 1
     order: list[int]  # robots by priority, the highest first
     constraints: deque[tuple[tuple[int, int], ...]]  # of the steps that are still to be tried from here
 
 
 class LaCAM:
-    """A depth-first search: the newest node makes one more step of the whole team, until all are at their goals.
-
-    A node's first step is unconstrained. Later steps prescribe primitives of more and more robots, in the order of
-    priorities, so that in the end all steps are tried. A known node that is reached again becomes the newest.
-    """
+    """A depth-first search: the newest node makes one more step; a node's later steps prescribe more motions."""
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
         self.joint, self.moves, self.budget, self.memory_use = joint, moves, budget, MemoryUse(budget)
         self.goal = np.array([lattice.goal for lattice in joint.lattices])
         start = np.array([lattice.start for lattice in joint.lattices])
         far = np.nan_to_num(moves.estimates(start), posinf=0.0)
-        self.rest_priority = far / (
-            1 + far.max()
-        )  # priority at the start and the goal: a share below 1, the larger the farther the start
+        self.rest_priority = far / (1 + far.max())  # at the start and the goal: below 1, largest if the way is long
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []
         self.found: Node | None = None
@@ -279,8 +265,7 @@ class LaCAM:
         return None if self.open else Status.EXHAUSTED
 
     @property
-    def solution_states(self) -> Int[np.ndarray, "n robots"]:
-        """Lattice nodes of all robots, ``(steps, robots)``, from the starts to the goals, once these are found."""
+    def solution_states(self) -> Int[np.ndarray, "steps robots"]:
         states, node = [], self.found
         while node is not None:
             states.append(node.state)
@@ -288,8 +273,7 @@ class LaCAM:
         return np.array(states[::-1])
 
     @property
-    def node_states(self) -> Int[np.ndarray, "n robots"]:
-        """Lattice nodes of all robots, ``(nodes, robots)``, in each search node, in the order of creation."""
+    def node_states(self) -> Int[np.ndarray, "nodes robots"]:
         return np.array([node.state for node in self.nodes.values()])
 
     def _add(self, state: JointNode, parent: Node | None) -> None:

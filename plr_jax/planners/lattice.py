@@ -3,11 +3,9 @@
 A lattice is a grid of cells over a robot's configuration space, periodic in the heading. A node is a free
 configuration in a cell, its representative: the center if that is free, else the free sample with the largest
 clearance; so a passage narrower than a cell can still be found. A primitive is a motion between neighboring cells'
-representatives.
-
-Robots of the same shape and rotation weight share one table of motions. A robot's start and goal are additional
-nodes, so that the ends of every path are exact; for this robot, they replace the representatives of their cells. If
-both lie in one cell, motions into it lead to the goal, and an additional primitive connects the two.
+representatives. A robot's start and goal are additional nodes, so that the ends of every path are exact; for this
+robot, they replace the representatives of their cells. If both lie in one cell, motions into it lead to the goal, and
+an additional primitive connects the two.
 """
 
 import math
@@ -48,7 +46,7 @@ Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n p
 
 
 class Terminals(NamedTuple):
-    """Starts (column 0) and goals (column 1) of a kind's robots: their nodes, their cells, and motions into them."""
+    """Start (column 0) and goal (column 1) of each robot: its lattice node, its cell, and the motions into it."""
 
     node: Int[np.ndarray, "robots 2"]
     cell: Int[np.ndarray, "robots 2"]  # nodes that the robot's start and goal replace
@@ -59,12 +57,12 @@ class Terminals(NamedTuple):
 
 
 class Kind:
-    """Robots of equal shape and rotation weight: a table of their motions, and the same motions as edges of a graph.
+    """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
 
-    Nodes are the representatives of the ``num_cells`` free cells, then the starts and goals, which no primitive of
-    the table leads to. Primitive 0 stays in place. A primitive that leaves the lattice or hits an obstacle leads to
-    its own node at infinite cost. Edges shared by all robots come first, then the edges into each robot's start and
-    goal (``terminal_edges``), then edge ``num_edges``, which leads nowhere at infinite cost.
+    Nodes are the free configurations of the ``num_cells`` cells that have one, then the starts and goals, to which no
+    primitive of the table leads. Primitive 0 stays in place. A blocked primitive leads to its own node at infinite
+    cost. Edges shared by all robots come first, then the edges into each robot's start and goal, then ``num_edges``,
+    to nowhere.
     """
 
     def __init__(
@@ -95,7 +93,7 @@ class Kind:
         self.reach = robot.circumscribed_radius + self.stride  # farthest a motion takes the body from its begin
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return child and cost of each primitive, from nodes of robot ``row``, or else from one node per robot."""
+        """Return where each primitive leads and its cost, from nodes of robot ``row``, or from one node per robot."""
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
@@ -115,7 +113,7 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, for each node, the edges into it that the ``row``-th robot may use, padded with ``num_edges``."""
+        """Return, for each node, the edges into it that robot ``row`` may use, padded with ``num_edges``."""
         into, own = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
         into[:, self.terminals.cell[row]] = self.num_edges
         for node in self.terminals.node[row]:
@@ -124,46 +122,42 @@ class Kind:
         return into
 
     @cached_property
-    def _sorted_edges(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Indices of the edges, sorted by begin node, end node and cost, and their keys (begin and end node)."""
+    def _edges_and_sorted_keys(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
         key = self.begin[:-1] * len(self.q) + self.end[:-1]
         order = np.lexsort((self.edge_cost[:-1], key))
         return order, key[order]
 
     def edges_along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
-        order, key = self._sorted_edges
+        order, key = self._edges_and_sorted_keys
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
     @cached_property
-    def _cheapest_edges(self) -> Int[np.ndarray, "m"]:
-        """Edges that all robots share, without loops: one cheapest edge for each pair of nodes."""
-        order, key = self._sorted_edges
+    def _cheapest_shared_edges(self) -> Int[np.ndarray, "m"]:
+        order, key = self._edges_and_sorted_keys
         edge = np.sort(order[np.append(True, key[1:] != key[:-1])])
         return edge[(edge < self.num_shared) & (self.begin[edge] != self.end[edge])]
 
     def costs_to_go(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
-        """Return the least cost from every node to the goal of each robot in ``rows``, ``inf`` where unreachable."""
         # Search backward from an extra node per goal. Paths may pass the representative of the start's cell.
         num_nodes, goals, searches = len(self.q), self.terminals.node[rows, 1], np.arange(len(rows))
         search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])
         own = np.concatenate([self.terminal_edges[row] for row in rows])
         into_goal = self.end[own] == goals[search]
-        edge = np.append(self._cheapest_edges, own[into_goal])
-        begin = np.append(self.end[self._cheapest_edges], num_nodes + search[into_goal])
+        edge = np.append(self._cheapest_shared_edges, own[into_goal])
+        begin = np.append(self.end[self._cheapest_shared_edges], num_nodes + search[into_goal])
         graph = csr_array((self.edge_cost[edge], (begin, self.begin[edge])), shape=(num_nodes + len(rows),) * 2)
         costs = sparse_graphs.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
         costs[searches, goals] = 0.0
         return costs
 
     def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, "nodes"]:
-        """Return the least cost from robot ``row``'s start to every node but its goal, ``inf`` if unreachable."""
-        edge = self._cheapest_edges
+        edge = self._cheapest_shared_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)
         return sparse_graphs.dijkstra(graph, indices=self.terminals.node[row, 0])
 
 
 class Lattice:
-    """The nodes and motions of robot ``row`` of a kind; its start and goal replace their cells' representatives."""
+    """A robot's lattice: its nodes, and the motions between them."""
 
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
@@ -175,12 +169,10 @@ class Lattice:
 
     @property
     def child(self) -> Int[np.ndarray, "nodes primitives"]:
-        """Node that each primitive leads to from each node; the node itself if the primitive is blocked."""
         return self._motions[0]
 
     @property
     def cost(self) -> Float[np.ndarray, "nodes primitives"]:
-        """Cost of each primitive from each node; ``inf`` if it is blocked."""
         return self._motions[1]
 
 
@@ -196,7 +188,7 @@ class JointLattice:
 
     @cached_property
     def costs_to_go(self) -> list[Float[np.ndarray, "_"]]:
-        """For each robot, the least cost from each lattice node to its goal, if alone; ``inf`` where unreachable."""
+        """For each robot, the least cost from each node of its lattice to its goal, without the other robots."""
         costs = {}
         for kind in self.kinds:
             num_robots, size = len(kind.members), int(np.clip(_NODES // len(kind.q), 1, _GOALS))
@@ -208,20 +200,16 @@ class JointLattice:
 
     @property
     def least_costs(self) -> Float[np.ndarray, "robots"]:
-        """Least cost of each robot on its lattice from start to goal, if alone; ``inf`` if it cannot get there."""
-        return np.array(
-            [costs[lattice.start] for costs, lattice in zip(self.costs_to_go, self.lattices, strict=True)]
-        )
+        """For each robot, the least cost on its lattice from start to goal, without the other robots."""
+        return np.array([costs[each.start] for costs, each in zip(self.costs_to_go, self.lattices, strict=True)])
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
-        """Return the configurations at nodes of all robots; a robot without a heading keeps that of its start."""
         q = np.repeat(self.problem.starts[None], len(state), axis=0)
         for i, lattice in enumerate(self.lattices):
             q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]
         return q
 
     def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> tuple[State, Float[np.ndarray, "n"]]:
-        """Return the nodes, ``(n, robots)``, that the robots' motion primitives lead to, and the sums of costs."""
         columns = list(zip(self.lattices, state.T, primitive.T, strict=True))
         child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
         return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)
@@ -256,7 +244,7 @@ class CellGrid(NamedTuple):
     def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
-        """Return the table of motions of robots of this kind, with their starts and goals as additional nodes."""
+        """Return the motions of robots of this shape, with their starts and goals as additional nodes."""
         num_robots, ends = len(starts), np.concatenate([starts, goals])
         # The cells of starts and goals; outside the grid, the nearest cells.
         index, size = np.floor((ends - self.lo) / self.side).astype(np.intp), np.array(self.shape)
@@ -322,7 +310,7 @@ class CellGrid(NamedTuple):
         end: Float[np.ndarray, "n #primitives dof"],
         deadline: float = math.inf,
     ) -> Float[np.ndarray, "n primitives"]:
-        """Return the costs of straight motions; ``inf`` for motions that are not ``possible`` or hit an obstacle."""
+        """Return the costs of straight motions, ``inf`` for motions that are not ``possible`` or hit an obstacle."""
         begin, end = (np.broadcast_to(q, (*possible.shape, q.shape[2]))[possible] for q in (begin, end))
         cost = np.full(possible.shape, np.inf)
         free = self.test(begin, end, deadline)
@@ -330,7 +318,6 @@ class CellGrid(NamedTuple):
         return cost
 
     def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
-        """Test the motions from cells to their neighbors, and store their costs; ``TimeoutError`` if time is up."""
         child, leads = self.neighbors(cells, self.offsets)
         at_contact = self.test.is_at_contact(self.q)  # only a start or goal can be, and no motion may pass through it
         leads &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
@@ -340,13 +327,12 @@ class CellGrid(NamedTuple):
 
 
 def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float:
-    """Estimate the number of cells, of size ``step``, of a robot's lattice; ``inf`` on overflow."""
     turns = 2 * math.pi * max(1 / _WIDEST_TURN, robot.circumscribed_radius / step) if robot.dof == 3 else 1
     return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices. Cells are at most ``step`` wide, and a turn by one moves no point farther."""
+    """Build all robots' lattices: cells are at most ``step`` wide, and a turn by one moves no point farther."""
     each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])
@@ -358,11 +344,10 @@ def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> Join
 
 
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
-    """Return the grid of cells, with motions between them, of one kind of robot; small grids are cached."""
+    """Return the cells of one kind of robot, with the motions between them; small grids are cached."""
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
-    return (_cached_cell_grid if is_small else _build_cell_grid)(
-        workspace, robot, weight, step, IgnoredByCache(deadline)
-    )
+    build = _cached_cell_grid if is_small else _build_cell_grid
+    return build(workspace, robot, weight, step, IgnoredByCache(deadline))
 
 
 def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float) -> CellGrid:

@@ -39,10 +39,7 @@ class ReservationTable:
         self.kind_and_row = {
             int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)
         }
-        size, dtype = (
-            len(state) - 1,
-            np.min_scalar_type(-2 * state.shape[1]),
-        )  # spare rows let robots wait, at no cost
+        size, dtype = len(state) - 1, np.min_scalar_type(-2 * state.shape[1])
         self.blocked = [np.zeros((size, kind.num_edges + 1), dtype) for kind in self.kinds]
         # For each kind, a tree of the node positions, and the edges sorted by begin node.
         self._near: list[tuple[KDTree, Edges, Edges]] = []
@@ -51,10 +48,7 @@ class ReservationTable:
             order = np.argsort(begin, kind="stable")
             first = np.searchsorted(begin[order], np.arange(len(kind.q) + 1))
             self._near.append((KDTree(kind.q[:, :2]), order, first))
-        self.cost, self.least_costs = (
-            np.zeros(state.shape[1]),
-            joint.least_costs,
-        )  # of each robot: its cost in the team, and alone
+        self.cost, self.least_costs = np.zeros(state.shape[1]), joint.least_costs  # of robots in the team, and alone
         for i, (k, _) in self.kind_and_row.items():
             kind = self.kinds[k]
             self.cost[i] = kind.edge_cost[kind.edges_along(self.state[:, i])].sum()
@@ -66,7 +60,7 @@ class ReservationTable:
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
-        """Count robot ``i``'s path as blocking all edges that collide with it; ``change=-1`` undoes this."""
+        """Count robot ``i``'s path as blocking all edges that collide with it; ``change=-1`` removes the path."""
         a = self.kind_and_row[i][0]
         motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
@@ -75,7 +69,7 @@ class ReservationTable:
             blocked[step, np.concatenate(colliding)] += change  # correct, as no pair of indices occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
-        """Return, for each lattice motion (edge) of kind ``a``, the edges of kind ``b`` that collide with it."""
+        """Return, for each edge of robots of kind ``a``, the edges of robots of kind ``b`` that collide with it."""
         known, (ours, others) = self._colliding_edges[a, b], (self.kinds[a], self.kinds[b])
         tree, order, first = self._near[b]
         missing = np.array(sorted({*edges.tolist()} - known.keys()), dtype=np.intp)
@@ -136,14 +130,13 @@ class ReservationTable:
 
 
 def num_bytes_of_table(joint: JointLattice, num_rows: int) -> int:
-    """Estimate the memory, in bytes, of a reservation table of ``num_rows`` rows, without cached collisions."""
     num_edges = sum(kind.num_edges for kind in joint.kinds)
     num_nodes = max(len(kind.q) for kind in joint.kinds)
     return num_rows * (num_edges * _EDGE_BYTES + num_nodes * _NODE_BYTES)
 
 
 def replan_each(table: ReservationTable) -> None:
-    """Replan robots with detours, the largest first, in rounds until a round saves little or time is up."""
+    """Replan robots with detours, the largest first, in rounds until one saves little or a limit is reached."""
     while True:
         before = table.cost.sum()
         for i in np.argsort(table.least_costs - table.cost).tolist():
@@ -158,7 +151,7 @@ def replan_each(table: ReservationTable) -> None:
 
 
 def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
-    """Replan robots one after the other, or keep their paths if the cost would rise; return whether it falls."""
+    """Replan robots one after the other, unless that raises the cost; return whether the cost fell."""
     robots = list(robots)
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:

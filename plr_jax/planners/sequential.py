@@ -2,7 +2,7 @@
 
 Each robot follows a shortest route, straight from corner to corner, while the others stand at their starts or goals.
 An order is chosen in which no robot blocks another. If there is none, as for two robots that swap places, one first
-steps aside into a corner. Arrays are small, so the number of NumPy calls dominates the run time.
+steps aside into a corner.
 
 References: Buckley, "Fast motion planning for multiple moving robots", 1989. Van den Berg et al., "Centralized path
 planning for multiple robots: optimal decoupling into sequential plans", 2009.
@@ -83,7 +83,6 @@ class CornerRoadmap:
         return [Routes(self, *of_one) for of_one in zip(*columns, strict=True)]
 
     def between(self, u: int, v: int) -> Route:
-        """Return the shortest route from corner ``u`` to corner ``v``."""
         route = [v]
         while route[-1] != u:
             route.append(int(self._previous[u, route[-1]]))
@@ -91,7 +90,6 @@ class CornerRoadmap:
 
     @cached_property
     def places(self) -> list[complex]:
-        """Positions of the disc at the corners, as complex numbers."""
         return (self.q @ _COMPLEX).tolist()
 
 
@@ -101,12 +99,7 @@ _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 def _positions_at(
     at: Points, normal: Points, turn: Float[np.ndarray, "n"], radius: float
 ) -> Float[np.ndarray, "corners 2"]:
-    """Return places of a disc's center at which its paths turn around corners.
-
-    At most corners, this is where the two walls meet after they are moved outward by the radius. A sharp convex
-    corner is cut off instead, by two places. Corners with one place come first, then the first and the second places
-    of sharp corners.
-    """
+    """Return places of a disc's center where its paths turn around corners: one, or two if a corner is sharp."""
     count = np.where(turn > _SHARP_TURN, 2, 1)
     points = []
     for share, there in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
@@ -128,22 +121,17 @@ class Routes(NamedTuple):
     to_go: Float[np.ndarray, "corners"]  # cost of the shortest route from each corner to the goal
 
     def shortest(self) -> Route | None:
-        """Return the shortest route from start to goal, or None."""
         if self.straight < np.inf:
             return [self.start, self.goal]
         total = self.out + self.to_go
         return [self.start, *self.route_home(int(total.argmin()))] if total.min(initial=np.inf) < np.inf else None
 
     def route_home(self, corner: int) -> Route:
-        """Return the shortest route to the goal from the corner of this index."""
         return [*self.roadmap.between(corner, int((self.home + self.roadmap.cost[corner]).argmin())), self.goal]
 
 
 def sequential_path(problem: Problem) -> Path | None:
-    """Return a path on which one robot after the other moves from corner to corner, or None if none is found.
-
-    It is for at most 8 discs among at most 48 walls, and None for other problems.
-    """
+    """Return a path of at most 8 discs among at most 48 walls that move one after the other, or None."""
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
@@ -220,7 +208,6 @@ def _comes_within(route: Route, place: complex, reach: float) -> bool:
 
 
 def _touch_distances(problem: Problem) -> TouchDistances:
-    """Return the distance between the centers of each two robots at which they touch, less half the tolerance."""
     radii, slack = [robot.rounding for robot in problem.robots], problem.workspace.tolerance / 2
     return [[a + b - slack for b in radii] for a in radii]
 

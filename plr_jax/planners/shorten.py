@@ -1,9 +1,9 @@
 """Reduction of a path's cost off the lattices, robot by robot, while the other robots keep their motions.
 
-:func:`shorten` replaces motions by straight shortcuts. A shortcut usually collides in many motions of the path or in
+``shorten`` replaces motions by straight shortcuts. A shortcut usually collides in many motions of the path or in
 none, so a few motions far apart are tested first. A robot that gained nothing is retried only after a robot that
-blocked it has moved. :func:`shorten_in_corridors` lets robots deviate to a small pattern of configurations around
-each row; dynamic programming over the rows finds the cheapest collision-free sequence. Two robots that touch move
+blocked it has moved. ``shorten_in_corridors`` lets robots deviate to a small pattern of configurations around each
+row; dynamic programming over the rows finds the cheapest collision-free sequence. Two robots that touch move
 together, as neither gains by making way alone. Neither function changes the number of rows or raises the cost.
 """
 
@@ -23,9 +23,7 @@ from plr_jax.robots.robot import between
 
 Path = Float[np.ndarray, "steps robots dof"]
 Rows = Int[np.ndarray, "m"]
-Corridor = Float[
-    np.ndarray, "steps _ dof"
-]  # one configuration per row and place; robots with a heading have more places
+Corridor = Float[np.ndarray, "steps _ dof"]  # one configuration per row and place; more places with a heading
 Costs = Float[np.ndarray, "motions size size"]
 CostsOfRobot = Float[np.ndarray, "motions _ _"]
 Robots = tuple[int, ...]
@@ -71,7 +69,7 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
-    """Return the rows of the path that robot ``i``'s cheapest shortcuts keep, and which robots blocked shortcuts."""
+    """Return the rows of the path that robot ``i``'s cheapest shortcuts keep, and which robots block others."""
     # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
     q, own = trajectory.path[:, i], end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
@@ -131,7 +129,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 
 
 def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
-    """Yield robots and rows of the path to shorten: each robot, and each two robots in the rows where they touch."""
+    """Yield each robot with all rows of the path, and each two robots with the rows in which they touch."""
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
         touch, j = _touching(problem, path, i, width), -1
@@ -158,7 +156,7 @@ def _shortened_in_corridors(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return each robot's cheapest motions through its corridor in the given rows, with both ends fixed."""
+    """Return each robot's cheapest motions within its corridor in the given rows, with both ends fixed."""
     require_time(test.deadline, "all corridors were searched")
     path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
@@ -226,7 +224,7 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _least_cost_through(cost: Costs) -> Costs:
-    """Return, for each motion, the least cost of a sequence of motions through it that begins and ends at place 0."""
+    """Return, for each motion, the least cost of a sequence with it that begins and ends at place 0."""
     both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
@@ -236,7 +234,7 @@ def _least_cost_through(cost: Costs) -> Costs:
 
 
 def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
-    """Return, row by row, the places of the cheapest sequence of motions that begins and ends at place 0."""
+    """Return, row by row, the places of the cheapest sequence of motions whose first and last place are 0."""
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0

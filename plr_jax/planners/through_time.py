@@ -33,10 +33,7 @@ JointPath = Float[np.ndarray, "rows robots dof"]
 
 
 class Timetable:
-    """The configurations of a team in rows of equal duration; the motion of one robot at a time can be replaced.
-
-    After its last row, a robot rests. It blocks others for ``patience`` more rows; then it is expected to leave.
-    """
+    """A team's configurations in rows of equal duration; a robot at rest blocks others for ``patience`` more rows."""
 
     def __init__(
         self, problem: Problem, path: JointPath, patience: float | int = math.inf, deadline: float = math.inf
@@ -44,20 +41,18 @@ class Timetable:
         self.problem, self.patience = problem, patience
         self.test = JointMotionTest(problem.workspace, problem.robots, deadline)
         moves = (path != path[-1]).any(axis=2)
-        self.ends = np.where(
-            moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0
-        )  # for each robot, the row in which it comes to rest
+        # For each robot, the row in which it comes to rest.
+        self.ends = np.where(moves.any(axis=0), len(path) - moves[::-1].argmax(axis=0), 0)
         self.ignored: set[int] = set()  # robots without a planned motion, which block nobody
         self._last = len(path) - 1
         self._trajectory = TeamTrajectory(problem.robots, np.concatenate([path, path[-1:]]))
 
     @property
     def path(self) -> JointPath:
-        """Configurations by row, up to the row in which the last robot comes to rest."""
         return self._trajectory.path[: int(self.ends.max()) + 1]
 
     def move(self, i: int, q: Motion) -> None:
-        """Replace robot ``i``'s motion, which may have any number of rows, and remove the robot from ``ignored``."""
+        """Replace robot ``i``'s motion by one of any number of rows; the robot blocks others from now on."""
         if len(q) > self._last + 1:
             more = np.repeat(self._trajectory.path[-1:], len(q) - self._last - 1, axis=0)
             self._last, path = len(q) - 1, np.concatenate([self._trajectory.path, more])
@@ -81,7 +76,7 @@ class Timetable:
         return fits
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return the rows in which robot ``i``, moving along ``q`` and then resting, meets others, and which."""
+        """Return the rows in which robot ``i``, moving along ``q`` and then resting, meets others, and whom."""
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
@@ -94,12 +89,9 @@ class Timetable:
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
         taken[self._meetings(i, at, at, row)[0]] = True
         until = np.minimum.accumulate(np.where(taken, row, np.inf)[::-1])[::-1]
-        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[
-            ::-1
-        ]  # the last entry holds for all later rows
+        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
-        """Return which motions of robot ``i``, each during one given row, meet other robots, and the robots met."""
         around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
         piece, other = self._trajectory.robots_near(i, around, motion, list(self.ignored))
         there = row[piece] < self.ends[other] + self.patience
@@ -109,7 +101,6 @@ class Timetable:
 
 
 def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
-    """Divide the motions of a path so that none takes longer than ``length``."""
     count = np.maximum(_num_rows(np.diff(row_times(problem, path)), length), 1).astype(int)
     motion, step = ragged_indices(count)
     finer = between(path[motion], path[motion + 1], (step / count[motion])[:, None, None])
@@ -124,13 +115,11 @@ def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray,
 def plan_through_time(
     timetable: Timetable, i: int, step: float, rest: float | int, max_states: int
 ) -> tuple[Motion | None, bool]:
-    """Plan a motion that brings robot ``i`` to its goal soon while the others keep theirs, by A* over nodes and rows.
+    """Plan robot ``i``'s motion to its goal through a timetable by A*; return it, and whether it arrives.
 
-    A row lasts ``step / ROWS_PER_STEP``, in units of cost. Where the motion ends, the robot must be free to rest for
-    ``rest`` rows, or forever if this is ``inf``. If the search finds no path within ``max_states`` states, the motion
-    ends at the reached place nearest to the goal where the robot may rest.
-
-    Return the configurations row by row, or None if the robot may rest nowhere, and whether it reaches its goal.
+    At its end, the robot must be free to rest for ``rest`` rows, or forever if this is ``inf``. If no path is found
+    within ``max_states`` states, the motion ends at the reached place nearest to the goal where it may rest, else it
+    is None.
     """
     problem, robot, deadline = timetable.problem, timetable.problem.robots[i], timetable.test.deadline
     length, weight = step / ROWS_PER_STEP, float(problem.rotation_weights[i])

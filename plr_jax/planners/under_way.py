@@ -1,4 +1,4 @@
-"""Replanning of moving teams: after a change (:func:`replan`), or as new goals arrive (:func:`lifelong`)."""
+"""Replanning of moving teams: after a change (``replan``), or as new goals arrive (``lifelong``)."""
 
 import math
 import time
@@ -134,7 +134,7 @@ def replan(
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Change the timetable until all robots but the ``fixed`` ones reach their goals; return whether they do."""
+    """Replan all robots but the ``fixed`` ones until they reach their goals; return whether all of them do."""
     num_robots, test = len(problem.robots), timetable.test
     todo = []
     for i in sorted({*range(num_robots)} - fixed):
@@ -175,8 +175,8 @@ class LifelongRun:
     """Result of :func:`lifelong`: the motions of a team, and the goals that it served.
 
     Args:
-        problem: The problem whose starts and goals are the path's ends: ``validate(run.problem, run.path)`` checks
-            all motions.
+        problem: The problem from the path's first row to its last: ``validate(run.problem, run.path)`` checks all
+            motions.
         path: Joint configurations ``(rows, robots, dof)``, as in a :class:`Solution`.
         times: Time at which the path reaches each row, ``(rows,)``, from 0 on.
         robots: The robot that served each goal, in the order of service, ``(goals,)``.
@@ -269,7 +269,6 @@ class _LifelongTeam:
         self._num_from_nothing, self._num_idle = 0, 0
 
     def plan_from_nothing(self) -> Status:
-        """Plan the whole team; return SOLVED if it has a path, else the reason."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
         solution = plan(self._current_problem(self.problem.goals))
         self._num_from_nothing, self._num_idle = self._num_from_nothing + 1, 0
@@ -299,7 +298,6 @@ class _LifelongTeam:
         self.requested_goals[i, :dof], self._since[i] = goal[:dof], self._num_rows
 
     def replan(self) -> Status:
-        """Replan the whole team if ``plan`` is given, else robots that need it; return SOLVED if all can go on."""
         began = time.process_time()
         goals = self._possible_goals()
         if (goals != self.problem.goals).any():
@@ -312,10 +310,8 @@ class _LifelongTeam:
         return status
 
     def result(self, status: Status) -> LifelongRun:
-        path = np.concatenate(self._done)
-        problem = Problem(
-            self.problem.workspace, self.problem.robots, path[0], path[-1], self.problem.rotation_weight
-        )
+        path, problem = np.concatenate(self._done), self.problem
+        problem = Problem(problem.workspace, problem.robots, path[0], path[-1], problem.rotation_weight)
         robots, rows = (np.array([each[k] for each in self.served], dtype=np.intp) for k in (0, 1))
         goals = np.array([goal for *_, goal in self.served]).reshape(-1, problem.dof)
         times, seconds = row_times(problem, path), np.array(self._seconds)
@@ -343,7 +339,7 @@ class _LifelongTeam:
         return goals
 
     def _replan_waiting(self) -> Status:
-        """Replan robots that soon rest short of their goals, robots in their way, and the one that is latest."""
+        """Replan robots that soon rest short of their goals, robots in their way, and the robot that is latest."""
         problem, deadline = self.problem, time.perf_counter() + self.options.time_limit
         timetable = Timetable(problem, self.path, _PATIENCE, deadline)
         waits = (self.path[-1] != self.requested_goals).any(axis=1)

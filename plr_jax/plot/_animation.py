@@ -60,7 +60,6 @@ _CONTROLS_OF_TIME = f"""<div class="controls">
 
 
 def player(problem: Problem, motion: Timeline, seconds: float) -> str:
-    """Return the HTML of a web page that plays a path in ``seconds``."""
     content = json.dumps(_motion(problem, motion, seconds), separators=(",", ":"))
     body = f"{_svg(problem, motion)}\n{_CONTROLS_OF_TIME}"
     script = asset("clock.js") + asset("player.js").replace("{{motion}}", content)
@@ -68,7 +67,7 @@ def player(problem: Problem, motion: Timeline, seconds: float) -> str:
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
-    """Return the data of a path that ``player.js`` reads; coordinates are rounded by at most 1/20 of a pixel."""
+    """Return the data of a path that ``player.js`` reads, rounded by at most 1/20 of a pixel."""
 
     def short(value: float, digits: int) -> float | int:
         rounded = round(float(value), digits)
@@ -198,9 +197,7 @@ def animate(
     as_number("frames_per_second", frames_per_second, expected, lambda rate: 0 < rate <= _LARGEST_RATE)
     motion = timeline(problem, path)
     if motion.duration == 0:
-        raise ValueError(
-            f"path must move a robot to be animated, got {len(np.asarray(path))} step(s) without motion."
-        )
+        raise ValueError(f"path must move a robot to be animated, got {len(np.asarray(path))} step(s) at rest.")
     return Animation(problem, motion, float(seconds), float(frames_per_second))
 
 

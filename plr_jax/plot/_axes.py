@@ -80,8 +80,7 @@ def _label_axes(ax: Axes, domain: Box, shown: tuple[int, int]) -> None:
             axis.set_major_formatter(FuncFormatter(_in_multiples_of_pi))
 
 
-def is_angle(domain: Box, axis: int) -> bool:
-    """Return whether an axis of a box is an angle in radians: periodic with a period of a full turn."""
+def is_angle(domain: Box, axis: int) -> bool:  # in radians
     return domain.periodic[axis] and math.isclose(domain.width[axis], _FULL_TURN)
 
 
@@ -128,7 +127,6 @@ def _ink(ax: Axes) -> None:
 
 
 def add_colorbar(ax: Axes, mappable: ScalarMappable, label: str, extend: str = "neither") -> None:
-    """Add a color bar to the right of 2-D axes, as high as they are for any aspect."""
     place = ax.inset_axes((1.035, 0.0, 0.045, 1.0))
     style_colorbar(ax.figure.colorbar(mappable, cax=place, extend=extend), label)
 

@@ -53,7 +53,6 @@ def html_document(title: str, style: str, body: str, script: str) -> str:
 
 
 def packed_script(script: str) -> str:
-    """Return a script that decompresses and runs the given script."""
     lines = (line.strip() for line in script.splitlines())
     bare = "\n".join(line for line in lines if line and not line.startswith("//"))
     packer = zlib.compressobj(9, wbits=-15)
@@ -69,7 +68,6 @@ new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("de
 
 
 def in_iframe(page: str, width: float | int, height: float | int) -> str:
-    """Embed a page in an HTML iframe, so that many pages in one document do not interfere."""
     looks = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
     return f'<iframe srcdoc="{html.escape(page)}" {looks}></iframe>'
 
@@ -79,7 +77,7 @@ def pixel_scale(bounds: Box) -> float:
 
 
 def view_parameters(bounds: Box) -> dict[str, float]:
-    """Return the parameters with which scripts convert points to pixels: the scale, and the upper left corner."""
+    """Return the scale and the upper left corner with which scripts convert points to pixels."""
     return {"scale": pixel_scale(bounds), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])}
 
 
@@ -143,9 +141,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     if source.domain.dim != 2:
         raise ValueError(f"A page needs a PLR of 2 axes, got one of {source.domain.dim}: use plr_jax.plot.slices.")
     if not isinstance(workspace, Workspace | None):
-        raise ValueError(
-            f"workspace must be the Workspace whose walls are drawn, or None, got {shortened(workspace)}."
-        )
+        raise ValueError(f"workspace must be a Workspace whose walls are drawn, or None, got {shortened(workspace)}.")
     data, name = source.to_bytes(), source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
     walls = None if workspace is None else {"data": obstacles_path(workspace, source.domain)}
     content = {"name": json.dumps(name), "walls": json.dumps(walls)}
@@ -169,7 +165,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
 
 def _module(data: bytes) -> str:
-    """Return JavaScript source of an object: a reader of the PLR (``read``), and its size, kind and proven error."""
+    """Return a JavaScript object: a reader of the PLR (``read``), and its size, kind and proven error."""
     plr = NumpyPLR(data)
     text, leaves = plr.js_module(), f"{plr.num_leaves:,} cells"
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")

@@ -34,7 +34,6 @@ class Timeline:
         return float(self.times[-1])
 
     def at(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n robots dof"]:
-        """Return joint configurations at times, which are clipped to those of the path."""
         row, after, share = motions_under_way(self.times, times)
         share = share[:, None, None]
         return (1 - share) * self.configurations[row] + share * self.configurations[after]
@@ -46,7 +45,7 @@ class Timeline:
 
 
 def timeline(problem: Problem, path: ArrayLike) -> Timeline:
-    """Return a path and its times, without steps in which nothing moves; ``ValueError`` if it is not finite."""
+    """Return a path and its times, without steps in which nothing moves."""
     path = as_path(problem, path)
     broken = np.argwhere(~np.isfinite(path))
     if broken.size:
@@ -80,7 +79,6 @@ def color_of(i: int) -> str:
 
 
 def ink_on(color: str) -> str:
-    """Return the color, dark or white, of text that is legible on a color."""
     return INK if np.dot(to_rgb(color), (0.299, 0.587, 0.114)) > _LIGHT else "white"
 
 
@@ -122,12 +120,10 @@ def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
 
 
 def outline(robot: Robot, q: Float[np.ndarray, "dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
-    """Return the corners of a robot's body at a configuration, counterclockwise; a point is a small disc."""
     return placed(robot, body_outline(robot, bounds), q)
 
 
 def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) -> tuple[Polygon, Line2D | None]:
-    """Draw a robot as a solid body, with a bar if it has a heading; return both."""
     robot, color = problem.robots[i], color_of(i)
     corners = outline(robot, q, problem.workspace.bounds)
     body = Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY)
@@ -140,7 +136,6 @@ def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) ->
 
 
 def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"], zorder: float = BODY) -> None:
-    """Draw a robot's goal as a dashed outline, on a white line that sets it off from bodies."""
     robot, bounds = problem.robots[i], problem.workspace.bounds
     corners = outline(robot, q, bounds)
     style = {"edgecolor": color_of(i), "linewidth": 1.2}
@@ -196,7 +191,6 @@ def number_size(ax: Axes, i: int) -> float:
 def _least_covered(
     spots: Sequence[Float[np.ndarray, "2"]], taken: Sequence[shapely.Geometry], size: float
 ) -> Float[np.ndarray, "2"]:
-    """Return the spot at which a number covers the least length of the shapes ``taken``."""
     covered = [shapely.length(shapely.intersection(_square(spot, size), taken)).sum() for spot in spots]
     return spots[int(np.argmin(covered))]
 

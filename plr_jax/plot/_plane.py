@@ -125,7 +125,6 @@ def _add_obstacles(workspace: Workspace, ax: Axes) -> None:
 
 
 def blocked_polygons(workspace: Workspace) -> list[shapely.Polygon]:
-    """Return the union of the obstacles within the bounds."""
     bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     blocked = shapely.intersection(bounds, shapely.union_all(workspace.obstacles))
     return [polygon for polygon in shapely.get_parts(blocked) if polygon.geom_type == "Polygon"]
@@ -286,11 +285,8 @@ def plot_error(
 
 
 def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest | None) -> None:
-    """Raise ``ValueError`` if a workspace or space does not fit the drawn axes, or both are given."""
     if workspace is not None and shown.axes != (0, 1):
-        raise ValueError(
-            f"A workspace needs axes 0 and 1 to be drawn, got axes {shown.axes}: leave the workspace out."
-        )
+        raise ValueError(f"A workspace needs axes 0 and 1 to be drawn, got axes {shown.axes}: leave it out.")
     if workspace is not None and space is not None:
         raise ValueError("Expected either a workspace or a space, got both: leave one out.")
     if space is not None and space.domain.dim != shown.domain.dim:
@@ -300,7 +296,6 @@ def require_drawable(shown: Slice, workspace: Workspace | None, space: FreeTest 
 def free_points(
     points: Float[np.ndarray, "rows columns dim"], shown: Slice, workspace: Workspace | None, space: FreeTest | None
 ) -> Bool[np.ndarray, "rows columns"]:
-    """Return which points are free in the workspace or space; all if both are None."""
     flat = points.reshape(-1, shown.domain.dim)
     if workspace is not None:
         return workspace.is_free(flat[:, :2]).reshape(points.shape[:2])

@@ -90,9 +90,7 @@ def read_geojson(
     with errors_named(path):
         document = json_of(path)
         if not is_geojson(document):
-            raise ValueError(
-                f'expected GeoJSON, an object of "type" {", ".join(_PARTS_KEY)}, got {shortened(document)}.'
-            )
+            raise ValueError(f'expected GeoJSON of "type" {", ".join(_PARTS_KEY)}, got {shortened(document)}.')
         found, bbox = list(_polygons(document, "")), document.get("bbox")
         if bounds is None and bbox is not None:  # [west, south, east, north], or six numbers with altitudes
             half = len(bbox) // 2 if isinstance(bbox, list) and len(bbox) in (4, 6) else 0

@@ -32,7 +32,6 @@ Triangles: TypeAlias = Float[np.ndarray, "n 3 3"]
 
 
 def read_mesh(path: Path) -> Triangles:
-    """Read a mesh as triangles ``(n, 3, 3)``; ``ValueError`` if the file is not a mesh, is damaged or too large."""
     with path.open("rb") as file:
         data = file.read(_MOST_BYTES + 1)
     if len(data) > _MOST_BYTES:
@@ -51,8 +50,8 @@ def read_mesh(path: Path) -> Triangles:
 def triangulated(polygons: Polygons) -> Triangles:
     """Cut plane polygons in space, all with the same number of corners, into triangles, without new corners.
 
-    Polygons may be concave. An outline may touch itself, as where a cut joins a hole to the outer ring. If an outline
-    crosses itself, the regions that it encloses are cut; if it encloses none, its triangles have no area.
+    Polygons may be concave, and outlines may touch themselves, as where a cut joins a hole to the outer ring. If an
+    outline crosses itself, the regions that it encloses are cut; if it encloses none, its triangles have no area.
     """
     if polygons.shape[1] == 3:
         return polygons
@@ -177,7 +176,6 @@ def _read_ply(data: bytes) -> list[Polygons]:
 
 
 def _grouped(polygons: Iterable[Sequence[Any]]) -> list[Polygons]:
-    """Stack polygons of at least three corners into one array for each number of corners."""
     by_size = defaultdict(list)
     for polygon in polygons:
         by_size[len(polygon)].append(polygon)

@@ -52,11 +52,10 @@ def read_image(
     drop_specks: int = 0,
     squeeze: bool = False,
 ) -> Workspace:
-    """Read a picture of a map, such as a scanned floor plan, as a workspace.
+    """Read a picture of a map, such as a scanned floor plan, as a workspace whose bounds enclose the free pixels.
 
     Light pixels are free. Lightness is the mean of a pixel's color channels, 0 for black and 1 for white. Transparent
-    pixels appear on white. The orientation stored in the file is applied. The lowest row has the smallest ``y``. The
-    bounds of the workspace are the bounding box of the free pixels.
+    pixels appear on white. The orientation stored in the file is applied. The lowest row has the smallest ``y``.
 
     Args:
         path: A PNG, PGM, PBM, PPM, BMP, GIF (first frame), JPEG, TIFF or WebP file with 8 or 16 bits per channel. At
@@ -93,7 +92,7 @@ def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "r
 
 @contextmanager
 def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
-    """Yield a picture, upright; ``numbers`` allows a TIFF of `_NUMBERS`. ``ValueError`` if invalid or too large."""
+    """Yield a checked picture, upright; ``numbers`` also allows a TIFF of one channel of numbers."""
     from PIL import Image, ImageOps
 
     with path.open("rb") as file, warnings.catch_warnings():
@@ -135,10 +134,7 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
 
 
 def _require_plain(picture: Any) -> None:
-    """Raise ``ValueError`` for pixels whose lightness or opacity Pillow does not decode reliably.
-
-    Scale the transparent gray of 2- and 4-bit PNG files to 8 bits, as Pillow scales their pixels.
-    """
+    """Reject pixels whose lightness or opacity Pillow does not decode reliably."""
     raw = str(picture.tile[0][3]) if picture.tile else ""
     tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # gray of more than 8 bits
     is_plain = tags is None or _SIGNED not in tags.get(_SAMPLE_FORMAT, ())
@@ -150,12 +146,8 @@ def _require_plain(picture: Any) -> None:
             "save it in 8 bits."
         )
     if picture.mode == "RGB" and "16" in raw and "transparency" in picture.info:
-        raise ValueError(
-            "expected a transparent color of 8 bits, got 16 bits: save the picture with an alpha channel."
-        )
-    if (
-        raw in _GRAY_STEP and "transparency" in picture.info
-    ):  # Pillow scales pixels to 8 bits, but not the transparent gray
+        raise ValueError("expected a transparent color of 8 bits, got 16 bits: save it with an alpha channel.")
+    if raw in _GRAY_STEP and "transparency" in picture.info:  # Pillow scales pixels, but not the transparent gray
         picture.info["transparency"] *= _GRAY_STEP[raw]
 
 
@@ -176,9 +168,7 @@ def bands(picture: "Image") -> Iterator[Band]:
         yield Band(slice(top, bottom), *_lightness(part))
 
 
-def _lightness(
-    part: "Image",
-) -> tuple[Int[np.ndarray, "rows columns"], int, Int[np.ndarray, "rows columns"] | None]:
+def _lightness(part: "Image") -> tuple[Int[np.ndarray, "rows columns"], int, Int[np.ndarray, "rows columns"] | None]:
     if part.mode.startswith("I"):
         light, clear = np.asarray(part, np.int32), part.info.get("transparency")
         return light, 2**16 - 1, None if clear is None else np.where(light == clear, 0, OPAQUE)
@@ -212,9 +202,8 @@ def read_map_server(
     - ``scale``: pixels that are not opaque are unknown. (:func:`read_cost_map` reads costs between the thresholds.)
     - ``raw``: pixels from 0 to 100 are the occupancy in percent, others are unknown; alpha is ignored.
 
-    ``origin`` is the pose ``[x, y, yaw]`` of the outer corner of the lower left pixel. The map is rotated about it by
-    ``yaw`` radians counterclockwise. The workspace is in the frame of the map; its bounds are the bounding box of the
-    free pixels.
+    ``origin`` is the pose ``[x, y, yaw]`` of the outer corner of the lower left pixel, about which the map is rotated
+    by ``yaw`` radians counterclockwise. The bounds of the workspace are the bounding box of the free pixels.
 
     Args:
         path: The ``.yaml`` file. Its ``image`` is relative to its folder. Defaults are ``negate`` 0,
@@ -227,8 +216,7 @@ def read_map_server(
     Raises:
         ValueError: If the file is not such a map, its picture is damaged or too large, or nothing is free.
 
-    References:
-        http://wiki.ros.org/map_server; https://docs.nav2.org/configuration/packages/configuring-map-server.html.
+    References: http://wiki.ros.org/map_server; https://docs.nav2.org/configuration/packages/configuring-map-server.html.
     """
     path = Path(path)
     unknown_is_free = as_bool("unknown_is_free", unknown_is_free)
@@ -282,9 +270,7 @@ def read_cost_map(
         map_server = _MapServer.read(path)
         x, y, yaw = map_server.origin
         if yaw != 0:
-            raise ValueError(
-                f"expected an origin with yaw 0, as a raster lies along the axes, got {yaw:g}: rotate the picture."
-            )
+            raise ValueError(f"expected an origin with yaw 0 for a raster, got {yaw:g}: rotate the picture.")
         grid = map_server.cells(map_server.occupancy_grid, np.int8)[::-1]
         require_resolved_pixels(grid.shape, map_server.resolution, max(abs(x), abs(y)))
         hi = x + grid.shape[1] * map_server.resolution, y + grid.shape[0] * map_server.resolution
@@ -312,9 +298,7 @@ def _read_factors(path: Path, interpolation: str) -> "RasterCost":
         factors[factors == (float(np.float32(missing)) if is_float else missing)] = np.inf
     # 2. Locate the raster: the tie point is one point in raster and in map coordinates.
     if _TRANSFORMATION in tags:
-        raise ValueError(
-            "expected a GeoTIFF whose rows lie along x, got one with a transformation: rotate the picture."
-        )
+        raise ValueError("expected a GeoTIFF whose rows lie along x, got a transformation: rotate the picture.")
     rows, columns = factors.shape
     column, row, _, x, y, _ = _doubles(tags, _TIE_POINT, (0, rows, 0, 0, 0, 0))
     sides = _doubles(tags, _PIXEL_SCALE, (1, 1, 0))[:2]
@@ -352,7 +336,6 @@ class _MapServer:
 
     @classmethod
     def read(cls, path: Path) -> "_MapServer":
-        """Read a ``.yaml`` map; ``ValueError`` if it is invalid, ``FileNotFoundError`` if its picture is missing."""
         entry = yaml_of(path)
         missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
         if missing:

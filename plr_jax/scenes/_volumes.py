@@ -110,9 +110,7 @@ def _read_list(path: Path) -> Voxels:
         case ["voxel", *sizes] if len(sizes) == 3 and all(size.isdecimal() and len(size) < 10 for size in sizes):
             shape = int(sizes[0]), int(sizes[1]), int(sizes[2])
         case _:
-            raise ValueError(
-                f"expected a list of voxels with the first line 'voxel nx ny nz', got {shortened(first)}."
-            )
+            raise ValueError(f"expected a list of voxels with first line 'voxel nx ny nz', got {shortened(first)}.")
     most = min(_MOST_VOXELS, max(_SMALL_LIST, _VOXELS_PER_BYTE * len(text)))
     if not 0 < shape[0] * shape[1] * shape[2] <= most:
         raise ValueError(f"expected one to {most:,} voxels in a file of this size, got {' x '.join(sizes)}.")
@@ -135,7 +133,6 @@ def _read_list(path: Path) -> Voxels:
 
 
 def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
-    """Return which voxels of side ``pitch`` a mesh leaves free, over ``bounds`` or else its bounding box."""
     lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
     with np.errstate(over="ignore", invalid="ignore"):
@@ -169,9 +166,7 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
 def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
     """Mark all voxels that triangles meet or touch as blocked; coordinates are in units of voxels."""
     if not (np.abs(triangles) <= _FARTHEST).all():
-        raise ValueError(
-            f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one that is farther away."
-        )
+        raise ValueError(f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one farther away.")
     order = np.argsort(blocked.shape, kind="stable")  # ranges of voxels run along the longest axis
     blocked, corners = blocked.transpose(order), triangles.transpose(2, 1, 0)[order]
     edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=1)
@@ -200,7 +195,6 @@ def _split_into_layers(
 
 
 def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-    """Return the first layer of the grid that each polygon reaches, and the number of layers."""
     lowest, highest = np.fmin.reduce(ends, axis=(0, 1)), np.fmax.reduce(ends, axis=(0, 1))
     first = np.maximum(np.ceil(lowest - _TOUCHES) - 1, 0).astype(np.int64)
     last = np.minimum(np.floor(highest + _TOUCHES), size - 1).astype(np.int64)
@@ -220,7 +214,7 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return outlines of clipped triangles: the clipped edges, and segments that join the ends of these edges."""
+    """Return outlines of clipped triangles: the clipped edges, and segments that join their ends."""
     return np.concatenate(
         [edges, *(np.stack([of, np.roll(of, -1, axis=1)], axis=1) for of in (edges[:, 0], edges[:, 1]))], axis=2
     )

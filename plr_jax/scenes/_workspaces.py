@@ -44,7 +44,6 @@ def options_of(reader: Callable[..., Workspace]) -> list[str]:
 
 
 def reader_of(path: Path) -> Callable[..., Workspace]:
-    """Return the reader of a file; ``ValueError`` if its format is not supported."""
     match path.suffix.lower():
         case ".map":
             return read_map

@@ -113,7 +113,7 @@ def test_what_a_reader_warns_of_is_a_line(path, tmp_path):
     [
         ("mace", [], "must be a scene (maze, thin_maze, floor_plan) or a file of a map"),
         ("none.map", ["--goal", "1,1"], "none.map: No such file or directory"),
-        ("grid.map", [], "give one with --goal X,Y"),
+        ("grid.map", [], "give --goal X,Y"),
         ("team.json", [], "one for each of several robots"),
         ("maze", ["--goal", "1;2"], "--goal must be two numbers X,Y"),
         ("maze", ["--goal", "1,1", "--goal", "2"], "such as 3,28, got '2'"),

@@ -304,7 +304,7 @@ def test_a_plr_of_stated_bytes():
     ("costs", "sources", "options", "message"),
     [
         (np.ones(3), [(0, 0)], {}, "costs must have shape"),
-        ([[1, 0.0]], [(0.5, 0.5)], {}, "costs must be positive, got 0 in 1 cells. For free passage"),
+        ([[1, 0.0]], [(0.5, 0.5)], {}, "costs must be positive, got 0 in 1 cells. Use a small cost"),
         ([[1, np.nan]], [(0.5, 0.5), (1.5, 0.5)], {}, r"in barriers, got source 1 at \[1.5, 0.5\]"),
         ([[1, 1.0]], [(2.5, 0.5)], {}, r"in the raster .*, got source 0 at \[2.5, 0.5\]"),
         ([[1, 1.0, 1]], np.ones((1, 3)), {}, "must be boolean"),

@@ -324,7 +324,7 @@ def of_bounds(answer):
     [
         ({"goal": (1.5, 1.5)}, r"goal must be a free configuration.*1\.5"),
         ({"goal": (9.0, 1.5)}, "goal must be a free configuration"),
-        ({"goal": (0.3,)}, "goal must have 2 coordinates, as the space has axes, or be rows of these, got 1"),
+        ({"goal": (0.3,)}, "goal must have 2 coordinates, like the space, or be rows of these, got 1"),
         ({"goal": [(0.3, 0.4, 0.0)] * 2}, r"or be rows of these, got shape \(2, 3\)"),
         ({"goal": np.zeros((0, 2))}, r"got shape \(0, 2\)"),
         ({"goal": [[[0.3, 0.4]]]}, r"got shape \(1, 1, 2\)"),
@@ -342,7 +342,7 @@ def of_bounds(answer):
         ({"max_leaves": 100, "max_bytes": 20}, r"max_bytes=20 is too small: one leaf takes \d+ bytes"),
         ({"tolerance": -1.0}, "tolerance must be"),
         ({"seed": -1}, "seed must be"),
-        ({"cost_map": 2.0}, "cost_map must be a CostMap, such as LipschitzCost or RasterCost, got 2.0"),
+        ({"cost_map": 2.0}, "cost_map must be a CostMap, such as RasterCost, got 2.0"),
         *(
             ({"space": space}, "space must be a configuration space with .* such as PlaneSpace")
             for space in (ROOM, None, PlaneSpace, lambda q: True)

@@ -133,7 +133,7 @@ def test_a_transparent_color_of_16_bits_is_refused(tmp_path):
     same(scenes.read_image(tmp_path / "a.png"), np.array([[False, False, True, True]]))
     (tmp_path / "a.png").write_bytes(png(4, 1, pixels, 16, kind=2, transparent=(3, 3, 3)))
     with pytest.raises(
-        ValueError, match=r"a\.png: expected a transparent color of 8 bits, got 16 bits: save the picture with"
+        ValueError, match=r"a\.png: expected a transparent color of 8 bits, got 16 bits: save it with"
     ):
         scenes.read_image(tmp_path / "a.png")
 

@@ -75,7 +75,7 @@ def test_a_map_alone_becomes_a_robots_cost_map_in_one_call(tmp_path):
     ("yaml", "message"),
     [
         ("", "missing image, resolution, origin"),
-        (YAML.replace("0.0]", "0.3]"), "expected an origin with yaw 0, .* got 0.3: rotate the picture"),
+        (YAML.replace("0.0]", "0.3]"), "expected an origin with yaw 0 for a raster, got 0.3: rotate the picture"),
         (YAML.replace("0.5", "0"), "resolution must be a positive"),
         (YAML.replace("0.5", "1e-300"), "resolution must be at least 1.6e-11 at coordinates up to 2"),
         (YAML.replace("0.5", "1e308"), "choose a larger unit"),
@@ -180,7 +180,7 @@ def test_floats_of_64_bits_are_refused(tmp_path):
         (GRAY, {}, "expected a TIFF of one channel of 32-bit floats, or of integers .*, got a picture of mode L"),
         (np.zeros((2, 3), np.float32), {}, r"values must be from 1e-30 to 1e\+30"),
         (-FACTORS, {}, "got -"),
-        (FACTORS, {"transformation": tuple(range(16))}, "with a transformation: rotate the picture"),
+        (FACTORS, {"transformation": tuple(range(16))}, "got a transformation: rotate the picture"),
         (FACTORS, {"scale": (1.0, 1.0)}, r"3 finite numbers in the tag 33550, got \(1.0, 1.0\)"),
         (FACTORS, {"scale": (0.0, 1.0, 1.0)}, "a pixel's side must be"),
         (FACTORS, {"tie": (0.0,) * 12}, "6 finite numbers in the tag 33922"),

@@ -43,7 +43,7 @@ def test_published_lists_are_read():
 
 
 BROKEN = [
-    ("", r"with the first line 'voxel nx ny nz', got ''"),
+    ("", r"with first line 'voxel nx ny nz', got ''"),
     ("octile 2 2 2\n", "expected a list of voxels"),
     ("voxel 2 2\n", "expected a list of voxels"),
     ("voxel 2 2 2 2\n", "expected a list of voxels"),
