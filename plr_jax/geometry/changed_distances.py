@@ -1,9 +1,8 @@
 """How the distances to a goal differ after a map has changed, by triangle and by source.
 
-From a point of a triangle a path goes straight to a *source*: the goal, or a turn point that sees a part of the
-triangle. A triangle and a source are an *intact* pair if no changed wall lies between them and paths bend around the
-source as before. If all pairs of a triangle are intact and the distances of their sources have changed by the same
-amount, so have the distances of all points of the triangle.
+From a point of a triangle a path goes straight to a *source*: the goal, or a corner that sees a part of the triangle.
+If no changed wall lies between a triangle and its sources, paths bend around them as before, and the distances of all
+of them have changed by the same amount, so have the distances of all points of the triangle.
 """
 
 from dataclasses import dataclass
@@ -12,7 +11,6 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-Triangles = Float[np.ndarray, "triangles 3 2"]
 Corners = Float[np.ndarray, "4 2"]
 
 
@@ -33,7 +31,7 @@ class TriangleSources:
         return TriangleSources(self.triangle[rows], self.source[rows], self.change[rows], self.is_doubted[rows])
 
     def of_triangles(self, is_wanted: Bool[np.ndarray, "triangles"]) -> "TriangleSources":
-        """Select the wanted triangles' pairs of a triangle and a source, sorted by triangle."""
+        """Select the pairs of some triangles, sorted by triangle."""
         rows = np.flatnonzero(is_wanted[self.triangle])
         return self[rows[np.argsort(self.triangle[rows], kind="stable")]]
 
@@ -49,16 +47,14 @@ class ChangedDistances:
         triangles: Triangles of free space before and after; those in both appear once.
         change: New minus old distance in each triangle, if it is the same everywhere; else NaN.
         was_cut_off: Whether a triangle was free before, without a path to the goal.
-        before: Triangles whose change is NaN, paired with their sources before the change.
-        after: Triangles whose change is NaN, paired with their sources after the change.
-        rounding: Changes that differ by less count as equal.
-        slack: Error of the old distances, since free space is known to a tolerance.
+        before, after: Triangles whose change is NaN, paired with their sources before and after the change.
+        rounding, slack: Changes that differ by less count as equal; error of old distances, from the tolerance.
     """
 
     boxes: list[Corners]
     source: Int[np.ndarray, "sources"]
     source_change: Float[np.ndarray, "sources"]
-    triangles: Triangles
+    triangles: Float[np.ndarray, "triangles 3 2"]
     change: Float[np.ndarray, "triangles"]
     was_cut_off: Bool[np.ndarray, "triangles"]
     before: TriangleSources

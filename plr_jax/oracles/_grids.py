@@ -398,9 +398,7 @@ class GridField:
         return values, np.isfinite(nearest)
 
     @cached_property
-    def _padded(
-        self,
-    ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."], Bool[np.ndarray, "..."] | None]:
+    def _padded(self) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."], Bool[np.ndarray, "..."] | None]:
         """Values (0 if unknown), whether they are known, and boxes between centers that must not be interpolated.
 
         Values are padded by a cell. In these boxes (None: no box), cells with a value touch at an edge or a corner

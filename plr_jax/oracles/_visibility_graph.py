@@ -14,11 +14,12 @@ from plr_jax._arrays import index_of as index_of
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, cells_of_goals
-from plr_jax.geometry.cell_sight import CellSources, Sight, SourceLists, goal_sight, lists_of_goal
+from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
 from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see_polygons
 from plr_jax.geometry.corners import (
     CornerVisibility,
+    TriangleLists,
     TurnPoints,
     TurnRegions,
     corner_visibility,
@@ -342,7 +343,7 @@ class NearestSources:
     graphs: tuple[VisibilityGraph, ...]
 
     @cached_property
-    def _sight_and_lists(self) -> tuple[Sight, SourceLists]:
+    def _sight_and_lists(self) -> tuple[Sight, TriangleLists]:
         """The sight of all goals (vertices ``0`` to ``count - 1``), then corners; what each triangle may see."""
         first, count = self.graphs[0], len(self.graphs)
         # Oracles that were not made of one another may number corners in different ways.
