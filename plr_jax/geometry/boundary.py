@@ -76,11 +76,7 @@ class Boundary:
 
 
 def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) -> Boundary | None:
-    """Return the boundary of a valid (Multi)Polygon, its edges split at the vertices on them.
-
-    Return None if a vertex is near an edge without lying on it, or if split edges coincide. What the ``known``
-    boundary has already compared is not compared again.
-    """
+    """Return the boundary of a polygon, edges split at vertices on them; None if a vertex almost lies on an edge."""
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     numbers, index = np.unique(points @ [1, 1j], return_inverse=True)  # ordered by x, then y
@@ -197,11 +193,7 @@ _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter s
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
-    """Return valid polygons in the order given; errors call polygon ``i`` by ``name`` and ``i``.
-
-    ``shapes`` is a Shapely geometry of polygons or rings (collections are flattened, multipolygons stay one), or an
-    iterable of these and of rings ``(n, 2)``, closed or not.
-    """
+    """Return valid polygons of Shapely geometries or rings ``(n, 2)``; errors call them by ``name`` and index."""
     shapes = [shapes] if isinstance(shapes, BaseGeometry) else shapes
     if not isinstance(shapes, Iterable):
         raise ValueError(f"{name}s must be a list of rings (n, 2) or Shapely polygons, got {shortened(shapes)}.")
@@ -214,10 +206,7 @@ def _flatten_collections(shapes: Iterable[Any], kind: type = GeometryCollection)
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
-    """Return a valid polygon of a ring ``(n, 2)``, closed or not, or of a Shapely polygon or linear ring.
-
-    It has finite coordinates and positive area, or is an empty Shapely polygon. Errors call it ``name``.
-    """
+    """Return a valid polygon of a ring ``(n, 2)`` or a Shapely polygon or linear ring; errors call it ``name``."""
     if isinstance(ring, LinearRing):
         ring = Polygon(ring)
     if isinstance(ring, Polygon | MultiPolygon):
@@ -249,7 +238,6 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
-    """Return the bounds and the union of components, as :meth:`Workspace.from_polygons` describes them."""
     outers, holes = [], []
     components = [components] if isinstance(components, BaseGeometry) else components
     for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
@@ -295,7 +283,6 @@ def grid_at(tolerance: float) -> float:
 
 
 def advice_on_cells(value: object) -> str:
-    """Return what an error should advise for an array of pixels or voxels; "" for other values."""
     if not isinstance(value, np.ndarray) or value.ndim not in (2, 3):
         return ""
     if value.ndim == 2:
@@ -362,17 +349,13 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
 
 
-class _Prepared(threading.local):
-    def __init__(self):
-        self.of_owner: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
-
-
-_PREPARED = _Prepared()
+_PREPARED = threading.local()
 
 
 def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
     """Return ``make()``, prepared and cached by owner, name and thread: GEOS may crash if threads share it."""
-    of_owner = _PREPARED.of_owner.setdefault(owner, {})
+    of_owners = _PREPARED.__dict__.setdefault("of_owners", WeakKeyDictionary())  # in this thread
+    of_owner = of_owners.setdefault(owner, {})
     if name not in of_owner:
         of_owner[name] = make()
         shapely.prepare(of_owner[name])
@@ -388,7 +371,6 @@ class Region(NamedTuple):
 
 
 def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
-    """Round and simplify free space; raise ``ValueError`` if nothing is free, or walls or gaps are too thin."""
     # Round after the overlay, not within it: only then do walls that meet up to rounding share a vertex.
     grid = grid_of(bounds)
     region = _simplify(rounded(free, grid), 4 * grid)

@@ -23,7 +23,7 @@ _TIE = 1 - 2.0**-40  # factor that keeps rounding from moving a point that is ex
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A closed axis-aligned box ``[lo, hi]`` with a positive width along every axis.
+    """A closed axis-aligned box ``[lo, hi]`` with a positive width along every axis, else ``ValueError``.
 
     Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, which is the *period*. Both
     ends of such an axis are the same place, the *seam*, and every finite coordinate lies inside.
@@ -32,9 +32,6 @@ class Box:
         lo: Lower corner, ``(dim,)``, finite.
         hi: Upper corner, ``(dim,)``, finite and above ``lo`` along every axis.
         periodic: One bool per axis: whether it is periodic. None: no axis is.
-
-    Raises:
-        ValueError: If an argument has another form, or a width is not positive.
     """
 
     lo: Float[np.ndarray, "dim"]
@@ -47,10 +44,8 @@ class Box:
             raise ValueError(f"Box corners must have equal length, got lo of {lo.size} and hi of {hi.size} numbers.")
         if (is_flat := hi <= lo).any():
             axis = is_flat.argmax()
-            raise ValueError(
-                f"Box must have positive width along every axis, got lo={lo[axis]:g} and hi={hi[axis]:g} "
-                f"on axis {axis}."
-            )
+            got = f"lo={lo[axis]:g} and hi={hi[axis]:g} on axis {axis}"
+            raise ValueError(f"Box must have positive width along every axis, got {got}.")
         axes = (False,) * lo.size if periodic is None else periodic
         axes = tuple(axes) if isinstance(axes, Iterable) else (axes,)
         if len(axes) != lo.size:

@@ -12,8 +12,8 @@ from plr_jax._arrays import concatenated, parts, take_ragged
 from plr_jax._types import Sources
 from plr_jax.geometry.cell_sight import CellSources, Shadows, Sight, corner_sight, turns_by_triangle
 from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip_to_boxes, highest, lowest
-from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TriangleLists, TurnPoints
-from plr_jax.geometry.triangulation import Triangulation
+from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints
+from plr_jax.geometry.triangulation import TriangleLists, Triangulation
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 
@@ -21,26 +21,24 @@ _PAIRS, _WALL_BOXES = 1 << 18, 1 << 11  # pairs of a sample and a corner, and bo
 _CANDIDATES = 1 << 14  # pairs of a piece and a source whose arrays stay in a core's cache
 _LEAST_SHARE = 1e-9  # free share of a box's area below which the box counts as an obstacle
 Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
+Indices: TypeAlias = Int[np.ndarray, "cells"]
 
 
 @dataclass(frozen=True, eq=False)
 class FamilySamples:
-    """At most one sample ``x`` for each of several boxes, and the corners where paths from the sample may turn first.
+    """At most one sample for each of several boxes, and the corners where paths from the sample may turn first.
 
-    The sample is the center of a box that meets no wall, else that of its largest free convex piece, NaN if there is
-    none. ``weight`` is the free share of each box's area. ``placed`` are the samples of boxes ``sampled``, rounded
-    and moved out of walls. The sample of ``box[i]`` sees corners from ``corner[first[i]]`` on, at distances
-    ``length``.
+    The sample is the center of the box if no wall meets the box, else the center of its largest free convex piece.
     """
 
-    x: Corners
-    weight: Float[np.ndarray, "boxes"]
-    sampled: Int[np.ndarray, "sampled"]
-    placed: Float[np.ndarray, "sampled 2"]
-    box: Int[np.ndarray, "seeing"]
-    first: Int[np.ndarray, "seeing"]
+    x: Corners  # the sample of each box; NaN if no part of the box is free
+    weight: Float[np.ndarray, "boxes"]  # free share of each box's area; 0 without a sample
+    sampled: Int[np.ndarray, "sampled"]  # boxes that have a sample
+    placed: Float[np.ndarray, "sampled 2"]  # samples of these boxes, rounded and moved out of walls
+    box: Int[np.ndarray, "seeing"]  # boxes whose samples see corners
+    first: Int[np.ndarray, "seeing"]  # those of box[i] are corner[first[i]] up to the next box's
     corner: Int[np.ndarray, "pairs"]
-    length: Float[np.ndarray, "pairs"]
+    length: Float[np.ndarray, "pairs"]  # distance from the sample to each of these corners
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilySamples":
@@ -87,10 +85,7 @@ class FamilySamples:
     def first_turns(
         self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, "corners"]
     ) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance to a goal, and the first vertex of its path: 0, the goal, or corner + 1.
-
-        Without a path, return ``inf`` and -1. ``view`` is the visibility polygon of the goal.
-        """
+        """Return samples' distances to a goal, and first vertices of their paths: 0, the goal, corner + 1, or -1."""
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         if len(self.first):
             way = corner_distances[self.corner] + self.length
@@ -106,29 +101,23 @@ class FamilySamples:
 
 
 def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Return a box that contains all that a goal sees."""
     ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
     return ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
 
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
-    """Free convex pieces of boxes, and the corners that paths from them to any goal may turn at first.
+    """Free convex pieces of boxes, and the corners that paths from them to any goal may turn at first."""
 
-    ``lists`` holds, for each triangle of free space, the corners that see a part of it, as ``2 * corner + side``.
-    Piece ``i`` lies in triangle ``triangle[i]`` (-1: a box that no wall reaches into), within ``radius`` of
-    ``center``, and is covered by the triangles ``part[first_part[i] : first_part[i + 1]]``.
-    """
-
-    sight: Sight
-    lists: TriangleLists
+    sight: Sight  # for any goal, by corner_sight
+    lists: TriangleLists  # corners that see a part of each triangle of free space, as 2 * corner + side
     first_piece: Int[np.ndarray, "boxes_plus_one"]
     pieces: Pieces
-    triangle: Int[np.ndarray, "pieces"]
-    center: Float[np.ndarray, "pieces 2"]
-    radius: Float[np.ndarray, "pieces"]
+    triangle: Int[np.ndarray, "pieces"]  # that contains each piece; -1 for a box that no wall reaches into
+    center: Float[np.ndarray, "pieces 2"]  # a point inside each piece
+    radius: Float[np.ndarray, "pieces"]  # largest distance of the piece's points from its center
     first_part: Int[np.ndarray, "pieces_plus_one"]
-    part: Int[np.ndarray, "parts"]
+    part: Int[np.ndarray, "parts"]  # the triangles part[first_part[i] : first_part[i + 1]] cover piece i
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
@@ -159,9 +148,9 @@ def cells_of_goals(
     shared: FamilyCells,
     corners: ReflexCorners,
     goals: Sequence[FamilyGoal],
-    box: Int[np.ndarray, "cells"],
-    goal_of: Int[np.ndarray, "cells"],
-    near: Int[np.ndarray, "cells"],
+    box: Indices,
+    goal_of: Indices,
+    near: Indices,
 ) -> CellSources:
     """Return the sources of cells for several goals: cell ``i`` is box ``box[i]``, for goal ``goal_of[i]``.
 

@@ -37,15 +37,8 @@ from plr_jax.geometry.convex_pieces import (
     lowest,
     next_corner,
 )
-from plr_jax.geometry.corners import (
-    CornerVisibility,
-    ReflexCorners,
-    TriangleLists,
-    TurnPoints,
-    TurnRegions,
-    views_by_triangle,
-)
-from plr_jax.geometry.triangulation import Triangulation
+from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, TurnRegions, views_by_triangle
+from plr_jax.geometry.triangulation import TriangleLists, Triangulation
 from plr_jax.geometry.vectors import pseudo_angle, turned_left
 from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
@@ -59,17 +52,12 @@ Entries: TypeAlias = Int[np.ndarray, "entries"]
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Rays past corners, each from a nearer to a farther wall, across which visibility from a viewpoint changes.
-
-    ``key``, in ascending order, is the pseudo-angle of the ray from its viewpoint's zero direction
-    (``VisibilityTable.cut``), plus 4 times the viewpoint's index. ``unit`` is its direction; ``start`` and ``end``
-    are distances from the viewpoint.
-    """
+    """Rays past corners, each from a nearer to a farther wall, across which visibility from a viewpoint changes."""
 
     table: VisibilityTable
-    key: Float[np.ndarray, "shadows"]
-    unit: Float[np.ndarray, "shadows 2"]
-    start: Float[np.ndarray, "shadows"]
+    key: Float[np.ndarray, "shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
+    unit: Float[np.ndarray, "shadows 2"]  # direction
+    start: Float[np.ndarray, "shadows"]  # distance from the viewpoint
     end: Float[np.ndarray, "shadows"]
 
     @staticmethod
@@ -155,14 +143,11 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Data that decide to which sources (corners, goals) shortest paths from a convex piece may go first.
-
-    ``view`` and ``turn`` are indices of the sources in the visibility table and in ``turns``; a goal has turn -1.
-    """
+    """Data that decide to which sources (corners, goals) shortest paths from a convex piece may go first."""
 
     sources: Sources
-    view: Int[np.ndarray, "sources"]
-    turn: Int[np.ndarray, "sources"]
+    view: Int[np.ndarray, "sources"]  # index of each source in the visibility table
+    turn: Int[np.ndarray, "sources"]  # its index in turns, -1 for a goal
     shadows: Shadows
     turns: TurnPoints
     triangulation: Triangulation
@@ -170,7 +155,6 @@ class Sight:
 
     @property
     def tolerance(self) -> float:
-        """Distance behind a wall up to which a point counts as free."""
         return self.shadows.table.tolerance
 
     @cached_property
@@ -196,27 +180,19 @@ class CellSources:
     the distance of any point ``x`` of a piece is at least the minimum of ``distances[s] + |x - points[s]|`` over its
     sources ``s``, and at most the minimum over the sources that all of the piece sees, both to within :attr:`slack`.
     Pieces without a path to the goal are then left out, so that each piece has a source.
-
-    Attributes:
-        triangle: The triangle that contains each piece; -1 for a box that no wall reaches into.
-        center: A point inside each piece.
-        distance: Distance of each center to the goal, or an upper bound if no source is known to see the center;
-            ``inf`` if not computed.
-        best: The source to which the shortest path from each center goes first, or one near it; 0 if not computed.
-        by_all: Whether every point of the pair's piece is known to see its source.
     """
 
     sight: Sight
     num_cells: int
     cell: Indices
     pieces: Pieces
-    triangle: Indices
-    center: Vectors
-    distance: Float[np.ndarray, "pieces"]
-    best: Indices
+    triangle: Indices  # that contains each piece; -1 for a box that no wall reaches into
+    center: Vectors  # a point inside each piece
+    distance: Float[np.ndarray, "pieces"]  # of each center to the goal, or an upper bound; inf if not computed
+    best: Indices  # source to which the shortest path from each center goes first, or one near it; 0 if not computed
     piece: Int[np.ndarray, "pairs"]
     source: Int[np.ndarray, "pairs"]
-    by_all: Bool[np.ndarray, "pairs"]
+    by_all: Bool[np.ndarray, "pairs"]  # whether every point of the pair's piece is known to see its source
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
@@ -245,7 +221,6 @@ class CellSources:
         return self.sight.sources
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether each convex piece contains its ``k`` points, or is within ``sight.tolerance`` of them."""
         return contain(self.pieces[:, piece], points, self.sight.tolerance)
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
@@ -324,10 +299,7 @@ class CellSources:
         return replace(found.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        """Drop sources of changed pieces at which no path turns, or which no point of the piece sees or needs.
-
-        If distances are known, pieces without a path to the goal are dropped as well.
-        """
+        """Drop changed pieces' sources where no path turns or that no point sees; drop pieces without a path."""
         # 1. Compute the centers of changed pieces. A path through the old center bounds their distances, since both
         #    centers lie in one convex piece.
         center, has_goal = self.center.copy(), self.sight.has_goal
@@ -350,10 +322,9 @@ class CellSources:
         return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
-        """Compute the distances of changed centers, and drop sources that are nowhere in the piece the best.
+        """Compute the distances of changed centers, and drop sources that are nowhere in their piece the best.
 
-        A source is also dropped if a path through the center is shorter from every point of the piece. A center
-        without a visible source keeps the bound of its distance.
+        That is, another source, or a path through the center, is shorter from every point of the piece.
         """
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
@@ -383,7 +354,6 @@ class CellSources:
 def goal_sight(
     sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation, num_goals: int = 1
 ) -> Sight:
-    """Return the :class:`Sight` of the nearest goal; sources are the goals, then corners where paths may turn."""
     each = np.arange(len(sources.points))
     turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[:num_goals], turn[turns.vertex] = -1, np.arange(len(turns.vertex))

@@ -42,7 +42,6 @@ class Change:
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, "new_edges"]:
-        """Whether each edge of the new boundary has no equal in the old one."""
         is_new = np.ones(len(self.new.edges), bool)
         is_new[self.edge[self.edge >= 0]] = False
         return is_new
@@ -128,7 +127,6 @@ GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a
 def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
-    """Return what corners and the goal see in the changed workspace, which is triangulated."""
     corners, views = find_corners(workspace)
     # 1. Match each new corner with an old one between the same walls.
     boundary = change.new

@@ -47,7 +47,6 @@ def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
 
 
 def centers(pieces: Pieces) -> Vectors:
-    """Return a point inside each convex piece: the mean of its distinct corners."""
     new = np.ones(pieces.shape[1:], bool)
     new[:, 1:] = (pieces[:, :, 1:] != pieces[:, :, :-1]).any(axis=0)
     new[:, 0] = (pieces[:, :, 0] != pieces[:, :, -1]).any(axis=0)
@@ -95,7 +94,7 @@ def cut_parts(
 ) -> tuple[Float[np.ndarray, "2 some room"], Some, Some, Bool[np.ndarray, "some"]]:
     """Clip the convex pieces of cells to boxes ``lo`` to ``hi``, each cut off its cell ``parent`` across one axis.
 
-    Return the pieces by box, some possibly of area 0; their boxes; their original pieces; and whether they were cut.
+    Return the pieces by box (the area may be 0), the box and the original piece of each, and whether it was cut.
     """
     rows, part = take_ragged(first_piece, parent)
     along, upper = axis[part], is_upper[part]

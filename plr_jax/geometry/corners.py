@@ -10,14 +10,12 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, take_ragged
 from plr_jax.geometry.boundary import Boundary
 from plr_jax.geometry.graph import FirstVisible, Sees, first_visible_in_parts, first_visible_ragged
-from plr_jax.geometry.triangulation import LocatedPoints, Triangulation
+from plr_jax.geometry.triangulation import LocatedPoints, TriangleLists, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
-# ``(first, entries)``: the entries of triangle ``t`` are ``entries[first[t] : first[t + 1]]``.
-TriangleLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,10 +150,7 @@ class TurnPoints:
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
         """Return the first corner of each point's shortest path with turns (-1: none), and its length."""
         way, length = first_visible_in_parts(
-            lambda rows: self.path_lengths(x[rows]),
-            len(x),
-            len(self.vertex),
-            lambda point, way: sees(point, self.vertex[way]),
+            lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
         )
         return np.append(self.vertex, -1)[way[:, 0]], length[:, 0]
 
@@ -190,10 +185,7 @@ _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """For each triangle ``t`` of free space, the corners at which paths from it may turn first.
-
-    They are entries ``turn[first[t] : first[t + 1]]`` of ``turns``: from such a path's cone they see a part of ``t``.
-    """
+    """The corners where paths from triangle ``t`` may turn first: ``turn[first[t] : first[t + 1]]`` of ``turns``."""
 
     turns: TurnPoints
     triangulation: Triangulation
@@ -231,10 +223,7 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-    """Return ``(points, first, triangle)``: the points that are not at vertices, and the triangles that contain each.
-
-    Those of the ``i``-th such point are ``triangle[first[i] : first[i + 1]]``: two if it lies on a side, else one.
-    """
+    """Return points not at vertices, and the one or two triangles of each: ``triangle[first[i] : first[i + 1]]``."""
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     held = num_sides < 2

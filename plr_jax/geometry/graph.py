@@ -126,8 +126,8 @@ def first_visible_ragged(
 ) -> FirstVisible:
     """Return each point's visible candidate of least path length, as an index of ``lengths``, and its length.
 
-    ``lengths`` lists the path lengths through each point's ``counts`` candidates, point by point, and is modified in
-    place. ``sees`` tests indices of points and of ``lengths``.
+    ``lengths`` through each point's ``counts`` candidates, point by point, are modified in place. ``sees`` tests
+    indices.
     """
     found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)

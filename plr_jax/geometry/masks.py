@@ -24,15 +24,11 @@ Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 @dataclass(frozen=True, eq=False)
 class PixelRings:
-    """Outlines of pixels as closed rings of corners ``(x, y)``, free pixels on the left.
+    """Outlines of pixels as closed rings of corners ``(x, y)``, free pixels on the left."""
 
-    Ring ``r`` is ``points[start[r] : start[r + 1]]``. ``is_contact`` marks corners at which free pixels touch only
-    diagonally; two rings meet there, or one ring twice.
-    """
-
-    points: Float[np.ndarray, "n 2"]
+    points: Float[np.ndarray, "n 2"]  # ring r is points[start[r] : start[r + 1]]
     start: Int[np.ndarray, "rings_and_1"]
-    is_contact: Bool[np.ndarray, "n"]
+    is_contact: Bool[np.ndarray, "n"]  # free pixels touch only diagonally; two rings meet there, or one ring twice
 
 
 def pixel_rings(free: Mask) -> PixelRings:
@@ -91,15 +87,12 @@ Indices: TypeAlias = Int[np.ndarray, "m"]
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
-    """Possible ends of the segments of simplified rings: corners, middles of steps, and the first corner again.
-
-    ``end`` is the next station that a segment must not pass: a contact, or the last station of the ring.
-    """
+    """Possible ends of the links of simplified rings: corners, middles of steps, and the first corner again."""
 
     points: Float[np.ndarray, "n 2"]
     ring: Int[np.ndarray, "n"]
     is_corner: Bool[np.ndarray, "n"]
-    end: Int[np.ndarray, "n"]
+    end: Int[np.ndarray, "n"]  # the next station that a link must not pass: a contact, or the last one of the ring
 
 
 def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
@@ -125,10 +118,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
-    """Return the stations of outlines, and which of them are contacts, where two free pixels touch only diagonally.
-
-    A ring that has contacts starts at its first.
-    """
+    """Return the stations of outlines, and which of them are contacts; a ring with contacts starts at its first."""
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
     ring, place = ragged_indices(size)
     shift = np.zeros(num_rings, dtype=int)
@@ -249,7 +239,6 @@ _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and w
 def placed_region(
     free: ArrayLike, resolution: float | int, origin: ArrayLike, row0: str, tolerance: float | int, drop_specks: int
 ) -> Any:
-    """Return free pixels as a Shapely MultiPolygon, with the arguments of :meth:`Workspace.from_mask`."""
     free = as_mask(free)
     if row0 not in ("bottom", "top"):
         raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")
@@ -276,7 +265,6 @@ def rounded_one_by_one(region: Any, grid: float) -> Any:
 
 
 def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: float) -> None:
-    """Raise ``ValueError`` if pixels are too small for double precision at their distance from the origin."""
     size = resolution * math.hypot(*shape)
     reach = float(origin) + size
     if not reach <= LARGEST_COORDINATE:

@@ -23,10 +23,7 @@ _NEAR = 4  # tolerances. Farther from all vertices of its triangles, rounding ca
 
 
 class Place(NamedTuple):
-    """A point rounded to the grid, a triangle that contains it, and the triangle beyond the side on which it lies.
-
-    If the point lies on no side of the triangle, or on a wall, ``beyond == triangle``.
-    """
+    """A point rounded to the grid, its triangle, and the one beyond the side on which it lies, else the same one."""
 
     x: float
     y: float
@@ -115,7 +112,6 @@ class PointSight:
         self._normal, self._offset = _flat(boundary.normal), _flat(boundary.offset)
 
     def sees(self, view: int, place: Place) -> bool:
-        """Return whether a viewpoint sees a point, as :meth:`VisibilityTable.sees`."""
         i, keys, x, y = 2 * view, self._key, place.x, place.y
         dx, dy, cx, cy = x - self._points[i], y - self._points[i + 1], self._cut[i], self._cut[i + 1]
         u, v = cx * dx + cy * dy, cx * dy - cy * dx
@@ -137,7 +133,6 @@ class CornerSight(PointSight):
         self._opens, self._closes = map(_flat, visibility.corners.walls)
 
     def may_turn(self, corner: int, place: Place) -> bool:
-        """Return whether a corner sees a point, and its walls lie on one side of the line to the point."""
         i, slack = 2 * corner, self._slack
         dx, dy = place.x - self._points[i], place.y - self._points[i + 1]
         opens = self._opens[i] * dy - self._opens[i + 1] * dx

@@ -20,27 +20,25 @@ from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
 Triangles: TypeAlias = Int[np.ndarray, "triangles 3"]
 HalfEdges: TypeAlias = Int[np.ndarray, "half_edges"]
+# ``(first, entries)``: the entries of triangle ``t`` are ``entries[first[t] : first[t + 1]]``.
+TriangleLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]
 
 
 @dataclass(frozen=True, eq=False)
 class Locator:
-    """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``.
-
-    ``lines`` holds the inward unit normal of each side of a triangle, and its scalar product with points of the side.
-    """
+    """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``."""
 
     lo: Float[np.ndarray, "2"]
     width: Float[np.ndarray, "2"]
     shape: tuple[int, int]
     first: Int[np.ndarray, "cells_plus_one"]
     triangle: Int[np.ndarray, "entries"]
-    lines: Float[np.ndarray, "triangles 3 3"]
+    lines: Float[
+        np.ndarray, "triangles 3 3"
+    ]  # of sides: inward unit normal, and its scalar product with their points
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return the triangle of each point, and the point's signed distance to the nearest side, positive inside.
-
-        A point outside all triangles of its cell gets the one with the largest distance, or -1 if the cell has none.
-        """
+        """Return each point's triangle, or one nearby (-1: none), and its signed distance to the nearest side."""
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
         found, best = np.full(len(x), -1), np.full(len(x), -np.inf)
@@ -78,24 +76,16 @@ class LocatedPoints:
 
 @dataclass(frozen=True, eq=False)
 class Triangulation:
-    """Triangles that fill a region, as half-edges: three consecutive ones per triangle, counterclockwise.
-
-    Attributes:
-        tolerance: Points count as inside up to this distance from the region.
-        origin: The vertex at which each half-edge starts.
-        twin: The opposite half-edge in the adjacent triangle, -1 at walls.
-        wall: The edge of the boundary along each half-edge, -1 inside the region.
-    """
+    """Triangles that fill a region, as half-edges: three consecutive ones per triangle, counterclockwise."""
 
     boundary: Boundary
-    tolerance: float
-    origin: HalfEdges
-    twin: HalfEdges
-    wall: HalfEdges
+    tolerance: float  # points count as inside up to this distance from the region
+    origin: HalfEdges  # the vertex at which each half-edge starts
+    twin: HalfEdges  # the opposite half-edge in the adjacent triangle, -1 at walls
+    wall: HalfEdges  # the edge of the boundary along each half-edge, -1 inside the region
 
     @cached_property
     def of_wall(self) -> Int[np.ndarray, "edges"]:
-        """The half-edge along each edge of the boundary."""
         half_edges = np.empty(len(self.boundary.edges), np.int32)
         is_wall = np.flatnonzero(self.wall >= 0)
         half_edges[self.wall[is_wall]] = is_wall
@@ -103,7 +93,6 @@ class Triangulation:
 
     @cached_property
     def locator(self) -> Locator:
-        """A point locator: a grid of about as many cells as triangles; cells are grown by the tolerance."""
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))
@@ -137,7 +126,7 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """Return each grid point's triangle, and for its three sides 1 if the point lies inside, 0 on it, -1 outside.
+        """Return the triangle of each grid point, and 1, 0 or -1 if the point is inside, on or outside each side.
 
         The exact search starts at ``triangle``, if given. Points outside the region get a nearby one.
         """
@@ -243,11 +232,8 @@ def previous_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
 
 
 def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
-    """Return the constrained Delaunay triangulation of a region; raise ``ValueError`` if its walls cross.
-
-    References:
-        Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
-    """
+    """Return the constrained Delaunay triangulation of a region; raise ``ValueError`` if its walls cross."""
+    # Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
     # 1. Add four vertices far outside, so that every vertex of the region is surrounded by triangles.
     lo, hi = boundary.vertices.min(axis=0), boundary.vertices.max(axis=0)
     (x0, y0), (x1, y1) = lo - (hi - lo).max(), hi + (hi - lo).max()

@@ -33,15 +33,11 @@ Visits: TypeAlias = Int[np.ndarray, "2 visits"]  # pairs (viewpoint, triangle)
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Points on the grid of vertices, and the sectors (ranges of directions) they look into; without any, all around.
+    """Points on the grid of vertices, and the sectors (ranges of directions) they look into; without any, all."""
 
-    Sector ``s`` belongs to point ``owner[s]`` and opens at the boundary edge ``edge[s]``, counterclockwise. The point
-    is the first vertex of that edge or lies in its interior.
-    """
-
-    points: Float[np.ndarray, "views 2"]
-    owner: Int[np.ndarray, "sectors"]
-    edge: Int[np.ndarray, "sectors"]
+    points: Vectors
+    owner: Int[np.ndarray, "sectors"]  # the point to which each sector belongs: at the start of its edge, or inside
+    edge: Int[np.ndarray, "sectors"]  # the boundary edge at which each sector opens, counterclockwise
 
     def __getitem__(self, rows: slice | Int[np.ndarray, "some"]) -> "Viewpoints":
         place = np.full(len(self.points), -1)
@@ -102,8 +98,7 @@ class _Cones:
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
     """Pair viewpoints with the triangles of which they see a part inside their cones; some pairs repeat.
 
-    ``right`` and ``left`` are unit vectors along the bounds of each viewpoint's cone, at most half a turn apart, or
-    zero for all that the viewpoint looks into.
+    ``right`` and ``left`` are unit vectors along a cone's bounds, at most half a turn apart; zero for all directions.
     """
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
     # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
@@ -187,24 +182,16 @@ _NARROW = 1e-3  # radians: a gap between sectors must be wider to hold a cut
 
 @dataclass(frozen=True, eq=False)
 class VisibilityTable:
-    """Visibility polygons of viewpoints; rows ``first[v]`` to ``first[v + 1]`` belong to viewpoint ``v``.
-
-    Attributes:
-        tolerance: The tolerance of the workspace. Vertices, viewpoints and query points lie on its grid.
-        cut: Unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured.
-        key: ``4 v`` plus the pseudo-angle at which the row's interval of directions starts, ascending.
-        edge: The nearest boundary edge in the interval; -1 where the viewpoint does not look.
-        vertex: The vertex in the direction at which the interval starts; -1 at the cut.
-    """
+    """Visibility polygons of viewpoints; rows ``first[v]`` to ``first[v + 1]`` belong to viewpoint ``v``."""
 
     boundary: Boundary
-    tolerance: float
-    points: Float[np.ndarray, "views 2"]
-    cut: Float[np.ndarray, "views 2"]
+    tolerance: float  # of the workspace; vertices, viewpoints and query points lie on its grid
+    points: Vectors
+    cut: Vectors  # unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured
     first: Int[np.ndarray, "views+1"]
-    key: Float[np.ndarray, "rows"]
-    edge: Int[np.ndarray, "rows"]
-    vertex: Int[np.ndarray, "rows"]
+    key: Float[np.ndarray, "rows"]  # 4 v plus the pseudo-angle at which the row's interval starts, ascending
+    edge: Int[np.ndarray, "rows"]  # nearest boundary edge in the interval; -1 where the viewpoint does not look
+    vertex: Int[np.ndarray, "rows"]  # in the direction at which the interval starts; -1 at the cut
 
     @property
     def blur(self) -> float:

@@ -66,7 +66,6 @@ class VoxelGrid:
 
     @property
     def sides(self) -> Float[np.ndarray, "dim"]:
-        """Side lengths of a voxel, in units of the bounds."""
         return self.bounds.width / self.free.shape
 
     @cached_property
@@ -165,7 +164,6 @@ class Sums:
         return cls(table.ravel(), np.array(table.strides) // table.itemsize)
 
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
-        """Count the true entries from ``first`` to ``last`` along every axis; none if ``last`` precedes ``first``."""
         begin = first * self.strides[:, None]
         end = np.maximum(last + 1, first) * self.strides[:, None]
         total = np.zeros(first.shape[1], self.table.dtype)

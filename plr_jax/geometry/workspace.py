@@ -109,15 +109,11 @@ class Workspace:
     ) -> "Workspace":
         """Build a workspace whose free space is given as polygons with holes.
 
-        Args:
-            components: One Shapely polygon, multipolygon or collection of them; or a list of these and of mappings
-                ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap and leave
-                the outer ring. Components are united, and parts outside the bounds are cut off.
-            bounds: As for the class; None: the bounding box of the components.
-            squeeze: As for the class.
-
-        Raises:
-            ValueError: If there is no component, a component or the bounds are invalid, or nothing is free.
+        Components are one Shapely polygon, multipolygon or collection of them; or a list of these and of mappings
+        ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap and leave the
+        outer ring. Components are united, and parts outside the bounds are cut off; by default, the bounds are their
+        bounding box. ``squeeze`` is as for the class. ``ValueError`` if there is no component, a component or the
+        bounds are invalid, or nothing is free.
         """
         return cls._from_free_space(*components_region(components, bounds), squeeze)
 
