@@ -49,7 +49,9 @@ class VoxelGrid:
         shape = np.array(voxels.shape)
         box = Box(np.zeros(len(shape)), shape) if bounds is None else Box.of(bounds, "The bounds")
         if box.dim != voxels.ndim:
-            raise ValueError(f"The bounds must have {voxels.ndim} axes, as free[x, y, ...], got {shortened(bounds)}.")
+            raise ValueError(
+                f"The bounds must have {voxels.ndim} axes, as free[x, y, ...] has, got {shortened(bounds)}."
+            )
         if box.is_periodic:
             raise ValueError(f"The bounds of voxels must not have periodic axes, got {box}.")
         least = max(np.abs([box.lo, box.hi]).max() * 2.0**-52, rounding_of(box)) * _LEAST_SIDE
