@@ -171,6 +171,11 @@ def ragged_indices(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "it
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
+def concatenated(objects: Sequence[object], *names: str) -> list[Shaped[np.ndarray, "..."]]:
+    """Concatenate, for each name, the arrays that the objects have as attributes of this name."""
+    return [np.concatenate([getattr(each, name) for each in objects]) for name in names]
+
+
 def parts(counts: Int[np.ndarray, "items"], most: int) -> list[slice]:
     """Split items into consecutive slices; the ``counts`` of each slice sum to about ``most``."""
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1

@@ -1,11 +1,11 @@
-"""Separation tests for convex bodies in straight motion, by bisection of the motions until a kernel is certain.
+"""Separation tests for convex bodies in straight motion, by bisection of the motions until a test is certain.
 
 In one unit of time, a position moves at constant velocity and a heading turns at a constant rate, the shorter way.
-Touching is no collision. A kernel looks for an axis that separates two bodies during an interval (piece) of their
+Touching is no collision. A test (*kernel*) looks for an axis that separates two bodies during an interval of their
 motions; the axis is fixed, or turns with one body. The gap along it deviates from its linear interpolation by at most
-an eighth of its largest second derivative. So the smaller gap at the two ends of the piece, less this *bulge*, is a
-lower bound. Each bisection divides the bulge by four. It is 0 if nothing turns, and the result is then exact. A piece
-that is still uncertain after the last bisection counts as a collision.
+an eighth of its largest second derivative. So the smaller gap at the two ends, less this *bulge*, is a lower bound.
+Each bisection divides the bulge by four. It is 0 if nothing turns, and the result is then exact. An interval that is
+still uncertain after the last bisection counts as a collision.
 """
 
 import math
@@ -72,15 +72,11 @@ SeparationKernel: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verd
 def bisect(
     kernel: SeparationKernel, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
 ) -> Booleans:
-    """Return whether bodies certainly keep the distance ``reach``; bisect motions until the kernel is certain.
-
-    A negative ``reach`` is an allowed depth of overlap. Depth-first order in small batches bounds the memory.
-    """
+    """Return which bodies certainly stay ``reach`` apart (negative: an allowed overlap) throughout their motions."""
     k, m = a.num_corners, b.num_corners
-    size = max(
-        1, _CORNERS // max(k + m, k * m if reach > 0 else 0)
-    )  # distances are computed for all pairs of corners
+    size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # distances need all pairs of corners
     apart = np.ones(len(a.x), dtype=bool)
+    # Depth-first order in small batches bounds the memory.
     waiting = [(a, b, np.arange(len(a.x)), 0)]
     while waiting:
         a, b, owner, bisections = waiting.pop()
@@ -100,16 +96,13 @@ def bisect(
     return apart
 
 
-def rotation_bounds(a: MovingBodies, b: MovingBodies, rim_a: Column, rim_b: Column) -> Columns:
-    """Bound how far the gap along an axis that turns with ``a``, and with ``b``, falls below its smaller end value.
-
-    ``rim_a`` and ``rim_b`` are circumscribed radii. The frame of the axis moves with its body.
-    """
+def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b: Column) -> Columns:
+    """Bound how far the gap along an axis turning with ``a``, and with ``b``, falls below its smaller end value."""
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
-    turns = (a.turn, rim_b), (b.turn, rim_a)
-    of_a, of_b = ((far * turn**2 + 2 * speed * np.abs(turn) + rim * relative) / 8 for turn, rim in turns)
+    turns = (a.turn, radius_b), (b.turn, radius_a)
+    of_a, of_b = ((far * turn**2 + 2 * speed * np.abs(turn) + radius * relative) / 8 for turn, radius in turns)
     return of_a, of_b
 
 
@@ -129,9 +122,8 @@ Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Return which motions certainly keep two convex bodies ``reach`` apart, and which certainly do not.
 
-    Bodies are counterclockwise vertices ``(2, vertices, n)`` in their own frames. The tested axes are the normals of
-    all sides, which turn with their body, and the normal of the relative motion. If ``reach`` is positive, the line
-    through the nearest points is tested too, which makes the result exact if nothing turns.
+    Sizes are counterclockwise vertices ``(2, vertices, n)``. Tested are the normals of all sides, which turn with
+    their body, that of the relative motion and, if ``reach`` is positive, the direction between the nearest points.
     """
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
     gaps = [[_side_gaps(p, q), _side_gaps(q, p)] for p, q in ends]
@@ -204,11 +196,8 @@ def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
 
 
 def _nearest(ends: Ends) -> tuple[Columns, Columns]:
-    """Return the direction in which two disjoint bodies come nearest, and their distances at begin and end.
-
-    The nearest point of the swept Minkowski difference lies on a side minus a corner, or on a corner's path minus a
-    corner.
-    """
+    """Return the direction in which two disjoint bodies come nearest, and their distances at begin and end."""
+    # The nearest point of the swept Minkowski difference is on a side minus a corner, or a corner's path minus one.
     first, last = (q[:, None] - p[:, :, None] for p, q in ends)
     at_ends = [[nearest_on_segment(*w, *(np.roll(w, -1, axis=axis) - w)) for axis in (1, 2)] for w in (first, last)]
     between = nearest_on_segment(*first, *(last - first))

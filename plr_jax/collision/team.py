@@ -1,8 +1,8 @@
 """Collision tests of a team along simultaneous straight motions: with the workspace, and between robots.
 
-During a motion, a robot stays in a circle around the motion's midpoint, whose radius is half the motion's length plus
-the robot's radius. Along a path, only robots with overlapping circles are tested exactly, each kind in one batch. The
-tolerance of the exact tests covers the rounding of the circles.
+During a motion, a robot stays in a circle around the motion's midpoint. Along a path, only robots with overlapping
+circles are tested exactly, each kind in one batch. The tolerance of the exact tests covers the rounding of the
+circles.
 """
 
 import math
@@ -66,10 +66,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return indices ``k``, and for each a robot that robot ``i`` may meet there.
-
-        Robot ``i`` moves within circle ``k`` of ``around`` during the path's motion ``motion[k]``.
-        """
+        """Pair motions ``motion[k]``, in which robot ``i`` stays in circle ``k``, with the robots it may meet."""
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)
@@ -120,11 +117,11 @@ def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
 def motions_apart(
     robot_a: Robot, a0: OfA, a1: OfA, robot_b: Robot, b0: OfB, b1: OfB, tolerance: float, deadline: float = math.inf
 ) -> Apart:
-    """Return whether two robots keep clear of one another while they move from ``a0`` to ``a1`` and ``b0`` to ``b1``.
+    """Return whether two robots keep clear of one another in motions ``a0`` to ``a1`` and ``b0`` to ``b1``.
 
-    Shapes ``(..., dof)`` broadcast. An overlap up to ``tolerance``, usually ``Workspace.tolerance``, counts as
-    touching, which is allowed. The result is exact for two round robots, and if nothing turns. Otherwise a motion
-    within about 1e-7 of a robot's size of a collision may be rejected, but no collision is accepted.
+    Shapes ``(..., dof)`` broadcast. An overlap up to ``tolerance`` counts as touching, which is allowed. The result
+    is exact for two round robots, and if nothing turns. Else a motion within about 1e-7 of a robot's size of a
+    collision may be rejected, but no collision is accepted.
     """
     require_time(deadline, "all motions were tested")
     motions = a0, a1, b0, b1
@@ -150,11 +147,8 @@ def motions_apart(
     half_a, half_b = robot_a.half_sides, robot_b.half_sides
     kernel, size_a, size_b = convex_separation, robot_a.core.T, robot_b.core.T
     if half_a is not None and half_b is not None and (reach <= 0 or not (half_a.any() and half_b.any())):
-        kernel, size_a, size_b = (
-            box_separation if half_a.any() and half_b.any() else box_point_separation,
-            half_a,
-            half_b,
-        )
+        kernel = box_separation if half_a.any() and half_b.any() else box_point_separation
+        size_a, size_b = half_a, half_b
     is_swapped = kernel is box_point_separation and not size_a.any()  # the box is first
     for begin in range(0, len(where[0]), _CHUNK_PAIRS):
         rows = tuple(index[begin : begin + _CHUNK_PAIRS] for index in where)
@@ -183,7 +177,6 @@ class JointMotionTest:
         return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
 
     def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, "n"]:
-        """Return whether joint motions from ``q0`` to ``q1`` keep all robots clear of walls and of one another."""
         free = np.ones(len(q0), dtype=bool)
         for i, test in enumerate(self.wall_tests):
             free[free] = test(q0[free, i], q1[free, i], self.deadline)

@@ -1,6 +1,6 @@
 """Tests whether a point or ball keeps clear of blocked voxels: at points, in boxes, and on straight motions."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from itertools import product
 
@@ -64,17 +64,17 @@ def _rows_within(
         yield box, begin, end
 
 
+def _in_batches(test: Callable[[Coordinates, Coordinates], Booleans], q0: Coordinates, q1: Coordinates) -> Booleans:
+    batches = (slice(begin, begin + _MOTIONS_AT_ONCE) for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE))
+    return np.concatenate([np.zeros(0, bool), *(test(q0[:, some], q1[:, some]) for some in batches)])
+
+
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
     """Return whether a ball hits no blocked voxel on straight motions, exact up to rounding; touching is allowed."""
-    passes = np.zeros(q0.shape[1], bool)
-    for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE):
-        some = slice(begin, begin + _MOTIONS_AT_ONCE)
-        passes[some] = _ball_keeps_clear(grid, q0[:, some], q1[:, some], radius)
-    return passes
+    return _in_batches(lambda a, b: _ball_keeps_clear(grid, a, b, radius), q0, q1)
 
 
 def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
-    """Bisect motions until the intervals near blocked voxels are short; test those exactly."""
     keeps_off = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
     motion, share = np.flatnonzero(keeps_off), 1.0
     begin = np.zeros(len(motion))
@@ -125,21 +125,15 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     slopes = np.stack([np.sum(change * excess(time), axis=0) for time in times])
     # The slope is linear between the last time at which it is negative and the next time: find its zero.
     after = np.count_nonzero(slopes < 0, axis=0)
-    before, after = np.maximum(after - 1, 0), np.minimum(after, len(times) - 1)
-    (t0, t1), (s0, s1) = (
-        [np.take_along_axis(of, at[None], axis=0)[0] for at in (before, after)] for of in (times, slopes)
-    )
+    both = np.maximum(after - 1, 0), np.minimum(after, len(times) - 1)
+    (t0, t1), (s0, s1) = ([np.take_along_axis(of, at[None], axis=0)[0] for at in both] for of in (times, slopes))
     share = np.divide(-s0, s1 - s0, out=np.zeros_like(s0), where=s1 > s0)
     return np.sum(excess(t0 + np.clip(share, 0, 1) * (t1 - t0)) ** 2, axis=0)
 
 
 def point_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates) -> Booleans:
     """Return whether a point passes on straight motions without entering blocked voxels; touching is allowed."""
-    passes = np.zeros(q0.shape[1], bool)
-    for begin in range(0, q0.shape[1], _MOTIONS_AT_ONCE):
-        some = slice(begin, begin + _MOTIONS_AT_ONCE)
-        passes[some] = _Traversal(grid, q0[:, some], q1[:, some]).passes()
-    return passes
+    return _in_batches(lambda a, b: _Traversal(grid, a, b).passes(), q0, q1)
 
 
 class _Traversal:
@@ -187,12 +181,9 @@ class _Traversal:
         doubtful = narrow[crossed[:, narrow].sum(axis=0) > 1]
         if len(doubtful):
             of = rows[doubtful]
-            crossed[:, doubtful] = _first_crossed(
-                crossed[:, doubtful], face[:, doubtful], self.q0[:, of], self.q1[:, of]
-            )
-            around[doubtful] = self._free_around(
-                of, np.where(crossed[:, doubtful], step[:, doubtful], layers[:, doubtful])
-            )
+            first = _first_crossed(crossed[:, doubtful], face[:, doubtful], self.q0[:, of], self.q1[:, of])
+            crossed[:, doubtful] = first
+            around[doubtful] = self._free_around(of, np.where(first, step[:, doubtful], layers[:, doubtful]))
         # Voxels beyond the crossed faces are reached from free voxels on the near side.
         beyond = (crossed.T @ self.bits_of_axes)[:, None]
         reached = around

@@ -38,11 +38,7 @@ Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 
 
 class MotionTest:
-    """A test of straight motions: whether a robot stays off obstacles and within the bounds. It may touch both.
-
-    The position moves at constant velocity, and the heading turns at a constant rate, the shorter way. The
-    constructor and the tests raise ``TimeoutError`` past the deadline, on the clock of ``time.perf_counter``.
-    """
+    """A test, with a deadline, whether a robot stays off obstacles and within the bounds on straight motions."""
 
     def __init__(self, workspace: Workspace, robot: Robot, deadline: float = math.inf):
         self.workspace, self.robot = workspace, robot
@@ -197,7 +193,6 @@ _cached_motion_test = lru_cache(maxsize=16)(MotionTest)
 
 
 def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) -> MotionTest:
-    """Return a cached motion test; raise ``TimeoutError`` past the deadline."""
     return _cached_motion_test(workspace, robot, IgnoredByCache(deadline))
 
 

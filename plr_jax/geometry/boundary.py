@@ -1,10 +1,10 @@
-"""The boundary of a polygonal region as a graph, and the checked and rounded polygons that it is computed from."""
+"""Checks and rounding of polygons, and the boundary of a polygonal region as a graph of vertices and edges."""
 
 import threading
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,28 +21,29 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import arc, cross_product, left_normal, orientation, pseudo_angle, turn_between
 
 _COLLARS, _REGIONS = 256, 8  # strips, and unions of strips, that are united in one call
-_MOST_CHORDS = 8
-"""Most chords per quarter circle around corners of inflated obstacles: a path along them is 0.16 % too short."""
-_SHORTENING = 2e-5
-"""Fewer chords suffice if a path around one corner is too short by at most this share of the longer side."""
+# Most chords per quarter circle around corners of inflated obstacles: a path along them is 0.16 % too short. Fewer
+# suffice if a path around one corner is too short by at most this share of the longer side.
+_MOST_CHORDS, _SHORTENING = 8, 2e-5
+
+Vertices: TypeAlias = Float[np.ndarray, "vertices 2"]
+Edges: TypeAlias = Int[np.ndarray, "edges 2"]
 
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
     """The boundary of a polygonal region: vertices, and edges ``(start, end)`` with the region on their left.
 
-    At each vertex the region is a union of sectors; it has several where the region touches itself. Sector ``e``
-    opens counterclockwise from edge ``e``, at its first vertex, to the edge that arrives from vertex
-    ``sector_end[e]``.
+    A *sector* is a range of directions at a vertex that lead into the region; a vertex where the region touches
+    itself has several. Sector ``e`` opens counterclockwise from edge ``e``, at its start, to the edge that arrives
+    from vertex ``sector_end[e]``.
     """
 
-    vertices: Float[np.ndarray, "vertices 2"]
-    edges: Int[np.ndarray, "edges 2"]
+    vertices: Vertices
+    edges: Edges
     sector_end: Int[np.ndarray, "edges"]
 
     @cached_property
     def segments(self) -> Float[np.ndarray, "edges 2 2"]:
-        """First and last point of each edge."""
         return self.vertices[self.edges]
 
     @cached_property
@@ -53,12 +54,11 @@ class Boundary:
 
     @cached_property
     def offset(self) -> Float[np.ndarray, "edges"]:
-        """``normal @ x`` for points ``x`` on each edge; it is larger for points on the side of the region."""
+        """``normal @ x`` of the points ``x`` on each edge."""
         return (self.normal * self.segments.sum(axis=1)).sum(axis=1) / 2
 
     @cached_property
     def tree(self) -> shapely.STRtree:
-        """A Shapely ``STRtree`` of the edges as lines, numbered as in ``edges``."""
         segments: Any = shapely.linestrings(self.segments)
         return shapely.STRtree(segments)
 
@@ -68,7 +68,7 @@ class Boundary:
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
 
     def is_reflex(self) -> Bool[np.ndarray, "edges"]:
-        """Whether the sector of free space that opens at each edge is wider than half a turn."""
+        """Return whether the sector of the region that opens at each edge is wider than half a turn."""
         corner = self.vertices[self.edges[:, 0]]
         to_start = self.vertices[self.edges[:, 1]] - corner
         to_end = self.vertices[self.sector_end] - corner
@@ -76,11 +76,7 @@ class Boundary:
 
 
 def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) -> Boundary | None:
-    """Return the boundary of a valid (Multi)Polygon, with edges split at the vertices that lie on them.
-
-    Return None if a vertex is within the tolerance of an edge without clearly lying on it, or if two edges coincide
-    after the split. Vertices and edges of the ``known`` boundary are not compared with one another again.
-    """
+    """Return the boundary of a polygon, edges split at vertices on them; None if a vertex almost lies on an edge."""
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     numbers, index = np.unique(points @ [1, 1j], return_inverse=True)  # ordered by x, then y
@@ -89,10 +85,8 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
     # 1. Pairs of a vertex and an edge within the tolerance; at least one of the two is new.
     is_new_vertex, is_new_edge = np.ones(len(vertices), bool), np.ones(len(edges), bool)
     if known is not None:
-        for is_new, of_known in zip(
-            (is_new_vertex, is_new_edge), match_boundary(vertices, edges, known), strict=True
-        ):
-            is_new[of_known[of_known >= 0]] = False
+        same_vertex, same_edge = match_boundary(vertices, edges, known)
+        is_new_vertex[same_vertex[same_vertex >= 0]] = is_new_edge[same_edge[same_edge >= 0]] = False
     new_edges, old_edges = np.flatnonzero(is_new_edge), np.flatnonzero(~is_new_edge)
     of_new = vertices_near_edges(vertices, edges, tolerance, np.arange(len(vertices)), new_edges)
     of_old = vertices_near_edges(vertices, edges, tolerance, np.flatnonzero(is_new_vertex), old_edges)
@@ -123,9 +117,9 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
 
 
 def match_boundary(
-    vertices: Float[np.ndarray, "vertices 2"], edges: Int[np.ndarray, "edges 2"], old: Boundary
+    vertices: Vertices, edges: Edges, old: Boundary
 ) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
-    """Return, for each vertex and edge of ``old``, the index of the new one that is equal to the bit, or -1."""
+    """Return the index of the equal vertex, and of the equal edge, of those of ``old``; -1 if there is none."""
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T
@@ -134,24 +128,24 @@ def match_boundary(
 
 
 def vertices_near_edges(
-    vertices: Float[np.ndarray, "vertices 2"],
-    edges: Int[np.ndarray, "edges 2"],
+    vertices: Vertices,
+    edges: Edges,
     tolerance: float,
     some_vertices: Int[np.ndarray, "some_vertices"],
     some_edges: Int[np.ndarray, "some_edges"],
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """Return the vertices and the edges of all pairs within the tolerance, except edges with their own ends."""
+    """Return all pairs of a vertex and an edge within the tolerance, except edges with their own ends."""
     none = np.empty(0, int)
     if not (len(some_vertices) and len(some_edges)):
         return none, none
+    segments = vertices[edges[some_edges]]
     if len(some_edges) < len(edges) or len(some_vertices) < len(vertices):  # drop what is far away without a tree
-        some_vertices = some_vertices[
-            _boxes_meet(vertices[some_vertices, None], vertices[edges[some_edges]], tolerance)
-        ]
+        some_vertices = some_vertices[_near_any(vertices[some_vertices, None], segments, tolerance)]
         if not len(some_vertices):
             return none, none
-        some_edges = some_edges[_boxes_meet(vertices[edges[some_edges]], vertices[some_vertices, None], tolerance)]
-    lines: Any = shapely.linestrings(vertices[edges[some_edges]])
+        near = _near_any(segments, vertices[some_vertices, None], tolerance)
+        some_edges, segments = some_edges[near], segments[near]
+    lines: Any = shapely.linestrings(segments)
     points = shapely.points(vertices[some_vertices])
     vertex, edge = shapely.STRtree(lines).query(points, predicate="dwithin", distance=tolerance)
     vertex, edge = some_vertices[vertex], some_edges[edge]
@@ -159,11 +153,12 @@ def vertices_near_edges(
     return vertex[apart], edge[apart]
 
 
-def _boxes_meet(
-    boxes: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], tolerance: float
+def _near_any(
+    x: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], reach: float
 ) -> Bool[np.ndarray, "n"]:
-    lo, hi = others.min(axis=(0, 1)) - tolerance, others.max(axis=(0, 1)) + tolerance
-    return ((boxes.min(axis=1) <= hi) & (boxes.max(axis=1) >= lo)).all(axis=1)
+    """Return whether the bounding box of each group of points is within reach of the box around all others."""
+    lo, hi = others.min(axis=(0, 1)) - reach, others.max(axis=(0, 1)) + reach
+    return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)
 
 
 def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
@@ -193,17 +188,12 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
     return regions[0]
 
 
-LARGEST_COORDINATE = 1e100
-"""Areas and products of two areas neither overflow below this coordinate nor underflow above its inverse."""
+LARGEST_COORDINATE = 1e100  # below it, products of two areas do not overflow; above its inverse, no underflow
 _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter side
 
 
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
-    """Return valid polygons in the order given; errors call polygon ``i`` by ``name`` and ``i``.
-
-    ``shapes`` is a Shapely polygon, linear ring, multipolygon (kept as one) or collection (flattened), or an iterable
-    of these and of rings ``(n, 2)``, closed or not.
-    """
+    """Return valid polygons of Shapely geometries or rings ``(n, 2)``; errors call them by ``name`` and index."""
     shapes = [shapes] if isinstance(shapes, BaseGeometry) else shapes
     if not isinstance(shapes, Iterable):
         raise ValueError(f"{name}s must be a list of rings (n, 2) or Shapely polygons, got {shortened(shapes)}.")
@@ -216,10 +206,7 @@ def _flatten_collections(shapes: Iterable[Any], kind: type = GeometryCollection)
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
-    """Return a valid polygon of a ring ``(n, 2)``, closed or not, or of a Shapely polygon or linear ring.
-
-    It has finite coordinates and positive area, or is an empty Shapely polygon. Errors call it ``name``.
-    """
+    """Return a valid polygon of a ring ``(n, 2)`` or a Shapely polygon or linear ring; errors call it ``name``."""
     if isinstance(ring, LinearRing):
         ring = Polygon(ring)
     if isinstance(ring, Polygon | MultiPolygon):
@@ -227,9 +214,7 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
             return ring
         polygon, points = ring, shapely.get_coordinates(ring)
     elif isinstance(ring, BaseGeometry):
-        raise ValueError(
-            f"{name} must be a polygon, got a {ring.geom_type}; give lines and points a width with buffer()."
-        )
+        raise ValueError(f"{name} must be a polygon, got a {ring.geom_type}; widen lines and points with buffer().")
     else:
         points, polygon = as_numbers(name, ring, "numbers of shape (n, 2)"), None
     if points.ndim != 2 or points.shape[1] != 2:
@@ -253,7 +238,6 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
 
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
-    """Return the bounds and the union of components, as :meth:`Workspace.from_polygons` describes them."""
     outers, holes = [], []
     components = [components] if isinstance(components, BaseGeometry) else components
     for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
@@ -281,7 +265,6 @@ def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[
 
 
 def rounding_of(bounds: Box) -> float:
-    """Return the rounding error to expect of coordinates within bounds."""
     return rounding_at(bounds.width.max(), np.abs([bounds.lo, bounds.hi]).max())
 
 
@@ -291,17 +274,15 @@ def rounding_at(width: float, reach: float) -> float:
 
 
 def grid_of(bounds: Box) -> float:
-    """Return the spacing to which vertices are rounded, a power of two, so that dyadic fractions stay exact."""
     return grid_at(1e3 * rounding_of(bounds))
 
 
 def grid_at(tolerance: float) -> float:
-    """Return the spacing to which a workspace rounds vertices, 1/1000 to 1/500 of its tolerance."""
+    """Return the grid to which a workspace rounds vertices: a power of two, 1/1000 to 1/500 of its tolerance."""
     return float(2.0 ** np.ceil(np.log2(tolerance / 1e3)))
 
 
 def advice_on_cells(value: object) -> str:
-    """Return a sentence for error messages that says what to do with an array of pixels or voxels, else ""."""
     if not isinstance(value, np.ndarray) or value.ndim not in (2, 3):
         return ""
     if value.ndim == 2:
@@ -313,7 +294,6 @@ def advice_on_cells(value: object) -> str:
 
 
 def as_bounds(value: Box | ArrayLike) -> Box:
-    """Return the bounds of a workspace as a valid 2-D Box, or raise ``ValueError``."""
     if isinstance(value, np.ndarray) and (value.ndim == 3 or value.dtype == bool):
         raise ValueError(f"Bounds must be a Box, got an array of shape {value.shape}.{advice_on_cells(value)}")
     bounds = Box.of(value, "Bounds")
@@ -345,7 +325,6 @@ def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
 
 
 def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
-    """Return triangles that fill a polygonal region and do not overlap."""
     try:
         triangles: Any = shapely.get_parts(shapely.constrained_delaunay_triangles(region))
     except shapely.errors.GEOSException:  # GEOS fails on some polygons whose rings touch: halve the region
@@ -370,17 +349,13 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
 
 
-class _Prepared(threading.local):
-    def __init__(self):
-        self.of_owner: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
-
-
-_PREPARED = _Prepared()
+_PREPARED = threading.local()
 
 
 def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
     """Return ``make()``, prepared and cached by owner, name and thread: GEOS may crash if threads share it."""
-    of_owner = _PREPARED.of_owner.setdefault(owner, {})
+    of_owners = _PREPARED.__dict__.setdefault("of_owners", WeakKeyDictionary())  # in this thread
+    of_owner = of_owners.setdefault(owner, {})
     if name not in of_owner:
         of_owner[name] = make()
         shapely.prepare(of_owner[name])
@@ -396,7 +371,6 @@ class Region(NamedTuple):
 
 
 def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
-    """Round and simplify free space; raise ``ValueError`` if nothing is free, or walls or gaps are too thin."""
     # Round after the overlay, not within it: only then do walls that meet up to rounding share a vertex.
     grid = grid_of(bounds)
     region = _simplify(rounded(free, grid), 4 * grid)

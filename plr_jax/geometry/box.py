@@ -23,7 +23,7 @@ _TIE = 1 - 2.0**-40  # factor that keeps rounding from moving a point that is ex
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A closed axis-aligned box ``[lo, hi]`` with a positive width along every axis.
+    """A closed axis-aligned box ``[lo, hi]`` with a positive width along every axis, else ``ValueError``.
 
     Along a *periodic* axis, such as an angle, coordinates count modulo the box's width, which is the *period*. Both
     ends of such an axis are the same place, the *seam*, and every finite coordinate lies inside.
@@ -32,9 +32,6 @@ class Box:
         lo: Lower corner, ``(dim,)``, finite.
         hi: Upper corner, ``(dim,)``, finite and above ``lo`` along every axis.
         periodic: One bool per axis: whether it is periodic. None: no axis is.
-
-    Raises:
-        ValueError: If an argument has another form, or a width is not positive.
     """
 
     lo: Float[np.ndarray, "dim"]
@@ -45,13 +42,10 @@ class Box:
         lo, hi = as_finite_point("Box lo", lo), as_finite_point("Box hi", hi)
         if lo.shape != hi.shape:
             raise ValueError(f"Box corners must have equal length, got lo of {lo.size} and hi of {hi.size} numbers.")
-        flat = np.flatnonzero(hi <= lo)
-        if flat.size:
-            axis = flat[0]
-            raise ValueError(
-                f"Box must have positive width along every axis, got lo={lo[axis]:g} and hi={hi[axis]:g} "
-                f"on axis {axis}."
-            )
+        if (is_flat := hi <= lo).any():
+            axis = is_flat.argmax()
+            got = f"lo={lo[axis]:g} and hi={hi[axis]:g} on axis {axis}"
+            raise ValueError(f"Box must have positive width along every axis, got {got}.")
         axes = (False,) * lo.size if periodic is None else periodic
         axes = tuple(axes) if isinstance(axes, Iterable) else (axes,)
         if len(axes) != lo.size:
@@ -94,10 +88,8 @@ class Box:
     def in_single(self) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
         """Lower and upper corner in 32 bits, rounded outward, so that points of the box stay inside if rounded."""
         lo, hi = self.lo.astype(np.float32), self.hi.astype(np.float32)
-        return (
-            np.where(lo > self.lo, np.nextafter(lo, np.float32(-np.inf)), lo),
-            np.where(hi < self.hi, np.nextafter(hi, np.float32(np.inf)), hi),
-        )
+        lo = np.where(lo > self.lo, np.nextafter(lo, np.float32(-np.inf)), lo)
+        return lo, np.where(hi < self.hi, np.nextafter(hi, np.float32(np.inf)), hi)
 
     @property
     def single_rests(self) -> Float[np.ndarray, "2 dim"]:
@@ -119,10 +111,7 @@ class Box:
         return Box(self.lo + by, self.hi + by, self.periodic)
 
     def contains(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Return whether points ``(n, dim)`` lie in the closed box.
-
-        NaN never does; every finite coordinate along a periodic axis does.
-        """
+        """Return whether points ``(n, dim)`` lie in the box: NaN never does, finite periodic coordinates do."""
         x = as_points("x", x, self.dim)
         inside = (self.lo <= x) & (x <= self.hi)
         if self.is_periodic:
@@ -130,10 +119,9 @@ class Box:
         return np.all(inside, axis=1)
 
     def wrapped(self, x: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Move coordinates along periodic axes by whole periods into ``[lo, hi)``, in double precision.
+        """Move coordinates of points ``(..., dim)`` along periodic axes by whole periods into ``[lo, hi)``.
 
-        Other coordinates of the points ``(..., dim)`` stay, as do infinite ones and NaN. A moved coordinate within
-        rounding of the seam becomes ``lo``.
+        Infinite coordinates and NaN stay. A moved coordinate within rounding of the seam becomes ``lo``.
         """
         x = wrapped = self._points("x", x)
         for axis in np.flatnonzero(self.periodic):
@@ -149,10 +137,7 @@ class Box:
         return wrapped
 
     def image_near(self, x: ArrayLike, reference: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Move points by whole periods to their images nearest to reference points, all finite and ``(..., dim)``.
-
-        The shapes must broadcast. Points within half a period of the reference do not move.
-        """
+        """Move points ``(..., dim)`` by whole periods to their images nearest to reference points; all finite."""
         x, reference = self._points("x", x), self._points("reference", reference)
         if not self.is_periodic:
             return np.broadcast_arrays(x, reference)[0]
@@ -170,13 +155,9 @@ class Box:
         return points
 
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns 2"]:
-        """Return the cell centers of a grid of nearly square cells over a 2-D box.
+        """Return the centers, ``(rows, columns, 2)``, of nearly square cells over a 2-D box, lowest row first.
 
-        Args:
-            resolution: Number of cells along the longer side, at least 1.
-
-        Returns:
-            The centers ``(rows, columns, 2)``, row 0 at the lowest ``y``; at least one row and one column.
+        The longer side has ``resolution`` cells (at least 1), the shorter one at least one.
         """
         if self.dim != 2:
             raise ValueError(f"A grid of rows and columns needs a box of 2 dimensions, got {self.dim}.")
@@ -234,12 +215,11 @@ class Slice:
 
     @property
     def box(self) -> Box:
-        """The 2-D box that the two axes span."""
         axes = list(self.axes)
         return Box(self.domain.lo[axes], self.domain.hi[axes], [self.domain.periodic[axis] for axis in axes])
 
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns dim"]:
-        """Return the cell centers of a grid over the slice (see :meth:`Box.grid`), as points of the whole domain."""
+        """Return the cell centers of :meth:`Box.grid` over the slice, as points of the whole domain."""
         centers = self.box.grid(resolution)
         points = np.broadcast_to(self.at, (*centers.shape[:2], self.domain.dim)).copy()
         points[..., list(self.axes)] = centers

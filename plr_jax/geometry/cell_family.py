@@ -1,4 +1,4 @@
-"""Samples and cells of free space with the corners that they see, shared by distances to many goals."""
+"""Samples and convex pieces of boxes with the corners that they see, shared by distances to many goals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,20 +8,12 @@ import numpy as np
 import shapely
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import parts, take_ragged
+from plr_jax._arrays import concatenated, parts, take_ragged
 from plr_jax._types import Sources
-from plr_jax.geometry.cell_sight import (
-    CellSources,
-    Shadows,
-    Sight,
-    SightedSources,
-    SourceLists,
-    corner_sight,
-    turns_by_triangle,
-)
+from plr_jax.geometry.cell_sight import CellSources, Shadows, Sight, corner_sight, turns_by_triangle
 from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip_to_boxes, highest, lowest
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints
-from plr_jax.geometry.triangulation import Triangulation
+from plr_jax.geometry.triangulation import TriangleLists, Triangulation
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 
@@ -29,6 +21,7 @@ _PAIRS, _WALL_BOXES = 1 << 18, 1 << 11  # pairs of a sample and a corner, and bo
 _CANDIDATES = 1 << 14  # pairs of a piece and a source whose arrays stay in a core's cache
 _LEAST_SHARE = 1e-9  # free share of a box's area below which the box counts as an obstacle
 Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
+Indices: TypeAlias = Int[np.ndarray, "cells"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,28 +29,19 @@ class FamilySamples:
     """At most one sample for each of several boxes, and the corners where paths from the sample may turn first.
 
     The sample is the center of the box if no wall meets the box, else the center of its largest free convex piece.
-
-    Attributes:
-        x: The sample of each box; NaN if no part of the box is free.
-        weight: Free share of each box's area; 0 without a sample.
-        sampled: Boxes that have a sample.
-        placed: Rounded samples of these boxes; samples that rounding puts into a wall are moved out of it.
-        box: Boxes whose samples see corners; their corners are ``corner[first[i]]`` up to the next box's.
-        length: Distance from the sample to each of these corners.
     """
 
-    x: Corners
-    weight: Float[np.ndarray, "boxes"]
-    sampled: Int[np.ndarray, "sampled"]
-    placed: Float[np.ndarray, "sampled 2"]
-    box: Int[np.ndarray, "seeing"]
-    first: Int[np.ndarray, "seeing"]
+    x: Corners  # the sample of each box; NaN if no part of the box is free
+    weight: Float[np.ndarray, "boxes"]  # free share of each box's area; 0 without a sample
+    sampled: Int[np.ndarray, "sampled"]  # boxes that have a sample
+    placed: Float[np.ndarray, "sampled 2"]  # samples of these boxes, rounded and moved out of walls
+    box: Int[np.ndarray, "seeing"]  # boxes whose samples see corners
+    first: Int[np.ndarray, "seeing"]  # those of box[i] are corner[first[i]] up to the next box's
     corner: Int[np.ndarray, "pairs"]
-    length: Float[np.ndarray, "pairs"]
+    length: Float[np.ndarray, "pairs"]  # distance from the sample to each of these corners
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilySamples":
-        """Sample boxes of one size, and find the corners that the samples see and at which a path may turn."""
         # 1. Choose the samples.
         x, weight, area = (lo + hi) / 2, np.ones(len(lo)), np.prod(hi[0] - lo[0])
         boxes: Any = shapely.box(*lo.T, *hi.T)
@@ -101,10 +85,7 @@ class FamilySamples:
     def first_turns(
         self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, "corners"]
     ) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance to a goal, and the first vertex of its path: 0, the goal, or corner + 1.
-
-        Without a path, return ``inf`` and -1. ``view`` is what the goal sees.
-        """
+        """Return samples' distances to a goal, and first vertices of their paths: 0, the goal, corner + 1, or -1."""
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         if len(self.first):
             way = corner_distances[self.corner] + self.length
@@ -120,37 +101,26 @@ class FamilySamples:
 
 
 def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Return a box outside of which a goal sees nothing: it contains the goal and the walls that it sees."""
     ends = np.append(view.boundary.segments[view.edge[view.edge >= 0]].reshape(-1, 2), view.points, axis=0)
     return ends.min(axis=0) - view.tolerance, ends.max(axis=0) + view.tolerance
 
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
-    """Free convex pieces of boxes, and the corners that paths from them to any goal may turn at first.
+    """Free convex pieces of boxes, and the corners that paths from them to any goal may turn at first."""
 
-    Attributes:
-        sight: What the corners see, see :func:`corner_sight`.
-        lists: For each triangle, the corners and sides (``2 * corner + side``) that see a part of it.
-        first_piece: Index of the first piece of each box, then the number of pieces.
-        triangle: The triangle that contains each piece; -1 for a box that no wall reaches into.
-        center, radius: A point inside each piece, and its largest distance from other points of the piece.
-        first_part, part: The triangles ``part[first_part[i] : first_part[i + 1]]`` cover piece ``i``.
-    """
-
-    sight: Sight
-    lists: SourceLists
+    sight: Sight  # for any goal, by corner_sight
+    lists: TriangleLists  # corners that see a part of each triangle of free space, as 2 * corner + side
     first_piece: Int[np.ndarray, "boxes_plus_one"]
     pieces: Pieces
-    triangle: Int[np.ndarray, "pieces"]
-    center: Float[np.ndarray, "pieces 2"]
-    radius: Float[np.ndarray, "pieces"]
+    triangle: Int[np.ndarray, "pieces"]  # that contains each piece; -1 for a box that no wall reaches into
+    center: Float[np.ndarray, "pieces 2"]  # a point inside each piece
+    radius: Float[np.ndarray, "pieces"]  # largest distance of the piece's points from its center
     first_part: Int[np.ndarray, "pieces_plus_one"]
-    part: Int[np.ndarray, "parts"]
+    part: Int[np.ndarray, "parts"]  # the triangles part[first_part[i] : first_part[i + 1]] cover piece i
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
-        """Cut the free convex pieces out of boxes. A box that meets no wall is one piece."""
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         pieces, box, part = clip_to_boxes(triangles, lo, hi)
         at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
@@ -167,7 +137,7 @@ class FamilyCells:
 
 
 class FamilyGoal(NamedTuple):
-    """A goal of a family: its sources (the goal, then all corners), its turn points, and what it sees."""
+    """A goal of a family: its sources (the goal, then all corners), where paths to it turn, and what it sees."""
 
     sources: Sources
     turns: TurnPoints
@@ -178,17 +148,17 @@ def cells_of_goals(
     shared: FamilyCells,
     corners: ReflexCorners,
     goals: Sequence[FamilyGoal],
-    box: Int[np.ndarray, "cells"],
-    goal_of: Int[np.ndarray, "cells"],
-    near: Int[np.ndarray, "cells"],
+    box: Indices,
+    goal_of: Indices,
+    near: Indices,
 ) -> CellSources:
     """Return the sources of cells for several goals: cell ``i`` is box ``box[i]``, for goal ``goal_of[i]``.
 
-    ``near`` is a source of the goal that a shortest path from the cell goes to first, or one near it; -1 if unknown.
-    Sources of all goals are in one table: those of the first goal, then those of the second goal, and so on.
+    ``near`` is a source to which a shortest path from the cell goes first, or one near it; -1 if unknown. Sources of
+    all goals are in one table: those of the first goal, then those of the second goal, and so on.
     """
     sight, count = _sight_of_goals(shared.sight, corners, goals), 1 + len(corners.points)
-    sources, table = sight.source_table.sources, sight.shadows.table
+    sources, table = sight.sources, sight.shadows.table
     rows, cell = take_ragged(shared.first_piece, box)
     goal, center = goal_of[cell], shared.center[rows]
     pieces = shared.pieces[:, rows]
@@ -200,7 +170,7 @@ def cells_of_goals(
     # 1. Bound the distances of centers by paths through the near source, if it sees the center.
     best, distance = goal * count + np.maximum(near[cell], 0), np.full(len(cell), np.inf)
     known = np.flatnonzero(near[cell] >= 0)
-    known = known[table.sees(sight.source_table.view[best[known]], center[known])]
+    known = known[table.sees(sight.view[best[known]], center[known])]
     distance[known] = lengths(known, best[known])
     # 2. List, for each triangle and goal, the corners where paths to the goal turn, around the side in the list.
     first, turns = shared.lists
@@ -232,7 +202,7 @@ def cells_of_goals(
     key = np.sort(np.concatenate(keys))  # a source may be in the lists of several triangles of a piece
     piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], len(sources.points))
     # 4. Test what the sources see, once for all goals.
-    view, num_views = sight.source_table.view[source], len(table.points)
+    view, num_views = sight.view[source], len(table.points)
     key, index = np.unique(rows[piece] * num_views + view, return_inverse=True)
     row, view = np.divmod(key, num_views)
     seen, is_whole = (each[index] for each in sight.shadows.see(view, shared.pieces[:, row], shared.center[row]))
@@ -243,15 +213,11 @@ def cells_of_goals(
 
 
 def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
-    """Return the :class:`Sight` of several goals, whose sources are in one table."""
     num, count = len(goals), 1 + len(corners.points)
     tables, shadows = joined_tables([each.view for each in goals]), sight.shadows
     table, of_goals = joined_tables([tables, shadows.table]), Shadows.of(tables)
-    columns = {
-        name: np.concatenate([getattr(each, name) for each in (of_goals, shadows)])
-        for name in ("key", "unit", "start", "end")
-    }
-    columns["key"][len(of_goals.key) :] += 4.0 * num
+    key, unit, start, end = concatenated((of_goals, shadows), "key", "unit", "start", "end")
+    key[len(of_goals.key) :] += 4.0 * num
     # Views are those of the goals, then those of the corners.
     view = np.tile(num - 1 + np.arange(count), (num, 1))
     view[:, 0] = np.arange(num)
@@ -260,16 +226,10 @@ def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[Family
     turn[:, 0] = -1
     for number, each in enumerate(goals):
         turn[number, each.turns.vertex] = first[number] + np.arange(len(each.turns.vertex))
-    vertex, at, distance = (
-        np.concatenate([getattr(each.turns, name) for each in goals]) for name in ("vertex", "points", "distance")
-    )
+    vertex, at, distance = concatenated([each.turns for each in goals], "vertex", "points", "distance")
     normal = np.concatenate([each.turns.normal for each in goals], axis=1)
     turns = TurnPoints(vertex, at, distance, normal, goals[0].turns.slack)
-    points, distances, parents = (
-        np.concatenate(each)
-        for each in zip(*((of.points, of.distances, of.parents) for of, *_ in goals), strict=True)
-    )
+    points, distances, parents = concatenated([each.sources for each in goals], "points", "distances", "parents")
     parents += np.repeat(count * np.arange(num), count)
-    sources = Sources(points, distances, parents)
-    source_table = SightedSources(sources, view.ravel(), turn.ravel())
-    return Sight(source_table, Shadows(table, **columns), turns, sight.triangulation, True)
+    sources, shadows = Sources(points, distances, parents), Shadows(table, key, unit, start, end)
+    return Sight(sources, view.ravel(), turn.ravel(), shadows, turns, sight.triangulation, True)

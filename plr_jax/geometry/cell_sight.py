@@ -1,13 +1,13 @@
-"""The corners that the cells of a partition see: for one goal, or for any goal.
+"""The corners that each cell of a partition of the plane sees, from which shortest paths from the cell go on.
 
 The free part of a cell consists of convex *pieces*: the whole cell if no wall reaches into it, else parts of
-triangles of free space. Each piece has *sources*: the corners, and the goal, that paths from some point of it may go
-to first. When a cell is cut, its parts inherit pieces and sources, and sources are dropped that no path from the
-piece turns at, or that no point of the piece sees.
+triangles of free space. Each piece has *sources*: the goal and the corners to which a path from some point of the
+piece may go first. When a cell is cut, its parts inherit pieces and sources. A source is dropped if no path from the
+piece turns there, or if no point of the piece sees it.
 
-Inside a free piece, visible and hidden points are separated by *shadows* only: rays from a corner onward, between the
-nearer wall that ends there and the farther wall behind. If no shadow crosses a piece, all of it is visible if its
-center is, else hidden.
+Within free space, what a viewpoint sees ends at *shadows*: rays past a corner, between the nearer wall that ends
+there and the farther wall behind it. If no shadow crosses a free convex piece, the viewpoint sees all of it or
+nothing.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from typing import Self, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import parts, ragged_indices, take_ragged
+from plr_jax._arrays import concatenated, parts, ragged_indices, take_ragged
 from plr_jax._types import Sources
 from plr_jax.geometry.boundary import grid_at
 from plr_jax.geometry.convex_pieces import (
@@ -25,6 +25,7 @@ from plr_jax.geometry.convex_pieces import (
     PartIndex,
     PartSide,
     Pieces,
+    Vectors,
     areas,
     boxes_as_pieces,
     centers,
@@ -37,35 +38,30 @@ from plr_jax.geometry.convex_pieces import (
     next_corner,
 )
 from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, TurnRegions, views_by_triangle
-from plr_jax.geometry.triangulation import Triangulation
+from plr_jax.geometry.triangulation import TriangleLists, Triangulation
 from plr_jax.geometry.vectors import pseudo_angle, turned_left
 from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
 _CHUNK = 1 << 16  # pairs of a piece and a source tested at a time
 
 OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
+Indices: TypeAlias = Int[np.ndarray, "pieces"]
 Corners: TypeAlias = Float[np.ndarray, "cells 2"]
-SourceLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]
-"""``(first, sources)``: the goal and corners ``sources[first[t] : first[t + 1]]`` see a part of triangle ``t``."""
+Entries: TypeAlias = Int[np.ndarray, "entries"]
 
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Parts of rays past a corner, between the nearer and the farther wall, sorted by viewpoint and direction.
-
-    ``key`` is the pseudo-angle of a shadow from its viewpoint's zero direction (``VisibilityTable.cut``), plus 4
-    times the viewpoint's index. ``unit`` is its direction; ``start`` and ``end`` are distances from the viewpoint.
-    """
+    """Rays past corners, each from a nearer to a farther wall, across which visibility from a viewpoint changes."""
 
     table: VisibilityTable
-    key: Float[np.ndarray, "shadows"]
-    unit: Float[np.ndarray, "shadows 2"]
-    start: Float[np.ndarray, "shadows"]
+    key: Float[np.ndarray, "shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
+    unit: Float[np.ndarray, "shadows 2"]  # direction
+    start: Float[np.ndarray, "shadows"]  # distance from the viewpoint
     end: Float[np.ndarray, "shadows"]
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
-        """Find the :class:`Shadows` around all viewpoints of a visibility table."""
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
         row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
         view = view[row]
@@ -87,10 +83,8 @@ class Shadows:
         long = np.flatnonzero(end - start > grid_at(table.tolerance))
         return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
 
-    def see(
-        self, view: Int[np.ndarray, "pieces"], pieces: Pieces, center: Float[np.ndarray, "pieces 2"]
-    ) -> tuple[OfPieces, OfPieces]:
-        """Return whether each viewpoint sees its convex piece's center, and if it is known to see all or none."""
+    def see(self, view: Indices, pieces: Pieces, center: Vectors) -> tuple[OfPieces, OfPieces]:
+        """Return whether viewpoints see the centers of their convex pieces, and if they surely see all or nothing."""
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
         # 1. Find the range of keys strictly inside each piece, and whether the cut lies in it.
@@ -131,15 +125,15 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return two turn points per corner, ``2 * corner + side``: one for each side around which paths may bend."""
+    """Return two :class:`TurnPoints` per corner, ``2 * corner + side``, one for each way to bend around it."""
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
     points = np.repeat(corners.points, 2, axis=0)
     return TurnPoints(np.arange(len(points)), points, np.zeros(len(points)), normal, corners.slack)
 
 
-def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> SourceLists:
-    """Return, for each triangle of free space, the turn points (:func:`turns_by_side`) that see a part of it."""
+def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
+    """List for each triangle of free space the corners that see a part of it, as ``2 * corner + side``."""
     visits, (right, left) = [], turns_by_side(visibility.corners).bounds
     for side in range(2):
         view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
@@ -148,19 +142,12 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 
 @dataclass(frozen=True, eq=False)
-class SightedSources:
-    """Sources (goals and corners), with viewpoint and turn point (-1: a goal)."""
+class Sight:
+    """Data that decide to which sources (corners, goals) shortest paths from a convex piece may go first."""
 
     sources: Sources
-    view: Int[np.ndarray, "sources"]
-    turn: Int[np.ndarray, "sources"]
-
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """Data that decide where paths from a convex piece may go first."""
-
-    source_table: SightedSources
+    view: Int[np.ndarray, "sources"]  # index of each source in the visibility table
+    turn: Int[np.ndarray, "sources"]  # its index in turns, -1 for a goal
     shadows: Shadows
     turns: TurnPoints
     triangulation: Triangulation
@@ -168,20 +155,15 @@ class Sight:
 
     @property
     def tolerance(self) -> float:
-        """Distance behind a wall up to which a point counts as free."""
         return self.shadows.table.tolerance
 
     @cached_property
     def is_wall(self) -> Bool[np.ndarray, "triangles 3"]:
-        """Whether each side of the triangles is a wall."""
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
-    def may_bend(self, pieces: Pieces, source: Int[np.ndarray, "pieces"]) -> OfPieces:
-        """Return, for each convex piece and its source, whether a shortest path from some point may turn there.
-
-        The source is a corner, which the point is assumed to see, or the goal, where the answer is True.
-        """
-        turn = self.source_table.turn[source]
+    def may_bend(self, pieces: Pieces, source: Indices) -> OfPieces:
+        """Return whether a shortest path from some point of each piece may turn at its source; True for a goal."""
+        turn = self.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
         for normal in self.turns.normal[:, turn]:
@@ -192,37 +174,28 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class CellSources:
-    """The free convex pieces of cells, and the sources that some point of each piece may go to first.
+    """The free convex pieces of cells, each with its sources: goal or corners to which paths from it may go first.
 
-    A source is the goal or a corner at which a path may turn first. Pieces are sorted by ``cell``, pairs of a
-    ``piece`` and a ``source`` by piece. If distances of sources are known, the distance of any point of a piece is
-    at least the minimum of ``distances[s] + |x - points[s]|`` over its sources ``s``. It is at most the minimum over
-    the sources that all of the piece sees. Both bounds hold to within :attr:`slack`. Pieces without a path to the
-    goal are then left out, so that each piece has a source.
-
-    Attributes:
-        triangle: The triangle that contains each piece; -1 for a box that no wall reaches into.
-        center: A point inside each piece.
-        distance: Distance of each center to the goal, or an upper bound if no source is known to see the center;
-            ``inf`` if it was not computed.
-        best: The source that the shortest path from each center goes to first, or one near it; 0 if not computed.
-        by_all: Whether every point of the pair's piece is known to see its source.
+    Pieces are sorted by ``cell``, pairs of a ``piece`` and a ``source`` by piece. If distances of sources are known,
+    the distance of any point ``x`` of a piece is at least the minimum of ``distances[s] + |x - points[s]|`` over its
+    sources ``s``, and at most the minimum over the sources that all of the piece sees, both to within :attr:`slack`.
+    Pieces without a path to the goal are then left out, so that each piece has a source.
     """
 
     sight: Sight
     num_cells: int
-    cell: Int[np.ndarray, "pieces"]
+    cell: Indices
     pieces: Pieces
-    triangle: Int[np.ndarray, "pieces"]
-    center: Float[np.ndarray, "pieces 2"]
-    distance: Float[np.ndarray, "pieces"]
-    best: Int[np.ndarray, "pieces"]
+    triangle: Indices  # that contains each piece; -1 for a box that no wall reaches into
+    center: Vectors  # a point inside each piece
+    distance: Float[np.ndarray, "pieces"]  # of each center to the goal, or an upper bound; inf if not computed
+    best: Indices  # source to which the shortest path from each center goes first, or one near it; 0 if not computed
     piece: Int[np.ndarray, "pairs"]
     source: Int[np.ndarray, "pairs"]
-    by_all: Bool[np.ndarray, "pairs"]
+    by_all: Bool[np.ndarray, "pairs"]  # whether every point of the pair's piece is known to see its source
 
     @classmethod
-    def of_boxes(cls, sight: Sight, lists: SourceLists, lo: Corners, hi: Corners) -> Self:
+    def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
         """Return the free convex pieces of boxes, each box a cell; ``lists`` holds the sources to try by triangle."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
@@ -240,42 +213,31 @@ class CellSources:
 
     @property
     def slack(self) -> float:
-        """Error of the bounds of distances that sources give, since free space is known to a tolerance."""
+        """Error of the bounds of distances, since free space is known to a tolerance."""
         return 4 * self.sight.tolerance
 
     @property
     def sources(self) -> Sources:
-        """Points of all sources (goal and corners), and their distances to the goal."""
-        return self.sight.source_table.sources
+        return self.sight.sources
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        """Return whether each given convex piece contains its ``k`` points, or is within ``sight.tolerance``."""
         return contain(self.pieces[:, piece], points, self.sight.tolerance)
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        """Return whether each source (goal or corner) sees its point of free space."""
-        return self.sight.shadows.table.sees(self.views(source), points)
-
-    def views(self, source: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-        """Return the index of each source's viewpoint in the visibility table."""
-        return self.sight.source_table.view[source]
+        return self.sight.shadows.table.sees(self.sight.view[source], points)
 
     def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
-        """Return some convex pieces, each as a cell of its own."""
         return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
     def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
-        """Index of the first convex piece of each cell, then the number of pieces."""
         return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
 
     @cached_property
     def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]:
-        """Index of the first source of each convex piece, then the number of pairs of a piece and a source."""
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
     def of_cells(self, cells: Int[np.ndarray, "some"]) -> Self:
-        """Select cells, in any order, possibly repeated."""
         rows, cell = take_ragged(self.first_piece, cells)
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
@@ -288,35 +250,28 @@ class CellSources:
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
     def of_pairs(self, pairs: Int[np.ndarray, "some"] | Bool[np.ndarray, "pairs"]) -> Self:
-        """Select pairs of a piece and a source."""
         return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
 
     def append(self, *others: Self) -> Self:
-        """Concatenate the cells, with their pieces and sources, of several objects."""
-        several = (self, *others)
-        columns = {
-            name: np.concatenate([getattr(each, name) for each in several], axis=int(name == "pieces"))
-            for name in ("cell", "pieces", "triangle", "center", "distance", "best", "piece", "source", "by_all")
-        }
+        several, names = (
+            (self, *others),
+            ("cell", "triangle", "center", "distance", "best", "piece", "source", "by_all"),
+        )
+        columns = dict(zip(names, concatenated(several, *names), strict=True))
+        pieces = np.concatenate([each.pieces for each in several], axis=1)
         # Shift the indices of cells and pieces by the numbers in the preceding objects.
         for name, counts in (("cell", [e.num_cells for e in several]), ("piece", [len(e.cell) for e in several])):
             columns[name] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(getattr(each, name)) for each in several])
-        return replace(self, num_cells=sum(each.num_cells for each in several), **columns)
+        return replace(self, num_cells=sum(each.num_cells for each in several), pieces=pieces, **columns)
 
     def parts(self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner) -> Self:
         """Return boxes ``lo`` to ``hi``, each cut off its cell ``parent`` across ``axis``, as cells with sources."""
-        part, is_cut = self.cut(parent, axis, is_upper, lo, hi)
+        pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
+        part = replace(self.of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces)
         return part.merge_free_boxes(is_cut, lo, hi)
 
-    def cut(
-        self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner
-    ) -> tuple[Self, OfPieces]:
-        """Return parts of cells, whose pieces keep all sources of the uncut pieces, and which pieces were cut."""
-        pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
-        return replace(self.of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces), is_cut
-
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
-        """Merge the convex pieces of boxes that no wall reaches into; drop needless sources of changed pieces."""
+        """Make each box without walls one convex piece; drop needless sources of changed and merged pieces."""
         cells, found = np.flatnonzero(np.diff(self.first_piece) > 1), self
         rows, of = take_ragged(self.first_piece, cells)
         row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
@@ -344,10 +299,7 @@ class CellSources:
         return replace(found.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        """Drop sources of changed pieces at which no path turns, or which no point of the piece sees or needs.
-
-        If distances are known, pieces without a path to the goal are dropped as well.
-        """
+        """Drop changed pieces' sources where no path turns or that no point sees; drop pieces without a path."""
         # 1. Compute the centers of changed pieces. A path through the old center bounds their distances, since both
         #    centers lie in one convex piece.
         center, has_goal = self.center.copy(), self.sight.has_goal
@@ -360,7 +312,7 @@ class CellSources:
         keep, by_center, by_all = np.ones(len(self.piece), bool), np.ones(len(self.piece), bool), self.by_all.copy()
         by_center[pairs], keep[pairs] = by_all[pairs], bends
         pairs = pairs[bends & ~by_all[pairs]]
-        piece, view = self.piece[pairs], self.views(self.source[pairs])
+        piece, view = self.piece[pairs], self.sight.view[self.source[pairs]]
         seen, is_whole = self.sight.shadows.see(view, self.pieces[:, piece], center[piece])
         by_all[pairs], by_center[pairs], keep[pairs] = seen & is_whole, seen, seen | ~is_whole
         if not has_goal:
@@ -370,10 +322,9 @@ class CellSources:
         return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
-        """Compute the distances of changed centers, and drop sources that are nowhere in the piece the best.
+        """Compute the distances of changed centers, and drop sources that are nowhere in their piece the best.
 
-        A source is also dropped if a path through the center is shorter from every point of the piece. A center
-        without a visible source keeps the bound of its distance.
+        That is, another source, or a path through the center, is shorter from every point of the piece.
         """
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
@@ -382,11 +333,8 @@ class CellSources:
         order = np.lexsort((source, ~self.by_all[pairs], length, piece))
         order = order[np.append(True, piece[order[1:]] != piece[order[:-1]])] if len(order) else order
         best_pair, distance, best = np.full(len(changed), -1), self.distance.copy(), self.best.copy()
-        best_pair[piece[order]], distance[piece[order]], best[piece[order]] = (
-            pairs[order],
-            length[order],
-            source[order],
-        )
+        for of_piece, values in ((best_pair, pairs), (distance, length), (best, source)):
+            of_piece[piece[order]] = values[order]
         # 2. Compare other sources with the best one if all of the piece sees it, else with paths through the center.
         by_best = np.append(self.by_all, False)[best_pair]
         several = np.bincount(self.piece, minlength=len(changed)) > 1
@@ -395,9 +343,8 @@ class CellSources:
         piece, source = self.piece[rivals], self.source[rivals]
         apex = np.where(by_best[piece, None], sources.points[best[piece]], self.center[piece])
         offset = np.where(by_best, sources.distances[best], distance)[piece]
-        lowest, _ = difference_of_cones(
-            self.pieces[:, piece], sources.points[source], sources.distances[source], apex, offset
-        )
+        cones = sources.points[source], sources.distances[source], apex, offset
+        lowest, _ = difference_of_cones(self.pieces[:, piece], *cones)
         keep = np.isfinite(distance)[self.piece]
         keep[rivals[lowest > np.where(by_best[piece], -self.sight.tolerance, 0.0)]] = False
         found = replace(self, distance=distance, best=best).of_pairs(keep)
@@ -407,15 +354,14 @@ class CellSources:
 def goal_sight(
     sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation, num_goals: int = 1
 ) -> Sight:
-    """Return the :class:`Sight` of the nearest goal; sources are the goals, then corners where paths may turn."""
     each = np.arange(len(sources.points))
     turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[:num_goals], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
-    return Sight(SightedSources(sources, each, turn), Shadows.of(table), turns, triangulation, True)
+    return Sight(sources, each, turn, Shadows.of(table), turns, triangulation, True)
 
 
-def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> SourceLists:
-    """Return where paths from each triangle may go first: all goals, and the turn points that see a part of it."""
+def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
+    """List for each triangle where its paths may go first: all goals, and the corners that see a part of it."""
     first, turns = regions.first, regions.turns.vertex[regions.turn]
     goals = np.tile(np.arange(num_goals), len(first) - 1)
     return first + num_goals * np.arange(len(first)), np.insert(turns, np.repeat(first[:-1], num_goals), goals)
@@ -425,14 +371,12 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     """Return the :class:`Sight` for any goal; its sources are corners with the side that paths bend around."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
-    source_table = SightedSources(sources, turns.vertex >> 1, turns.vertex)
-    return Sight(source_table, Shadows.of(visibility.table), turns, triangulation, False)
+    shadows = Shadows.of(visibility.table)
+    return Sight(sources, turns.vertex >> 1, turns.vertex, shadows, turns, triangulation, False)
 
 
-def corners_of_cells(
-    found: CellSources,
-) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"], Bool[np.ndarray, "entries"]]:
-    """Return pairs of a cell and a corner where its paths may turn first, and whether all of it sees the corner."""
+def corners_of_cells(found: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, "entries"]]:
+    """Return pairs of a cell and a corner where its paths may turn first, and whether all of the cell sees it."""
     count = np.int64(len(found.sight.turns.points) // 2)
     of_piece, first = np.unique(found.piece * count + (found.source >> 1), return_index=True)
     piece, corner = np.divmod(of_piece, count)

@@ -1,9 +1,8 @@
 """How the distances to a goal differ after a map has changed, by triangle and by source.
 
-From a point of a triangle a path goes straight to a *source*: the goal, or a turn point that sees a part of the
-triangle. A triangle and a source are an *intact* pair if no changed wall lies between them and paths bend around the
-source as before. If all pairs of a triangle are intact and the distances of their sources have changed by the same
-amount, so have the distances of all points of the triangle.
+From a point of a triangle a path goes straight to a *source*: the goal, or a corner that sees a part of the triangle.
+If no changed wall lies between a triangle and its sources, paths bend around them as before, and the distances of all
+of them have changed by the same amount, so have the distances of all points of the triangle.
 """
 
 from dataclasses import dataclass
@@ -12,63 +11,44 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-Triangles = Float[np.ndarray, "triangles 3 2"]
 Corners = Float[np.ndarray, "4 2"]
 
 
 @dataclass(frozen=True, eq=False)
 class TriangleSources:
-    """Pairs of a triangle and a source (the goal or a corner where a path may turn) that may see a part of it.
-
-    ``change`` is the new minus the old distance of the source, NaN if it is not the same source; ``is_doubted`` says
-    whether the source may see a changed wall.
-    """
+    """Pairs of a triangle and a source (the goal or a corner where a path may turn) that may see a part of it."""
 
     triangle: Int[np.ndarray, "pairs"]
     source: Int[np.ndarray, "pairs"]
-    change: Float[np.ndarray, "pairs"]
-    is_doubted: Bool[np.ndarray, "pairs"]
+    change: Float[np.ndarray, "pairs"]  # new minus old distance of the source, NaN if it is not the same source
+    is_doubted: Bool[np.ndarray, "pairs"]  # whether the source may see a changed wall
 
     def __getitem__(self, rows: Int[np.ndarray, "some"]) -> "TriangleSources":
         return TriangleSources(self.triangle[rows], self.source[rows], self.change[rows], self.is_doubted[rows])
 
     def of_triangles(self, is_wanted: Bool[np.ndarray, "triangles"]) -> "TriangleSources":
-        """Select the wanted triangles' pairs of a triangle and a source, sorted by triangle."""
+        """Select the pairs of some triangles, sorted by triangle."""
         rows = np.flatnonzero(is_wanted[self.triangle])
         return self[rows[np.argsort(self.triangle[rows], kind="stable")]]
 
 
 @dataclass(frozen=True, eq=False)
 class ChangedDistances:
-    """Differences between the distances to a goal before and after a map has changed.
+    """Differences between the distances to a goal before and after a map has changed."""
 
-    Attributes:
-        boxes: Corners of boxes around all walls that have changed.
-        source: The new index of each old source (the goal, then corners); -1 if it is gone.
-        source_change: New minus old distance of each old source; NaN if it is gone.
-        triangles: Triangles of free space before and after; those in both appear once.
-        change: New minus old distance in each triangle, if it is the same everywhere; else NaN.
-        was_cut_off: Whether a triangle was free before, without a path to the goal.
-        before: Triangles whose change is NaN, paired with their sources before the change.
-        after: Triangles whose change is NaN, paired with their sources after the change.
-        rounding: Changes that differ by less count as equal.
-        slack: Error of the old distances, since free space is known to a tolerance.
-    """
-
-    boxes: list[Corners]
-    source: Int[np.ndarray, "sources"]
-    source_change: Float[np.ndarray, "sources"]
-    triangles: Triangles
-    change: Float[np.ndarray, "triangles"]
-    was_cut_off: Bool[np.ndarray, "triangles"]
-    before: TriangleSources
+    boxes: list[Corners]  # around all walls that have changed
+    source: Int[np.ndarray, "sources"]  # new index of each old source (the goal, then corners); -1 if it is gone
+    source_change: Float[np.ndarray, "sources"]  # new minus old distance of each old source; NaN if it is gone
+    triangles: Float[np.ndarray, "triangles 3 2"]  # of free space before and after; those in both appear once
+    change: Float[np.ndarray, "triangles"]  # new minus old distance, if it is the same all over a triangle; else NaN
+    was_cut_off: Bool[np.ndarray, "triangles"]  # whether a triangle was free before, without a path to the goal
+    before: TriangleSources  # of triangles whose change is NaN
     after: TriangleSources
-    rounding: float
-    slack: float
+    rounding: float  # changes that differ by less count as equal
+    slack: float  # error of the old distances, since free space is known to a tolerance
 
 
 def hulls_meet_boxes(hulls: Float[np.ndarray, "n k 2"], boxes: list[Corners]) -> Bool[np.ndarray, "n"]:
-    """Return whether the convex hull of each group of points meets any of the boxes (rows of four corners)."""
     met = np.zeros(len(hulls), bool)
     x, y = np.ascontiguousarray(hulls.transpose(2, 1, 0))  # NumPy is slow where the last axis is short
     lo, hi = (np.stack([end(x, axis=0), end(y, axis=0)], axis=1) for end in (np.min, np.max))

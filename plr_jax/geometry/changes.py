@@ -1,14 +1,14 @@
 """Updates of a triangulation and of corner visibility after a local change of free space.
 
-Two boundaries are compared edge by edge; edges that are equal to the bit are kept. Triangles are kept unless a
-changed edge meets them, and the gap is triangulated. Corners keep what they see unless they may see a changed edge.
-So the cost follows the change, except for a few passes over arrays of all edges.
+Edges of the old and the new boundary that are equal to the bit are kept. Triangles are kept unless a changed edge
+meets them, and the gap is triangulated. Corners keep what they see unless they may see a changed edge. So the cost
+follows the change, except for a few passes over arrays of all edges.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
@@ -38,12 +38,10 @@ class Change:
 
     @staticmethod
     def between(old: Boundary, new: Boundary) -> "Change":
-        """Match the equal vertices and edges of two boundaries."""
         return Change(old, new, *match_boundary(new.vertices, new.edges, old))
 
     @cached_property
     def is_new(self) -> Bool[np.ndarray, "new_edges"]:
-        """Whether each edge of the new boundary has no equal in the old one."""
         is_new = np.ones(len(self.new.edges), bool)
         is_new[self.edge[self.edge >= 0]] = False
         return is_new
@@ -72,7 +70,7 @@ class Change:
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
-    """Return the triangulation after a change; None if, by rounding, new triangles do not fill the changed part."""
+    """Return the triangulation after a change; None if, by rounding, new triangles do not fill the gap."""
     # 1. Keep triangles unless they have a wall that is gone or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
     kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
@@ -111,12 +109,8 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     number = np.full(len(half_kept), -1)
     number[kept_half] = np.arange(len(kept_half))
     origin = np.concatenate([vertex[kept_half], local[fill.origin]])
-    twin = np.concatenate(
-        [
-            np.where(old.twin[kept_half] >= 0, number[old.twin[kept_half]], -1),
-            np.where(fill.twin >= 0, fill.twin + len(kept_half), -1),
-        ]
-    )
+    kept_twin = np.where(old.twin[kept_half] >= 0, number[old.twin[kept_half]], -1)
+    twin = np.concatenate([kept_twin, np.where(fill.twin >= 0, fill.twin + len(kept_half), -1)])
     names = np.append(walls, np.full(len(rims), -1))
     walls_of_fill = np.where(fill.wall >= 0, names[fill.wall], -1)
     is_rim = np.flatnonzero(fill.wall >= len(walls))
@@ -126,14 +120,13 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     return Triangulation(change.new, old.tolerance, *(each.astype(np.int32) for each in (origin, twin, wall)))
 
 
-GoalView: TypeAlias = tuple[VisibilityTable, Int[np.ndarray, "_"]]
-"""The visibility polygon of a goal, and the corners that it may see."""
+Indices: TypeAlias = Int[np.ndarray, "_"]
+GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a goal, and corners that it may see
 
 
 def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
-    """Return the visibility of corners, and the goal's view, in the changed workspace, which is triangulated."""
     corners, views = find_corners(workspace)
     # 1. Match each new corner with an old one between the same walls.
     boundary = change.new
@@ -161,15 +154,13 @@ def changed_visibility(
         points, owner = np.concatenate([looking.points, goal.points]), goal.owner + len(looks)
         looking = Viewpoints(points, np.append(looking.owner, owner), np.append(looking.edge, goal.edge))
     found, (view, vertex) = visibility_of(workspace.triangulation, looking)
-    table = _splice(
-        [_ViewSelection(old.table, before[kept], kept), _ViewSelection(found, np.arange(len(looks)), looks)], change
-    )
+    table = _splice([(old.table, before[kept], kept), (found, np.arange(len(looks)), looks)], change)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
     goal_table, goal_row = (found, len(looks)) if goal_looks else (of_goal[0], 0)
     now = np.full(len(old.corners.points), -1)
     now[same[same >= 0]] = np.flatnonzero(same >= 0)
     goal_corners = seen[view == len(looks)] if goal_looks else now[of_goal[1]]
-    new = _splice([_ViewSelection(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
+    new = _splice([(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
     # 3. Keep the edges between unchanged corners; the others involve a recomputed corner.
     number = np.full(len(old.corners.points), -1)
     number[before[kept]] = kept
@@ -227,16 +218,8 @@ def may_see_polygons(
     return is_around
 
 
-class _ViewSelection(NamedTuple):
-    """Rows ``which`` (viewpoints) of a visibility table, and the index ``place`` of each in the spliced table."""
-
-    table: VisibilityTable
-    which: Int[np.ndarray, "views"]
-    place: Int[np.ndarray, "views"]
-
-
-def _splice(parts: Sequence[_ViewSelection], change: Change) -> VisibilityTable:
-    """Return one table of the selected viewpoints; vertices and edges are numbered as in the new boundary."""
+def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
+    """Join tables with the edges of the new boundary; each comes with viewpoints to take, and their new indices."""
     num = sum(len(which) for _, which, _ in parts)
     points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
     for table, which, place in parts:

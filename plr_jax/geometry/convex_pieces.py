@@ -1,4 +1,4 @@
-"""Arrays of convex polygons (pieces): clipping, areas, and extremes of differences of cones over them.
+"""Arrays of convex polygons (*pieces*): clipping, areas, and extremes of differences of distance functions over them.
 
 Coordinates are stored as ``(2, pieces, corners)``, corners counterclockwise; shorter pieces repeat their last corner.
 """
@@ -11,6 +11,12 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import take_ragged
 
 Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
+Numbers: TypeAlias = Float[np.ndarray, "pieces"]
+Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
+Extremes: TypeAlias = tuple[Numbers, Numbers]
+Values: TypeAlias = Float[np.ndarray, "pieces corners"]
+Corners: TypeAlias = Float[np.ndarray, "n 2"]
+Some: TypeAlias = Int[np.ndarray, "some"]
 PartIndex: TypeAlias = Int[np.ndarray, "parts"]
 PartSide: TypeAlias = Bool[np.ndarray, "parts"]
 PartCorner: TypeAlias = Float[np.ndarray, "parts 2"]
@@ -18,7 +24,7 @@ _BOXES_AND_PIECES = 1 << 22  # pairs of a box and a piece that are compared at a
 ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clipping needs one more
 
 
-def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "2 pieces room"]:
+def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
     """Return the part of each convex piece where a linear function, given by its corner values, is at least 0."""
     inside = height >= 0  # somewhere in each piece, by assumption
     after = next_corner(height)
@@ -40,8 +46,7 @@ def clip(pieces: Pieces, height: Float[np.ndarray, "pieces corners"]) -> Float[n
     return result
 
 
-def centers(pieces: Pieces) -> Float[np.ndarray, "pieces 2"]:
-    """Return a point inside each convex piece: the mean of its distinct corners."""
+def centers(pieces: Pieces) -> Vectors:
     new = np.ones(pieces.shape[1:], bool)
     new[:, 1:] = (pieces[:, :, 1:] != pieces[:, :, :-1]).any(axis=0)
     new[:, 0] = (pieces[:, :, 0] != pieces[:, :, -1]).any(axis=0)
@@ -49,34 +54,30 @@ def centers(pieces: Pieces) -> Float[np.ndarray, "pieces 2"]:
     return ((pieces * new).sum(axis=2) / new.sum(axis=1)).T
 
 
-def areas(pieces: Pieces) -> Float[np.ndarray, "pieces"]:
-    """Return the area of each convex piece."""
+def areas(pieces: Pieces) -> Numbers:
     x, y = pieces - pieces[:, :, :1]
     return (x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]).sum(axis=1) / 2
 
 
-def boxes_as_pieces(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n room"]:
-    """Return boxes as convex pieces: x and y of their corners, counterclockwise, the last one repeated."""
+def boxes_as_pieces(lo: Corners, hi: Corners) -> Float[np.ndarray, "2 n room"]:
     corner = np.minimum(np.arange(ROOM), 3)
     x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)[:, corner]
     y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)[:, corner]
     return np.stack([x, y])
 
 
-def contain(
-    pieces: Pieces, points: Float[np.ndarray, "pieces k 2"], tolerance: float
-) -> Bool[np.ndarray, "pieces k"]:
+def contain(pieces: Pieces, x: Float[np.ndarray, "pieces k 2"], tolerance: float) -> Bool[np.ndarray, "pieces k"]:
     """Return whether each convex piece contains its ``k`` points, or is within ``tolerance`` of them."""
-    near = np.ones(points.shape[:2], bool)
-    for along, at in zip(pieces, np.moveaxis(points, 2, 0), strict=True):
+    near = np.ones(x.shape[:2], bool)
+    for along, at in zip(pieces, np.moveaxis(x, 2, 0), strict=True):
         near &= at >= lowest(along)[:, None] - tolerance
         near &= at <= highest(along)[:, None] + tolerance
     piece, place = np.nonzero(near)
-    (x, y), (px, py) = pieces[:, piece], points[piece, place].T
+    (corner_x, corner_y), (px, py) = pieces[:, piece], x[piece, place].T
     inside = np.ones(len(piece), bool)
-    for corner in range(x.shape[1]):  # NumPy is slow along a short last axis
-        start_x, start_y = x[:, corner - 1], y[:, corner - 1]
-        ex, ey = x[:, corner] - start_x, y[:, corner] - start_y
+    for corner in range(corner_x.shape[1]):  # NumPy is slow along a short last axis
+        start_x, start_y = corner_x[:, corner - 1], corner_y[:, corner - 1]
+        ex, ey = corner_x[:, corner] - start_x, corner_y[:, corner] - start_y
         inside &= ex * (py - start_y) - ey * (px - start_x) >= -tolerance * np.sqrt(ex * ex + ey * ey)
     near[piece, place] = inside
     return near
@@ -90,13 +91,10 @@ def cut_parts(
     is_upper: PartSide,
     lo: PartCorner,
     hi: PartCorner,
-) -> tuple[
-    Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"], Bool[np.ndarray, "some"]
-]:
-    """Clip the convex pieces of cells to parts of cells: boxes, each cut off its ``parent`` cell across one axis.
+) -> tuple[Float[np.ndarray, "2 some room"], Some, Some, Bool[np.ndarray, "some"]]:
+    """Clip the convex pieces of cells to boxes ``lo`` to ``hi``, each cut off its cell ``parent`` across one axis.
 
-    Returns:
-        The pieces, sorted by part, possibly some of area 0; the part of each; its original piece; whether it was cut.
+    Return the pieces by box (the area may be 0), the box and the original piece of each, and whether it was cut.
     """
     rows, part = take_ragged(first_piece, parent)
     along, upper = axis[part], is_upper[part]
@@ -110,9 +108,7 @@ def cut_parts(
     return result, part, rows, is_cut
 
 
-def clip_to_boxes(
-    pieces: Pieces, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]
-) -> tuple[Float[np.ndarray, "2 some room"], Int[np.ndarray, "some"], Int[np.ndarray, "some"]]:
+def clip_to_boxes(pieces: Pieces, lo: Corners, hi: Corners) -> tuple[Float[np.ndarray, "2 some room"], Some, Some]:
     """Intersect convex pieces with boxes; return parts of positive area by box, and the box and piece of each."""
     (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
     at_once, found = max(1, _BOXES_AND_PIECES // max(1, len(x0))), [np.zeros((2, 0), np.int64)]
@@ -121,10 +117,8 @@ def clip_to_boxes(
         box, rows = np.nonzero((x0 < right) & (x1 > left) & (y0 < high) & (y1 > low))
         found.append(np.stack([begin + box, rows]))
     box, rows = np.concatenate(found, axis=1)
-    pieces, is_cut = (
-        pieces[:, rows][:, :, np.minimum(np.arange(ROOM), pieces.shape[2] - 1)],
-        np.zeros(len(rows), bool),
-    )
+    pieces = pieces[:, rows][:, :, np.minimum(np.arange(ROOM), pieces.shape[2] - 1)]
+    is_cut = np.zeros(len(rows), bool)
     for axis in range(2):
         for sign, bound in ((1.0, lo[:, axis]), (-1.0, hi[:, axis])):
             height = sign * (pieces[axis] - bound[box, None])
@@ -136,18 +130,16 @@ def clip_to_boxes(
     return pieces[:, some], box[some], rows[some]
 
 
-def next_corner(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces corners"]:
-    """Return, for each corner of each convex piece, the value at the next corner."""
+def next_corner(values: Values) -> Values:
     return np.concatenate([values[:, 1:], values[:, :1]], axis=1)
 
 
-def lowest(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces"]:
+def lowest(values: Values) -> Numbers:
     """Return the least value of each row; faster than ``values.min(axis=1)`` if rows are short."""
     return np.ascontiguousarray(values.T).min(axis=0)
 
 
-def highest(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "pieces"]:
-    """Return the largest value of each row; faster than ``values.max(axis=1)`` if rows are short."""
+def highest(values: Values) -> Numbers:
     return np.ascontiguousarray(values.T).max(axis=0)
 
 
@@ -162,14 +154,11 @@ def highest(values: Float[np.ndarray, "pieces corners"]) -> Float[np.ndarray, "p
 _CORNERS_OF_BOX = 4  # most pieces are boxes, which are processed apart from pieces with more corners
 _AT_ONCE = 1 << 11  # pieces processed at a time, so that their arrays stay in a core's cache
 
-Numbers: TypeAlias = Float[np.ndarray, "pieces"]
-Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
-
 
 def difference_of_cones(
     pieces: Pieces, apex: Vectors, offset: Numbers, other_apex: Vectors, other_offset: Numbers
-) -> tuple[Numbers, Numbers]:
-    """Return the least and largest value, in each convex piece, of ``offset + |x - apex|`` minus the other cone."""
+) -> Extremes:
+    """Return the extremes over each piece of ``offset + |x - apex|`` minus the same for the other apex."""
     lowest, highest = np.empty(len(offset)), np.empty(len(offset))
     is_box = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))
     for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_box)), (pieces.shape[2], np.flatnonzero(~is_box))):
@@ -180,7 +169,7 @@ def difference_of_cones(
     return lowest + shift, highest + shift
 
 
-def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> tuple[Numbers, Numbers]:
+def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)
@@ -194,10 +183,8 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> tuple[Numbe
     return np.minimum(at_corners, on_edges).min(axis=0), np.maximum(at_corners, on_edges).max(axis=0)
 
 
-def cone_above_plane(
-    pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers
-) -> tuple[Numbers, Numbers]:
-    """Return the least and largest value of ``offset + |x - apex|`` minus ``slope . x + intercept``, by piece."""
+def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers) -> Extremes:
+    """Return the extremes over each piece of ``offset + |x - apex|`` minus ``slope . x + intercept``."""
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, (sx, sy) = x - apex[:, 0], y - apex[:, 1], slope.T
     from_apex = offset - intercept - (slope * apex).sum(axis=1)

@@ -2,27 +2,30 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, take_ragged
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.graph import Sees, first_visible_in_parts, first_visible_ragged
-from plr_jax.geometry.triangulation import LocatedPoints, Triangulation
+from plr_jax.geometry.graph import FirstVisible, Sees, first_visible_in_parts, first_visible_ragged
+from plr_jax.geometry.triangulation import LocatedPoints, TriangleLists, Triangulation
 from plr_jax.geometry.vectors import cross_product, distances_between, turned_left
 from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_of
 from plr_jax.geometry.workspace import Workspace
+
+Indices: TypeAlias = Int[np.ndarray, "*#batch"]
 
 
 @dataclass(frozen=True, eq=False)
 class ReflexCorners:
     """Corners of free space at which shortest paths can turn.
 
-    Attributes:
-        walls: Unit vectors along the walls at which each corner's free sector opens, counterclockwise, and closes;
-            zero for points that a path can turn around on any side: the goal, and point contacts with ``squeeze``.
-        slack: Tolerance, in workspace units, in tests on which side of a line through a corner a point lies.
+    ``walls`` are unit vectors along the two walls at each corner; free space lies counterclockwise from the first to
+    the second. They are 0 for points that a path can turn around on any side: the goal, and points between touching
+    obstacles that paths may pass. ``slack`` is the tolerance of tests on which side of a line through a corner a
+    point lies.
     """
 
     points: Float[np.ndarray, "corners 2"]
@@ -30,35 +33,29 @@ class ReflexCorners:
     slack: float
 
     def with_goal(self, *goals: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        """Return the corners with the goal in front, as vertex 0, or with several goals in front."""
+        """Return the corners with one or more goals in front of them."""
         points = np.concatenate([np.stack(goals), self.points])
         return ReflexCorners(points, np.insert(self.walls, [0] * len(goals), 0.0, axis=1), self.slack)
 
     def without(self, point: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        """Return the corners that do not lie exactly at a point."""
         other = (self.points != point).any(axis=1)
         return ReflexCorners(self.points[other], self.walls[:, other], self.slack)
 
-    def is_tangent(
-        self, corner: Int[np.ndarray, "*#batch"], other: Int[np.ndarray, "*#batch"]
-    ) -> Bool[np.ndarray, "..."]:
-        """Return whether both walls of each corner lie on one side of the line from it to another corner.
+    def is_tangent(self, corner: Indices, other: Indices) -> Bool[np.ndarray, "..."]:
+        return self.is_tangent_to(corner, self.points[other])
+
+    def is_tangent_to(self, corner: Indices, x: Float[np.ndarray, "*#batch 2"]) -> Bool[np.ndarray, "..."]:
+        """Return whether both walls of each corner lie on one side of the line from it to a point.
 
         Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
         """
-        return self.is_tangent_to(corner, self.points[other])
-
-    def is_tangent_to(
-        self, corner: Int[np.ndarray, "*#batch"], x: Float[np.ndarray, "*#batch 2"]
-    ) -> Bool[np.ndarray, "..."]:
-        """Return whether both walls of each corner lie on one side of the line from it to a point."""
         x, y = np.moveaxis(x - self.points[corner], -1, 0)
         opens, closes = (wall[corner, 0] * y - wall[corner, 1] * x for wall in self.walls)
         return (np.minimum(opens, closes) >= -self.slack) | (np.maximum(opens, closes) <= self.slack)
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
-    """Return the reflex corners of free space (with ``squeeze``, also point contacts), and viewpoints at them."""
+    """Return the reflex corners, with ``squeeze`` also points where obstacles touch, and viewpoints at them."""
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)
@@ -73,7 +70,7 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """Corners where paths can turn, viewpoints at them, visibility polygons, and edges of the visibility graph."""
+    """Corners where paths can turn, viewpoints there, what they see, and edges of the visibility graph."""
 
     corners: ReflexCorners
     views: Viewpoints
@@ -82,12 +79,10 @@ class CornerVisibility:
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, "vertices"]:
-        """The index of the corner at each vertex of the boundary, -1 where there is none."""
         return corner_of_vertex(self.table.boundary, self.views)
 
 
 def corner_visibility(workspace: Workspace) -> CornerVisibility:
-    """Compute what the corners of a workspace see, which does not depend on goals."""
     corners, views = find_corners(workspace)
     table, (view, vertex) = visibility_of(workspace.triangulation, views)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
@@ -98,7 +93,7 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return each pair of corners once that see one another, if their line is tangent to the walls at one of them."""
+    """Return once each pair of corners that see one another, on a line tangent to the walls at one of them."""
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
     # Visibility is not symmetric: at a point contact, a corner may be seen from a sector that it does not look into.
@@ -124,13 +119,10 @@ def _sorted_unique(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
 class TurnPoints:
     """The corners at which a shortest path to one goal can turn first, and the cone of points from which it can come.
 
-    At such a corner the path bends around the obstacle. The path onward is known. So the path before comes from
-    between its straight extension and the corner's far wall, in front of two lines; any other could be shortened.
-
-    Attributes:
-        vertex: Indices of the corners, where the goal is vertex 0; ``distance`` is that from there to the goal.
-        normal: Normals of the two lines through each corner; zero where any point is possible.
-        slack: Distance, in workspace units, up to which a point may lie behind the lines.
+    The path onward from a corner is known. So the path before lies between the straight extension of the path onward
+    and the corner's far wall: in front of two lines, up to ``slack``. Any other path could be shortened. ``normal``
+    holds the normals of the two lines; zero where a path can come from any point. ``vertex`` is the index of each
+    corner, where the goal is 0, and ``distance`` its distance to the goal.
     """
 
     vertex: Int[np.ndarray, "turns"]
@@ -141,13 +133,13 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """Unit vectors along the right and left bound of each corner's cone; zero where any point is possible."""
+        """Unit vectors along the right and left bound of each cone; zero where a path can come from any point."""
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
 
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
-        """Return path lengths from each point through each corner to the goal; NaN if none bends there."""
+        """Return path lengths from each point through each corner to the goal; NaN if no path bends there."""
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
@@ -155,15 +147,10 @@ class TurnPoints:
             length[height < (self.points * normal).sum(axis=1) - self.slack] = np.nan
         return length
 
-    def first_visible(
-        self, x: Float[np.ndarray, "n 2"], sees: Sees
-    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
         """Return the first corner of each point's shortest path with turns (-1: none), and its length."""
         way, length = first_visible_in_parts(
-            lambda rows: self.path_lengths(x[rows]),
-            len(x),
-            len(self.vertex),
-            lambda point, way: sees(point, self.vertex[way]),
+            lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
         )
         return np.append(self.vertex, -1)[way[:, 0]], length[:, 0]
 
@@ -174,7 +161,7 @@ def find_turn_points(
     parents: Int[np.ndarray, "vertices"],
     num_goals: int = 1,
 ) -> TurnPoints:
-    """Return the corners where shortest paths to the goal can turn first; ``parents``: the next vertex from each."""
+    """Return where shortest paths to goals can turn first; ``parents``: the next vertex on the path from each."""
     vertex = num_goals + np.flatnonzero(np.isfinite(distances[num_goals:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points
@@ -198,20 +185,14 @@ _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """Turn points (corners at which a path may turn first) by triangle ``t``: ``turn[first[t] : first[t + 1]]``.
-
-    Their cones, from which such a path can come, contain a visible part of the triangle.
-    """
+    """The corners where paths from triangle ``t`` may turn first: ``turn[first[t] : first[t + 1]]`` of ``turns``."""
 
     turns: TurnPoints
     triangulation: Triangulation
     first: Int[np.ndarray, "triangles_plus_one"]
     turn: Int[np.ndarray, "entries"]
 
-    def first_visible(
-        self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees
-    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return the first corner of each point's shortest path with turns (-1: none), and its length."""
+    def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, places)
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]
@@ -220,23 +201,19 @@ class TurnRegions:
             turn = self.turn[take_ragged(self.first, triangle[first[part.start] : first[part.stop]])[0]]
             rows = point[part]
             dx, dy = (np.repeat(x[rows], counts[part], axis=0) - self.turns.points[turn]).T
-            lengths, vertices = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn], self.turns.vertex[turn]
+            lengths, to = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn], self.turns.vertex[turn]
             pair, length[rows] = first_visible_ragged(
-                lengths, counts[part], lambda at, pair, rows=rows, vertices=vertices: sees(rows[at], vertices[pair])
+                lengths, counts[part], lambda at, pair, rows=rows, to=to: sees(rows[at], to[pair])
             )
-            vertex[rows] = np.append(vertices, -1)[pair]
+            vertex[rows] = np.append(to, -1)[pair]
         # At a vertex, where many triangles meet, points try all turn points.
         rest = np.setdiff1d(np.arange(len(x)), point, assume_unique=True)
-        vertex[rest], length[rest] = self.turns.first_visible(
-            x[rest], lambda point, vertex: sees(rest[point], vertex)
-        )
+        vertex[rest], length[rest] = self.turns.first_visible(x[rest], lambda at, to: sees(rest[at], to))
         return vertex, length
 
 
-def views_by_triangle(
-    triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]
-) -> tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]:
-    """Return ``(first, views)``: ``views[first[t] : first[t + 1]]`` are the viewpoints paired with triangle ``t``."""
+def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]) -> TriangleLists:
+    """List the viewpoints of each triangle, given pairs (viewpoint, triangle) in any order, some repeated."""
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
     triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
@@ -246,10 +223,7 @@ def views_by_triangle(
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-    """Return the points that are not at vertices, and the one or two triangles that contain each.
-
-    The triangles of the ``i``-th such point are entries ``second[i]`` to ``second[i + 1]`` of the third array.
-    """
+    """Return points not at vertices, and the one or two triangles of each: ``triangle[first[i] : first[i + 1]]``."""
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     held = num_sides < 2

@@ -20,7 +20,7 @@ _CHUNK = 1 << 18  # lengths computed at a time
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """An undirected graph of points; each edge is listed once, and ``measure`` gives its length, if not Euclidean."""
+    """An undirected graph of points, with each edge once; ``measure`` gives edge lengths, if not Euclidean."""
 
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]
@@ -28,7 +28,6 @@ class Graph:
 
     @cached_property
     def lengths(self) -> Float[np.ndarray, "e"]:
-        """Length of each edge."""
         start, end = (self.vertices[ends] for ends in self.edges.T)
         return np.linalg.norm(end - start, axis=1) if self.measure is None else self.measure(start, end)
 
@@ -55,9 +54,8 @@ def dijkstra(
     graph: Graph, source: int | Int[np.ndarray, "sources"]
 ) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
     """Return each vertex's distance from the nearest source (``inf``: no path), and predecessor (negative: none)."""
-    found = sparse_graphs.dijkstra(
-        graph.adjacency, indices=source, return_predecessors=True, min_only=np.ndim(source) > 0
-    )
+    several = np.ndim(source) > 0
+    found = sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True, min_only=several)
     return found[0], found[1]
 
 
@@ -70,8 +68,9 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.nd
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
+# A visibility test of points and candidates for the first vertex of a path from each, both by index.
 Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-"""Visibility test of points and candidates for the first vertex of a path from each, both by index."""
+FirstVisible: TypeAlias = tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]  # candidates, -1 for none; path lengths
 
 
 def first_visible(
@@ -79,16 +78,9 @@ def first_visible(
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
     """Return, for each point, the ``count`` visible candidates of least path length, and these lengths.
 
-    Args:
-        lengths: Path length from each point through each candidate, modified in place. NaN: not a candidate; ``inf``:
-            leads nowhere.
-        sees: Visibility test.
-        count: Number of candidates to find for each point.
-        at_once: Tests per point in the first round (at least ``count``); each round has ``2 * at_once`` times more.
-            Use 1 if tests are expensive.
-
-    Returns:
-        The candidates, best first, -1 where a point sees fewer; and their lengths, ``inf`` there.
+    ``lengths`` are modified in place. NaN means no candidate, ``inf`` a candidate that leads nowhere. The first round
+    tests ``at_once`` candidates of each point, each later round ``2 * at_once`` times more; use 1 if tests are
+    expensive. Where a point sees fewer than ``count``, candidates are -1 and lengths ``inf``.
     """
     found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
     pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
@@ -131,11 +123,11 @@ def first_visible_in_parts(
 
 def first_visible_ragged(
     lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
-) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Return each point's visible candidate of least path length, as an index of ``lengths`` or -1, and its length.
+) -> FirstVisible:
+    """Return each point's visible candidate of least path length, as an index of ``lengths``, and its length.
 
-    ``lengths`` lists the path lengths through each point's candidates, point by point, and is modified in place;
-    ``counts`` are the numbers of candidates. ``sees`` tests indices of points and of ``lengths``.
+    ``lengths`` through each point's ``counts`` candidates, point by point, are modified in place. ``sees`` tests
+    indices.
     """
     found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)

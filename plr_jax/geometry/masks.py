@@ -1,4 +1,4 @@
-"""Conversion of the free pixels of a grid to polygons with holes: exact tracing, then simplification."""
+"""Conversion of the free pixels of a grid to polygons with holes: exact tracing of outlines, then simplification."""
 
 import math
 from dataclasses import dataclass
@@ -15,35 +15,26 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
-# Tracing: the outline of the free pixels as closed rings of corners.
-#
 # Pixel ``(row, column)`` is the square ``[column, column + 1] x [row, row + 1]``. Free pixels are 4-connected, others
-# 8-connected. Rings have free space on their left, and everything outside the grid is blocked. Horizontal and
-# vertical runs alternate along a ring, so every vertex is a corner.
-
-
+# 8-connected, and everything outside the grid is blocked. Horizontal and vertical runs alternate along an outline, so
+# every vertex is a corner.
 _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True, eq=False)
 class PixelRings:
-    """Closed rings of corners ``(x, y)``: ``points[start[r] : start[r + 1]]``, each listing its first corner once.
+    """Outlines of pixels as closed rings of corners ``(x, y)``, free pixels on the left."""
 
-    ``is_contact`` marks corners at which free pixels touch only diagonally; two rings meet there, or one ring twice.
-    """
-
-    points: Float[np.ndarray, "n 2"]
+    points: Float[np.ndarray, "n 2"]  # ring r is points[start[r] : start[r + 1]]
     start: Int[np.ndarray, "rings_and_1"]
-    is_contact: Bool[np.ndarray, "n"]
+    is_contact: Bool[np.ndarray, "n"]  # free pixels touch only diagonally; two rings meet there, or one ring twice
 
 
 def pixel_rings(free: Mask) -> PixelRings:
-    """Return the outlines of the free pixels; raise ``ValueError`` if they have too many corners."""
     padded = np.pad(free, 1)
-    (lower_left, lower_right), (upper_left, upper_right) = (
-        (rows[:, :-1], rows[:, 1:]) for rows in (padded[:-1], padded[1:])
-    )
+    lower_left, lower_right = padded[:-1, :-1], padded[:-1, 1:]
+    upper_left, upper_right = padded[1:, :-1], padded[1:, 1:]
     touches = (lower_left == upper_right) & (upper_left == lower_right) & (lower_left != lower_right)
     is_corner = touches | (lower_left ^ lower_right ^ upper_left ^ upper_right)
     if (count := np.count_nonzero(is_corner)) > _MOST_CORNERS:
@@ -84,32 +75,24 @@ def pixel_rings(free: Mask) -> PixelRings:
     return PixelRings(np.stack([x, y], axis=1)[order].astype(float), start, is_contact[order])
 
 
-# Simplification: outlines with fewer corners, within a tolerance, that touch nowhere else than the exact ones.
-#
-# A simplified outline is a chain of links between *stations* of the exact one: its corners, and the middles of the
-# steps of staircases, through which inclined walls are drawn. Each link and the stretch of outline that it replaces
-# are within the tolerance of one another. The longest possible links are taken greedily. Links that meet or come near
-# other links, or surround another ring, are undone: the outline stays exact there, so connectivity is preserved.
-#
-# References:
-#     H. Imai, M. Iri, "Polygonal approximations of a curve: formulations and algorithms", 1988; the longest link from
-#     a point, by wedges of directions: J. Sklansky, V. Gonzalez, Pattern Recognition 12, 1980.
-
-
+# A simplified outline is a chain of links (segments) between *stations* of the exact one: its corners, and the
+# middles of the steps of staircases, through which inclined walls are drawn. Each link and the stretch of outline
+# that it replaces are within the tolerance of one another. The longest possible links are taken greedily. Links
+# that come near others or surround another ring are undone: the outline stays exact there, so connectivity is
+# preserved. See Imai and Iri, "Polygonal approximations of a curve", 1988; for the longest link from a point, by
+# wedges of directions, Sklansky and Gonzalez, Pattern Recognition 12, 1980.
 CLEARANCE = 0.25  # pixels that links without a common end keep from one another
+Indices: TypeAlias = Int[np.ndarray, "m"]
 
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
-    """Possible ends of the segments of simplified rings: corners, middles of steps, and the first corner again.
-
-    ``end`` is the next station that a segment must not pass: a contact, or the last station of the ring.
-    """
+    """Possible ends of the links of simplified rings: corners, middles of steps, and the first corner again."""
 
     points: Float[np.ndarray, "n 2"]
     ring: Int[np.ndarray, "n"]
     is_corner: Bool[np.ndarray, "n"]
-    end: Int[np.ndarray, "n"]
+    end: Int[np.ndarray, "n"]  # the next station that a link must not pass: a contact, or the last one of the ring
 
 
 def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
@@ -135,10 +118,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
-    """Return the stations of outlines (corners, middles of staircase steps), and which of them are contacts.
-
-    A contact is a corner where two free pixels touch only diagonally. A ring that has contacts starts at its first.
-    """
+    """Return the stations of outlines, and which of them are contacts; a ring with contacts starts at its first."""
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
     ring, place = ragged_indices(size)
     shift = np.zeros(num_rings, dtype=int)
@@ -177,8 +157,8 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
     """Return the farthest station ahead to which a straight link from each may go, near all corners between.
 
-    All stations advance together. The corners passed narrow the possible directions of a link to a wedge around the
-    first corner beyond the tolerance. A link must also be as long as the distance of the farthest of these corners.
+    The corners passed narrow the directions of a link to a wedge around the first corner beyond the tolerance. A link
+    must also be as long as the distance of the farthest of these corners.
     """
     points, farthest = stations.points, np.minimum(np.arange(len(stations.points)) + 1, stations.end)
     begin = np.flatnonzero(stations.end > np.arange(len(points)))
@@ -208,14 +188,14 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
     return farthest
 
 
-def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Indices, Indices]:
     kept = np.flatnonzero(is_kept)
     joined = stations.ring[kept[1:]] == stations.ring[kept[:-1]]
     return kept[:-1][joined], kept[1:][joined]
 
 
 def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float | int) -> Bool[np.ndarray, "m"]:
-    """Return which straight links leave the exact outline and come near another link, or cut off another ring."""
+    """Return which links leave the exact outline and come near another link, or cut off another ring."""
     first, last = _links(stations, is_kept)
     num_corners = np.append(0, np.cumsum(stations.is_corner))
     is_inexact = num_corners[last] > num_corners[first + 1]
@@ -241,10 +221,8 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
     return np.isin(np.arange(len(links)), [a[is_bad], b[is_bad]])
 
 
-def _surrounding(
-    stations: _Stations, first: Int[np.ndarray, "m"], last: Int[np.ndarray, "m"]
-) -> Bool[np.ndarray, "m"]:
-    """Return which straight links have another ring between themselves and the outline that they replace."""
+def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, "m"]:
+    """Return which links have another ring between themselves and the outline that they replace."""
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
@@ -261,7 +239,6 @@ _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and w
 def placed_region(
     free: ArrayLike, resolution: float | int, origin: ArrayLike, row0: str, tolerance: float | int, drop_specks: int
 ) -> Any:
-    """Return the free pixels of a grid as a Shapely MultiPolygon, as :meth:`Workspace.from_mask` describes it."""
     free = as_mask(free)
     if row0 not in ("bottom", "top"):
         raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")
@@ -278,21 +255,16 @@ def placed_region(
     yaw = pose[2] if len(pose) == 3 else 0.0
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     # The product is computed in a fixed order, so that both corners of a contact get the same place.
-    return shapely.transform(
-        region_of_mask(free, tolerance), lambda points: pose[:2] + product_in_order(resolution * points, turn)
-    )
+    region = region_of_mask(free, tolerance)
+    return shapely.transform(region, lambda points: pose[:2] + product_in_order(resolution * points, turn))
 
 
 def rounded_one_by_one(region: Any, grid: float) -> Any:
-    """Round each vertex of a placed region to a grid, faster than ``shapely.set_precision``.
-
-    It assumes that no edges meet after rounding, since they keep a quarter of a pixel from one another.
-    """
+    """Round each vertex of pixels' outlines to a grid; no edges meet, since they keep a quarter of a pixel apart."""
     return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
 
 
 def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: float) -> None:
-    """Raise ``ValueError`` if pixels are too small for double precision at their distance from the origin."""
     size = resolution * math.hypot(*shape)
     reach = float(origin) + size
     if not reach <= LARGEST_COORDINATE:
@@ -309,7 +281,6 @@ def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: f
 
 
 def as_mask(free: ArrayLike) -> Mask:
-    """Return a copy of a 2-D boolean array; raise ``ValueError`` for anything else."""
     mask = np.array(free)
     if mask.dtype != bool or mask.ndim != 2 or np.ma.is_masked(free):
         masked = ", some masked" if np.ma.is_masked(free) else ""
@@ -321,7 +292,7 @@ def as_mask(free: ArrayLike) -> Mask:
 
 
 def region_of_mask(free: Mask, tolerance: float | int) -> Any:
-    """Return the simplified free pixels as a valid Shapely MultiPolygon, in units of pixels, the first row lowest."""
+    """Return the simplified free pixels as a Shapely MultiPolygon, in units of pixels, the first row lowest."""
     outlines = pixel_rings(free)
     # Find the component of free pixels on the left of each ring.
     begin = outlines.points[outlines.start[:-1]].astype(int)

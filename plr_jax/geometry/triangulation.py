@@ -6,7 +6,7 @@ removing the triangles that it crosses and filling the two polygons on its sides
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
@@ -15,30 +15,30 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import index_of, take_ragged
-from plr_jax.geometry.boundary import Boundary, grid_at
+from plr_jax.geometry.boundary import Boundary, Edges, grid_at
 from plr_jax.geometry.vectors import cross_product, left_normal, orientation
+
+Triangles: TypeAlias = Int[np.ndarray, "triangles 3"]
+HalfEdges: TypeAlias = Int[np.ndarray, "half_edges"]
+# ``(first, entries)``: the entries of triangle ``t`` are ``entries[first[t] : first[t + 1]]``.
+TriangleLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]
 
 
 @dataclass(frozen=True, eq=False)
 class Locator:
-    """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``.
-
-    ``lines`` holds, for each side of a triangle, its inward unit normal and its offset, the normal times a side
-    point.
-    """
+    """A uniform grid for point location: cell ``c`` meets the triangles ``triangle[first[c] : first[c + 1]]``."""
 
     lo: Float[np.ndarray, "2"]
     width: Float[np.ndarray, "2"]
     shape: tuple[int, int]
     first: Int[np.ndarray, "cells_plus_one"]
     triangle: Int[np.ndarray, "entries"]
-    lines: Float[np.ndarray, "triangles 3 3"]
+    lines: Float[
+        np.ndarray, "triangles 3 3"
+    ]  # of sides: inward unit normal, and its scalar product with their points
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return the triangle of each point, and the point's signed distance to the nearest side, positive inside.
-
-        A point outside all triangles of its cell gets the one with the largest distance, or -1 if the cell has none.
-        """
+        """Return each point's triangle, or one nearby (-1: none), and its signed distance to the nearest side."""
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
         found, best = np.full(len(x), -1), np.full(len(x), -np.inf)
@@ -47,17 +47,13 @@ class Locator:
             more = entry < end
             pending, entry, end = pending[more], entry[more], end[more]
             triangle = self.triangle[entry]
-            height = self.heights(triangle, x[pending]).min(axis=1)
+            normal_x, normal_y, offset = np.moveaxis(self.lines[triangle], 2, 0)
+            height = (normal_x * x[pending, :1] + normal_y * x[pending, 1:] - offset).min(axis=1)
             better = height > best[pending]
             found[pending[better]], best[pending[better]] = triangle[better], height[better]
             outside = height < 0
             pending, entry, end = pending[outside], entry[outside] + 1, end[outside]
         return found, best
-
-    def heights(self, triangle: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-        """Return the signed distances of points to the lines of a triangle's three sides, positive inside."""
-        lines = self.lines[triangle]
-        return lines[:, :, 0] * x[:, :1] + lines[:, :, 1] * x[:, 1:] - lines[:, :, 2]
 
 
 _FEW = 4  # up to so many points, searching all triangles is faster than building a locator
@@ -80,24 +76,16 @@ class LocatedPoints:
 
 @dataclass(frozen=True, eq=False)
 class Triangulation:
-    """Triangles that fill a region, as half-edges: three consecutive ones per triangle, counterclockwise.
-
-    Attributes:
-        tolerance: Points count as inside up to this distance from the region.
-        origin: The vertex at which each half-edge starts.
-        twin: The opposite half-edge in the adjacent triangle, -1 at walls.
-        wall: The edge of the boundary along each half-edge, -1 inside the region.
-    """
+    """Triangles that fill a region, as half-edges: three consecutive ones per triangle, counterclockwise."""
 
     boundary: Boundary
-    tolerance: float
-    origin: Int[np.ndarray, "half_edges"]
-    twin: Int[np.ndarray, "half_edges"]
-    wall: Int[np.ndarray, "half_edges"]
+    tolerance: float  # points count as inside up to this distance from the region
+    origin: HalfEdges  # the vertex at which each half-edge starts
+    twin: HalfEdges  # the opposite half-edge in the adjacent triangle, -1 at walls
+    wall: HalfEdges  # the edge of the boundary along each half-edge, -1 inside the region
 
     @cached_property
     def of_wall(self) -> Int[np.ndarray, "edges"]:
-        """Index of the half-edge along each edge of the boundary."""
         half_edges = np.empty(len(self.boundary.edges), np.int32)
         is_wall = np.flatnonzero(self.wall >= 0)
         half_edges[self.wall[is_wall]] = is_wall
@@ -105,7 +93,6 @@ class Triangulation:
 
     @cached_property
     def locator(self) -> Locator:
-        """A point locator: a grid of about as many cells as triangles; cells are grown by the tolerance."""
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))
@@ -120,13 +107,12 @@ class Triangulation:
         normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
         offset = (normal * triangles).sum(axis=2, keepdims=True)
         shape = int(count[0]), int(count[1])
-        return Locator(
-            lo, width, shape, first, triangle[order].astype(np.int32), np.concatenate([normal, offset], axis=2)
-        )
+        lines = np.concatenate([normal, offset], axis=2)
+        return Locator(lo, width, shape, first, triangle[order].astype(np.int32), lines)
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, "triangles 3"]:
-        """Whether each corner of the triangles is a point contact: a vertex where the region touches itself."""
+        """Whether the region touches itself at each corner of the triangles."""
         return np.isin(self.origin, self.boundary.contacts).reshape(-1, 3)
 
     @cached_property
@@ -135,13 +121,12 @@ class Triangulation:
         return grid_at(self.tolerance)
 
     def on_grid(self, x: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
-        """Round points to the grid."""
         return self.grid * np.rint(x / self.grid)
 
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """Return each grid point's triangle, and for its three sides 1 if the point lies inside, 0 on it, -1 outside.
+        """Return the triangle of each grid point, and 1, 0 or -1 if the point is inside, on or outside each side.
 
         The exact search starts at ``triangle``, if given. Points outside the region get a nearby one.
         """
@@ -173,7 +158,8 @@ class Triangulation:
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to the grid and locate them; points outside the region move onto the nearest wall.
 
-        A point within the tolerance of a point contact moves there and counts as on all sides of its triangle.
+        A point within the tolerance of a vertex where the region touches itself moves there, on all sides of its
+        triangle.
         """
         boundary, given, x = self.boundary, x, self.on_grid(x)
         triangle, turn = self.locate(x)
@@ -183,9 +169,8 @@ class Triangulation:
             points: Any = shapely.points(given[outside])
             edge = boundary.tree.query_nearest(points, all_matches=False)[1]
             lines: Any = boundary.tree.geometries[edge]
-            foot = shapely.get_coordinates(
-                shapely.line_interpolate_point(lines, shapely.line_locate_point(lines, points))
-            )
+            along = shapely.line_locate_point(lines, points)
+            foot = shapely.get_coordinates(shapely.line_interpolate_point(lines, along))
             beside, x[outside] = self.of_wall[edge] // 3, self.on_grid(foot)
             triangle[outside], turn[outside], rest = beside, 0.0, np.arange(len(outside))
             for steps in _STEPS_INSIDE:
@@ -204,9 +189,10 @@ class Triangulation:
     def are_joined(
         self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
     ) -> Bool[np.ndarray, "n"]:
-        """Return whether a free path near the segment joins each pair, through point contacts if ``squeeze``."""
+        """Return whether free paths near segments join pairs of points, if ``squeeze`` also through contacts."""
         # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts.
-        num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), _lines(np.stack([a.x, b.x], axis=1))
+        lines: Any = shapely.linestrings
+        num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), lines(np.stack([a.x, b.x], axis=1))
         contacts = index_of(self.boundary.contacts, self.origin)
         around = np.argsort(contacts, kind="stable")  # half-edges that start at contacts, sorted by contact
         first = np.searchsorted(contacts[around], np.arange(len(self.boundary.contacts) + 1))
@@ -216,7 +202,7 @@ class Triangulation:
             joined[pair[triangle == b.triangle[pair]]] = True
             pair, triangle = pair[~joined[pair]], triangle[~joined[pair]]
             corners, segment = self.triangles[triangle], segments[pair, None]
-            sides = _lines(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2))
+            sides = lines(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2))
             twin, contact = (each.reshape(-1, 3)[triangle] for each in (self.twin, contacts))
             row, side = np.nonzero((twin >= 0) & shapely.dwithin(segment, sides, tolerance))
             onward = pair[row] * np.int64(num) + twin[row, side] // 3
@@ -233,12 +219,7 @@ class Triangulation:
 
     @cached_property
     def triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
-        """Corners of each triangle, counterclockwise."""
         return self.boundary.vertices[self.origin].reshape(-1, 3, 2)
-
-
-def _lines(ends: Float[np.ndarray, "*n 2 2"]) -> Any:
-    return shapely.linestrings(ends)
 
 
 def next_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
@@ -247,16 +228,12 @@ def next_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
 
 
 def previous_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Return the previous half-edge of the same triangle ``t``, which has half-edges ``3 t`` to ``3 t + 2``."""
     return half_edge + np.where(half_edge % 3 == 0, 2, -1).astype(half_edge.dtype)
 
 
 def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
-    """Return the constrained Delaunay triangulation of a region; raise ``ValueError`` if its walls cross.
-
-    References:
-        Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
-    """
+    """Return the constrained Delaunay triangulation of a region; raise ``ValueError`` if its walls cross."""
+    # Anglada, "An improved incremental algorithm for constructing restricted Delaunay triangulations" (1997).
     # 1. Add four vertices far outside, so that every vertex of the region is surrounded by triangles.
     lo, hi = boundary.vertices.min(axis=0), boundary.vertices.max(axis=0)
     (x0, y0), (x1, y1) = lo - (hi - lo).max(), hi + (hi - lo).max()
@@ -289,13 +266,11 @@ def _keys(edges: Int[np.ndarray, "n 2"], num_vertices: int) -> Int[np.ndarray, "
     return edges[:, 0].astype(np.int64) * num_vertices + edges[:, 1]
 
 
-def _half_edges(triangles: Int[np.ndarray, "triangles 3"]) -> Int[np.ndarray, "half_edges 2"]:
+def _half_edges(triangles: Triangles) -> Int[np.ndarray, "half_edges 2"]:
     return np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
-def _crossed(
-    triangles: Int[np.ndarray, "triangles 3"], edges: Int[np.ndarray, "edges 2"], num_vertices: int
-) -> Int[np.ndarray, "crossed 2"]:
+def _crossed(triangles: Triangles, edges: Edges, num_vertices: int) -> Int[np.ndarray, "crossed 2"]:
     keys = _keys(_half_edges(triangles), num_vertices)
     return edges[index_of(keys, _keys(edges, num_vertices)) < 0]
 
@@ -303,14 +278,13 @@ def _crossed(
 class _Mesh:
     """An editable triangulation: for each half-edge, the third vertex of the triangle on its left."""
 
-    def __init__(self, points: list[tuple[int, int]], triangles: Int[np.ndarray, "triangles 3"]):
+    def __init__(self, points: list[tuple[int, int]], triangles: Triangles):
         self.points = points
         u, v, w = triangles.T.tolist()
         self.apex = dict(zip(zip(u + v + w, v + w + u, strict=True), w + u + v, strict=True))
         self.neighbor = dict(self.apex.keys())
 
     def insert(self, start: int, end: int) -> None:
-        """Insert an edge: remove the triangles that it crosses, and fill the polygons on its two sides."""
         # 1. Find the triangle at the start through whose opposite edge the new edge leaves.
         right = self.neighbor[start]
         left = self.apex[start, right]
@@ -363,9 +337,7 @@ class _Mesh:
         return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
-def _inside(
-    edges: Int[np.ndarray, "edges 2"], triangles: Int[np.ndarray, "triangles 3"], num_vertices: int
-) -> tuple[Int[np.ndarray, "half_edges"], ...]:
+def _inside(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[HalfEdges, HalfEdges, HalfEdges]:
     """Return ``origin``, ``twin``, ``wall`` (see :class:`Triangulation`) of triangles on the free side of walls."""
     half_edges = _half_edges(triangles)
     key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))

@@ -6,6 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 Scalars: TypeAlias = Float[np.ndarray, "*#batch"]
+Batch: TypeAlias = Float[np.ndarray, "*batch"]
+Vectors: TypeAlias = Float[np.ndarray, "*batch 2"]
 
 
 def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
@@ -17,7 +19,7 @@ _SPLIT = 2.0**27 + 1  # Dekker's constant, which splits a double into two halves
 _DOUBT = 2.0**-50  # relative rounding error of a difference of two products, with a margin
 
 
-def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Float[np.ndarray, "*batch"]:
+def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Batch:
     """Return cross products, with exact signs for coordinates that are 45-bit integers times one power of two."""
     # Dekker, "A floating-point technique for extending the available precision" (1971).
     p, q = ux * vy, uy * vx
@@ -35,17 +37,15 @@ def _product_error(a: Float[np.ndarray, "n"], b: Float[np.ndarray, "n"]) -> Floa
     return low_a * low_b - (((a * b - high_a * high_b) - low_a * high_b) - high_a * low_b)
 
 
-def turned_left(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """Rotate vectors by a quarter turn to the left."""
+def turned_left(u: Vectors) -> Vectors:
     return np.stack([-u[..., 1], u[..., 0]], axis=-1)
 
 
-def left_normal(u: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch 2"]:
-    """Return the unit vector a quarter turn to the left of each vector."""
+def left_normal(u: Vectors) -> Vectors:
     return turned_left(u) / np.linalg.norm(u, axis=-1, keepdims=True)
 
 
-def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"]) -> Float[np.ndarray, "*batch"]:
+def pseudo_angle(dx: Batch, dy: Batch) -> Batch:
     """Map directions to [0, 4], increasing with the angle by a half to one per radian; the zero vector gives 0."""
     length = np.abs(dx) + np.abs(dy)
     slant = np.divide(dx, length, out=np.ones_like(length), where=length > 0)
@@ -53,21 +53,18 @@ def pseudo_angle(dx: Float[np.ndarray, "*batch"], dy: Float[np.ndarray, "*batch"
 
 
 def distances_between(x: Float[np.ndarray, "n 2"], points: Float[np.ndarray, "m 2"]) -> Float[np.ndarray, "n m"]:
-    """Return the distance between each of ``x`` and each of ``points``."""
     length = np.square(x[:, :1] - points[:, 0])
     length += np.square(x[:, 1:] - points[:, 1])
     return np.sqrt(length, out=length)
 
 
-def distance_to_segment(x: Scalars, y: Scalars, dx: Scalars, dy: Scalars) -> Float[np.ndarray, "*batch"]:
+def distance_to_segment(x: Scalars, y: Scalars, dx: Scalars, dy: Scalars) -> Batch:
     """Return the distance from the origin to each segment from ``(x, y)`` to ``(x + dx, y + dy)``."""
     x, y = nearest_on_segment(x, y, dx, dy)
     return np.sqrt(x * x + y * y)
 
 
-def nearest_on_segment(
-    x: Scalars, y: Scalars, dx: Scalars, dy: Scalars
-) -> tuple[Float[np.ndarray, "*batch"], Float[np.ndarray, "*batch"]]:
+def nearest_on_segment(x: Scalars, y: Scalars, dx: Scalars, dy: Scalars) -> tuple[Batch, Batch]:
     """Return the point nearest to the origin on each segment from ``(x, y)`` to ``(x + dx, y + dy)``."""
     squared = dx * dx + dy * dy
     t = np.clip(-(x * dx + y * dy) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
@@ -85,7 +82,7 @@ def arc(
     end: Float[np.ndarray, "2"],
     num_chords: int | np.integer,
 ) -> Float[np.ndarray, "points 2"]:
-    """Return the ends of equal chords of the counterclockwise arc from one offset from a center to another."""
+    """Return the ends of equal chords of the counterclockwise arc between two offsets from a center."""
     angle = np.linspace(0.0, turn_between(start, end), num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
     points[-1] = end

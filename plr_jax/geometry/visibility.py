@@ -1,6 +1,6 @@
 """Visibility polygons of many viewpoints, computed by triangular expansion and stored in one sorted table.
 
-Around a viewpoint the same edge is nearest within an interval of directions. So a visibility polygon is a sorted list
+Within an interval of directions from a viewpoint, the same edge is nearest. So a visibility polygon is a sorted list
 of directions, each with the nearest edge of the interval that starts there.
 """
 
@@ -12,37 +12,32 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax._arrays import index_of
+from plr_jax._arrays import concatenated, index_of
 from plr_jax.geometry.boundary import Boundary, grid_at
 from plr_jax.geometry.triangulation import Triangulation, next_half_edge, previous_half_edge
 from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, turned_left
 
-# Triangular expansion: cones of sight advance from triangle to triangle.
-#
-# A cone has its apex at a viewpoint, is bounded by the directions of two vertices, and leaves a triangle through an
-# edge. If the edge is a wall, the cone ends there. Otherwise the opposite corner of the next triangle splits the cone
-# in two, one for each exit edge, unless the corner lies outside the cone. Cones of many viewpoints advance together,
-# and the cost is proportional to what is seen.
-#
-# A corner on a bound counts as seen but does not split the cone. The tests are exact, since vertices and viewpoints
-# lie on a grid.
-
-
+# Triangular expansion: a cone of sight has its apex at a viewpoint, is bounded by the directions of two vertices, and
+# leaves a triangle through an edge. If the edge is a wall, the cone ends there. Else the opposite corner of the next
+# triangle splits the cone in two, one for each exit edge, unless the corner lies outside the cone or on a bound.
+# Cones of many viewpoints advance together. The tests are exact, since vertices and viewpoints lie on a grid.
 _MOST = 1 << 18  # cones that advance at a time, which limits memory
 Vectors: TypeAlias = Float[np.ndarray, "views 2"]
+Rays: TypeAlias = Float[np.ndarray, "2 n"]
+Indices: TypeAlias = Int[np.ndarray, "n"]
+Numbers: TypeAlias = Float[np.ndarray, "n"]
+Points: TypeAlias = Float[np.ndarray, "n 2"]
+Seen: TypeAlias = Int[np.ndarray, "2 pairs"]  # pairs (viewpoint, vertex)
+Visits: TypeAlias = Int[np.ndarray, "2 visits"]  # pairs (viewpoint, triangle)
 
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Points, rounded to the grid, and the sectors they look into; a point without sectors looks all around.
+    """Points on the grid of vertices, and the sectors (ranges of directions) they look into; without any, all."""
 
-    Sector ``s`` belongs to point ``owner[s]`` and opens at the boundary edge ``edge[s]``, counterclockwise. The point
-    is the first vertex of that edge or lies in its interior.
-    """
-
-    points: Float[np.ndarray, "views 2"]
-    owner: Int[np.ndarray, "sectors"]
-    edge: Int[np.ndarray, "sectors"]
+    points: Vectors
+    owner: Int[np.ndarray, "sectors"]  # the point to which each sector belongs: at the start of its edge, or inside
+    edge: Int[np.ndarray, "sectors"]  # the boundary edge at which each sector opens, counterclockwise
 
     def __getitem__(self, rows: slice | Int[np.ndarray, "some"]) -> "Viewpoints":
         place = np.full(len(self.points), -1)
@@ -50,17 +45,11 @@ class Viewpoints:
         kept = place[self.owner] >= 0
         return Viewpoints(self.points[rows], place[self.owner[kept]], self.edge[kept])
 
-    @property
-    def looks_around(self) -> Bool[np.ndarray, "views"]:
-        """Whether each point looks all around."""
-        return np.bincount(self.owner, minlength=len(self.points)) == 0
-
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
         """Return a vector from the point along the wall at which each sector opens."""
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
 
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """Return a vector from the point along the wall at which each sector closes."""
         return boundary.vertices[self.closing(boundary)] - self.points[self.owner]
 
     def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, "sectors"]:
@@ -86,13 +75,13 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """Cones of sight: viewpoint, exit half-edge, vertex in the direction of the right bound, bounds as vectors."""
+    """Cones of sight: viewpoint, half-edge at which it ends so far, vertex on its right bound, bounds as vectors."""
 
-    view: Int[np.ndarray, "n"]
-    half_edge: Int[np.ndarray, "n"]
-    vertex: Int[np.ndarray, "n"]
-    right: Float[np.ndarray, "2 n"]
-    left: Float[np.ndarray, "2 n"]
+    view: Indices
+    half_edge: Indices
+    vertex: Indices
+    right: Rays
+    left: Rays
 
     def __len__(self) -> int:
         return len(self.view)
@@ -106,13 +95,10 @@ class _Cones:
         return _Cones(*of, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
 
 
-def triangles_within(
-    triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors
-) -> Int[np.ndarray, "2 visits"]:
-    """Return viewpoints paired with the triangles of which they see a part inside their cones; some pairs repeat.
+def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
+    """Pair viewpoints with the triangles of which they see a part inside their cones; some pairs repeat.
 
-    ``right`` and ``left`` are unit vectors along the bounds of each viewpoint's cone, at most half a turn apart, or
-    zero for all that the viewpoint looks into.
+    ``right`` and ``left`` are unit vectors along a cone's bounds, at most half a turn apart; zero for all directions.
     """
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
     # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
@@ -132,16 +118,14 @@ def triangles_within(
     return np.concatenate(visited, axis=1)
 
 
-def _inside(
-    u: Float[np.ndarray, "2 n"], right: Float[np.ndarray, "2 n"], left: Float[np.ndarray, "2 n"]
-) -> Bool[np.ndarray, "n"]:
+def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, "n"]:
     return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
 
 
 def _expansion(
     triangulation: Triangulation, views: Viewpoints, first: _Cones
-) -> Iterator[tuple[_Cones, Int[np.ndarray, "2 pairs"], Int[np.ndarray, "2 visits"]]]:
-    """Yield, step by step, cones that end at walls, visible (view, vertex) pairs, and (view, triangle) visits."""
+) -> Iterator[tuple[_Cones, Seen, Visits]]:
+    """Yield, step by step, cones that end at walls, vertices seen, and triangles visited."""
     pending = [first[begin : begin + _MOST] for begin in range(0, len(first), _MOST)]
     while pending:
         cones = pending.pop()
@@ -174,7 +158,7 @@ def _expansion(
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
-    around = np.flatnonzero(views.looks_around)
+    around = np.setdiff1d(np.arange(len(views.points)), views.owner)  # points without sectors
     triangle, _ = triangulation.locate(views.points[around])
     found = [(around, 3 * triangle + side) for side in range(3)]
     half_edge, view = triangulation.of_wall[views.edge], views.owner
@@ -198,31 +182,23 @@ _NARROW = 1e-3  # radians: a gap between sectors must be wider to hold a cut
 
 @dataclass(frozen=True, eq=False)
 class VisibilityTable:
-    """Visibility polygons of viewpoints; rows ``first[v]`` to ``first[v + 1]`` belong to viewpoint ``v``.
-
-    Attributes:
-        tolerance: The tolerance of the workspace. Vertices, viewpoints and query points lie on its grid.
-        cut: Unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured.
-        key: ``4 v`` plus the pseudo-angle at which the row's interval of directions starts, ascending.
-        edge: The nearest boundary edge in the interval; -1 where the viewpoint does not look.
-        vertex: The vertex in the direction at which the interval starts; -1 at the cut.
-    """
+    """Visibility polygons of viewpoints; rows ``first[v]`` to ``first[v + 1]`` belong to viewpoint ``v``."""
 
     boundary: Boundary
-    tolerance: float
-    points: Float[np.ndarray, "views 2"]
-    cut: Float[np.ndarray, "views 2"]
+    tolerance: float  # of the workspace; vertices, viewpoints and query points lie on its grid
+    points: Vectors
+    cut: Vectors  # unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured
     first: Int[np.ndarray, "views+1"]
-    key: Float[np.ndarray, "rows"]
-    edge: Int[np.ndarray, "rows"]
-    vertex: Int[np.ndarray, "rows"]
+    key: Float[np.ndarray, "rows"]  # 4 v plus the pseudo-angle at which the row's interval starts, ascending
+    edge: Int[np.ndarray, "rows"]  # nearest boundary edge in the interval; -1 where the viewpoint does not look
+    vertex: Int[np.ndarray, "rows"]  # in the direction at which the interval starts; -1 at the cut
 
     @property
     def blur(self) -> float:
         """Upper bound of the rounding error of keys."""
         return _BLUR + np.spacing(8.0 * len(self.points))
 
-    def sees(self, v: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, "n"]:
         """Return whether viewpoint ``v[i]`` sees point ``x[i]`` of free space.
 
         If the segment grazes several corners, the answer may be False; then the last of these sees the point.
@@ -246,13 +222,7 @@ class VisibilityTable:
             seen[near] |= (x == self.points[v]).all(axis=1)
         return seen
 
-    def _side_of_start(
-        self,
-        row: Int[np.ndarray, "n"],
-        v: Int[np.ndarray, "n"],
-        x: Float[np.ndarray, "n 2"],
-        key: Float[np.ndarray, "n"],
-    ) -> Float[np.ndarray, "n"]:
+    def _side_of_start(self, row: Indices, v: Indices, x: Points, key: Numbers) -> Numbers:
         """Return on which side of an interval's start points lie: positive to its left, 0 on it, negative right."""
         inside = (row > self.first[v]) & (row < self.first[v + 1])
         side = np.where(row > self.first[v], -1.0, 1.0)
@@ -262,7 +232,7 @@ class VisibilityTable:
         side[near] = orientation(*(start - self.points[v[near]]).T, *(x[near] - self.points[v[near]]).T)
         return side
 
-    def _in_front(self, row: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, "n"]:
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
@@ -274,23 +244,16 @@ class VisibilityTable:
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
-    """Concatenate the viewpoints of one or more tables of the same workspace."""
     views = np.cumsum([0] + [len(table.points) for table in tables])
     rows = np.cumsum([0] + [len(table.key) for table in tables])
     first = [table.first[:-1] + begin for table, begin in zip(tables, rows, strict=False)]
     key = [table.key + 4.0 * begin for table, begin in zip(tables, views, strict=False)]
-    points, cut, edge, vertex = (
-        np.concatenate([getattr(table, name) for table in tables]) for name in ("points", "cut", "edge", "vertex")
-    )
-    first = np.append(np.concatenate(first), rows[-1])
-    return VisibilityTable(
-        tables[0].boundary, tables[0].tolerance, points, cut, first, np.concatenate(key), edge, vertex
-    )
+    points, cut, edge, vertex = concatenated(tables, "points", "cut", "edge", "vertex")
+    first, key = np.append(np.concatenate(first), rows[-1]), np.concatenate(key)
+    return VisibilityTable(tables[0].boundary, tables[0].tolerance, points, cut, first, key, edge, vertex)
 
 
-def visibility_of(
-    triangulation: Triangulation, views: Viewpoints
-) -> tuple[VisibilityTable, Int[np.ndarray, "2 pairs"]]:
+def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
     """Return the visibility polygons of viewpoints, and pairs of a viewpoint and a vertex it sees, some repeated."""
     tables, seen, num_views = [], [], len(views.points)
     with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
@@ -302,9 +265,7 @@ def visibility_of(
     return joined_tables(tables), np.concatenate(seen, axis=1)
 
 
-def _look_around(
-    triangulation: Triangulation, views: Viewpoints
-) -> tuple[VisibilityTable, Int[np.ndarray, "2 pairs"]]:
+def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
     # 1. Collect the cones that end at walls and the visible vertices. The corners of the triangles at a viewpoint are
     #    visible, among them the vertex at which it lies.
     boundary, each, cones = triangulation.boundary, np.arange(len(views.points)), _first_cones(triangulation, views)
@@ -313,8 +274,8 @@ def _look_around(
     for walls, new_seen, _ in _expansion(triangulation, views, cones):
         ended.append(walls)
         seen.append(new_seen)
-    columns = zip(*((of.view, of.half_edge, of.vertex, of.right, of.left) for of in ended), strict=True)
-    cones = _Cones(*(np.concatenate(column, axis=-1) for column in columns))
+    bounds = [np.concatenate([getattr(of, name) for of in ended], axis=1) for name in ("right", "left")]
+    cones = _Cones(*concatenated(ended, "view", "half_edge", "vertex"), *bounds)
     # 2. Choose a cut for each viewpoint, a direction in which it sees no vertex: the middle of the gap after its
     #    first sector, or the middle of its widest cone if it has no sector or the gap is narrow.
     closing = views.closes(boundary)
@@ -360,7 +321,5 @@ def _look_around(
     view, key, edge, vertex = (np.insert(a, first, b) for a, b in added)
     new = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))[: len(view)]
     first = np.searchsorted(view[new], np.arange(len(each) + 1))
-    table = VisibilityTable(
-        boundary, triangulation.tolerance, views.points, cut, first, key[new], edge[new], vertex[new]
-    )
-    return table, np.concatenate(seen, axis=1)
+    rows = first, key[new], edge[new], vertex[new]
+    return VisibilityTable(boundary, triangulation.tolerance, views.points, cut, *rows), np.concatenate(seen, axis=1)

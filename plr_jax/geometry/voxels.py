@@ -1,9 +1,9 @@
 """Voxels of a box in any dimension: their faces, location of points, and counts of blocked voxels in ranges.
 
-Faces are the floats that ``Box.at`` returns, as for the cells of a partition. Coordinates are compared with them
-without rounding, so statements about touching are exact. Voxels are numbered from 1 along each axis, with face ``k``
-below voxel ``k``. Number 0 is everything below the bounds and the last number everything above, both blocked. Arrays
-of numbers and coordinates have the axis of space first.
+Faces are the floats that ``Box.at`` returns. Coordinates are compared with them without rounding, so statements about
+touching are exact. Voxels are numbered from 1 along each axis, with face ``k`` below voxel ``k``. Number 0 is
+everything below the bounds and the last number everything above, both blocked. Arrays of numbers and coordinates have
+the axis of space first.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, rounding_of
 from plr_jax.geometry.box import Box
 
-_MOST_AXES = 4
+_AXES = range(1, 5)
 _LEAST_SIDE = 8e3  # rounding errors of coordinates per side of a voxel, as for pixels
 
 Coordinates = Float[np.ndarray, "dim n"]
@@ -33,9 +33,7 @@ class VoxelGrid:
     bounds: Box
 
     @classmethod
-    def of(
-        cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = range(1, _MOST_AXES + 1)
-    ) -> "VoxelGrid":
+    def of(cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = _AXES) -> "VoxelGrid":
         """Check arguments and return the grid; ``bounds=None``: voxels have side 1, the first with a corner at 0."""
         voxels = np.array(free, order="C")  # flat tables need this order
         if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
@@ -66,12 +64,10 @@ class VoxelGrid:
 
     @property
     def dim(self) -> int:
-        """Number of axes."""
         return self.free.ndim
 
     @property
     def sides(self) -> Float[np.ndarray, "dim"]:
-        """Side lengths of a voxel, in units of the bounds."""
         return self.bounds.width / self.free.shape
 
     @cached_property
@@ -94,7 +90,6 @@ class VoxelGrid:
     def numbers_along(
         self, axis: int, x: Float[np.ndarray, "n"]
     ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return the least and largest number, along one axis, of the voxels that contain each coordinate."""
         faces = self.faces[axis]
         guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)
         guess -= x < faces[guess]
@@ -122,10 +117,8 @@ class VoxelGrid:
                     (end if inward > 0 else begin)[axis] = moved[axis, rows] + inward * (num - 1)
                     num_voxels = np.prod(np.maximum(end - begin + 1, 0), axis=0)
                     is_blocked = self.num_blocked(begin, end) == num_voxels
-                    none[rows], most[rows] = (
-                        np.where(is_blocked, num, none[rows]),
-                        np.where(is_blocked, most[rows], num - 1),
-                    )
+                    none[rows] = np.where(is_blocked, num, none[rows])
+                    most[rows] = np.where(is_blocked, most[rows], num - 1)
                 moved[axis] += inward * none
         return first, last
 
@@ -143,17 +136,14 @@ class VoxelGrid:
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
         """Edges, corners and so on around which faces do not connect all free voxels, by the axes across them."""
-        found = []
+        found, shape = [], self.padded.shape
         for num_across in range(2, self.dim + 1):
             is_parted = disconnected_sets(num_across)
             for across in combinations(range(self.dim), num_across):
-                around = np.zeros([n - (axis in across) for axis, n in enumerate(self.padded.shape)], np.uint16)
+                around = np.zeros([n - (axis in across) for axis, n in enumerate(shape)], np.uint16)
                 for bit, side in enumerate(product((0, 1), repeat=num_across)):
                     of = dict(zip(across, side, strict=True))
-                    part = tuple(
-                        slice(of[a], n - 1 + of[a]) if a in of else slice(None)
-                        for a, n in enumerate(self.padded.shape)
-                    )
+                    part = tuple(slice(of[a], n - 1 + of[a]) if a in of else slice(None) for a, n in enumerate(shape))
                     around |= self.padded[part].astype(np.uint16) << np.uint16(bit)
                 touches = is_parted[around]
                 if touches.any():
@@ -170,14 +160,12 @@ class Sums:
 
     @classmethod
     def of(cls, array: Bool[np.ndarray, "..."]) -> "Sums":
-        """Build the table of an array."""
         table = np.pad(array, [(1, 0)] * array.ndim).astype(np.int32 if array.size < 2**31 else np.int64)
         for axis in range(array.ndim):
             np.cumsum(table, axis=axis, out=table)
         return cls(table.ravel(), np.array(table.strides) // table.itemsize)
 
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
-        """Count the true entries from ``first`` to ``last`` along every axis; none if ``last`` precedes ``first``."""
         begin = first * self.strides[:, None]
         end = np.maximum(last + 1, first) * self.strides[:, None]
         total = np.zeros(first.shape[1], self.table.dtype)

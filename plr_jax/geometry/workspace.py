@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -11,14 +11,7 @@ from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from plr_jax._arrays import (
-    as_bool,
-    as_finite,
-    as_points,
-    require_integer,
-    set_fields,
-    shortened,
-)
+from plr_jax._arrays import as_bool, as_finite, as_points, require_integer, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import (
     Boundary,
@@ -52,8 +45,8 @@ class Workspace:
     """Bounds and polygonal obstacles in the plane.
 
     Free space is closed: it includes the boundary of obstacles and the bounds, and points within ``tolerance`` of
-    them. Such a point is treated as the nearest point of free space. A point within ``tolerance`` of a point where
-    obstacles touch is treated as that point, on both of its sides.
+    them. Such a point is treated as the nearest point of free space; if it is within ``tolerance`` of a point where
+    obstacles touch, as that point, on both of its sides.
 
     Obstacles may overlap, touch, and leave the bounds; together they cover the interior of their union. Coordinates
     are rounded to a grid of a thousandth of ``tolerance``, so that walls that touch up to rounding do touch. Walls
@@ -77,8 +70,7 @@ class Workspace:
 
     Raises:
         ValueError: If the bounds are not a valid 2-D box or too far from the origin for their size, an obstacle is
-            not a simple polygon of finite coordinates and positive area, nothing is free, or walls or gaps are too
-            thin.
+        not a simple polygon of finite coordinates and positive area, nothing is free, or walls or gaps are too thin.
     """
 
     bounds: Box
@@ -89,12 +81,7 @@ class Workspace:
     _is_in_place: bool = field(repr=False)
 
     def __init__(
-        self,
-        bounds: Box | ArrayLike,
-        obstacles: Any = (),
-        *,
-        squeeze: bool = False,
-        region: Region | None = None,
+        self, bounds: Box | ArrayLike, obstacles: Any = (), *, squeeze: bool = False, region: Region | None = None
     ):
         squeeze = as_bool("squeeze", squeeze)
         if region is not None:  # do not check the bounds, which may have become very slender by inflating
@@ -122,16 +109,11 @@ class Workspace:
     ) -> "Workspace":
         """Build a workspace whose free space is given as polygons with holes.
 
-        Args:
-            components: One Shapely polygon, multipolygon or collection of them; or a list of these and of mappings
-                ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap and leave
-                the outer ring. Components are united, and parts outside the bounds are cut off.
-            bounds: As for the class; None: the bounding box of the components.
-            squeeze: As for the class.
-
-        Raises:
-            ValueError: If there is no component, a component or the bounds are invalid, a ring is not simple, finite
-                and of positive area, or nothing is free.
+        Components are one Shapely polygon, multipolygon or collection of them; or a list of these and of mappings
+        ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap and leave the
+        outer ring. Components are united, and parts outside the bounds are cut off; by default, the bounds are their
+        bounding box. ``squeeze`` is as for the class. ``ValueError`` if there is no component, a component or the
+        bounds are invalid, or nothing is free.
         """
         return cls._from_free_space(*components_region(components, bounds), squeeze)
 
@@ -147,7 +129,7 @@ class Workspace:
         drop_specks: int = 0,
         squeeze: bool = False,
     ) -> "Workspace":
-        """Build a workspace whose free space is given as pixels.
+        """Build a workspace whose free space is given as pixels; its bounds are the bounding box of free space.
 
         Free pixels are 4-connected and blocked pixels 8-connected: where free pixels touch at a corner only,
         ``squeeze`` decides whether a path may pass. The outline of the free pixels is traced exactly, then
@@ -164,9 +146,6 @@ class Workspace:
                 pixel makes inclined walls straight; 0 keeps every corner.
             drop_specks: Blocked components of at most this many pixels become free, then free ones become blocked.
             squeeze: As for the class.
-
-        Returns:
-            The workspace; its bounds are the bounding box of its free space.
 
         Raises:
             ValueError: If ``free`` is not a 2-D boolean array with a free pixel, or another argument is invalid.
@@ -200,14 +179,11 @@ class Workspace:
         return "triangulation" in self.__dict__
 
     def use_triangulation(self, triangulation: Triangulation) -> None:
-        """Set ``triangulation``, as when it was derived from that of the workspace before a change of the map."""
+        """Set ``triangulation``, if it was derived from that of the workspace before a change of the map."""
         set_fields(self, triangulation=triangulation)
 
     def _grown(self, tolerance: float) -> Any:
-
-        def grow() -> Any:
-            return self.free_space.buffer(tolerance, join_style="mitre", mitre_limit=_MITRE_LIMIT)
-
+        grow = partial(self.free_space.buffer, tolerance, join_style="mitre", mitre_limit=_MITRE_LIMIT)
         return prepared_geometry(self, ("grown", tolerance), grow)
 
     @property
@@ -225,14 +201,10 @@ class Workspace:
         return triangulate(self.free_space)
 
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Return whether points lie in closed free space.
+        """Return whether points ``(n, 2)`` lie in closed free space, to ``tolerance``.
 
-        Args:
-            x: Points, ``(n, 2)``.
-
-        Returns:
-            True in free space and on walls, to ``tolerance``; False outside the bounds and for points that are not
-            finite. A 32-bit point that is outside the bounds only by rounding counts as inside, as for PLRs.
+        The result is False outside the bounds and for points that are not finite. A 32-bit point that is outside the
+        bounds only by rounding counts as inside, as for PLRs.
         """
         x = as_points("x", self.bounds.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
@@ -242,14 +214,10 @@ class Workspace:
         return shapely.intersects_xy(self._grown(self.tolerance), x[:, 0], x[:, 1])
 
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
-        """Return the signed distance of points to the boundary of free space.
+        """Return the signed distance, in workspace units, of points ``(n, 2)`` to the boundary of free space.
 
-        Args:
-            x: Points, ``(n, 2)``.
-
-        Returns:
-            Distances in workspace units, ``(n,)``: positive in free space, zero on walls, negative in obstacles and
-            outside the bounds, NaN for points that are not finite.
+        It is positive in free space, zero on walls, negative in obstacles and outside the bounds, NaN for points that
+        are not finite.
         """
         x = as_points("x", x, 2)
         finite = np.isfinite(x).all(axis=1)
@@ -264,19 +232,12 @@ class Workspace:
         return result
 
     def is_visible(self, a: ArrayLike, b: ArrayLike, tolerance: int | float | None = None) -> Bool[np.ndarray, "n"]:
-        """Return whether whole segments lie in closed free space.
+        """Return whether whole segments from ``a`` to ``b``, both ``(n, 2)``, lie in closed free space.
 
         A segment may slide along walls and pass through corners, but not cross a wall, however thin. It may cross a
-        point in which two obstacles touch only if ``squeeze`` is set.
-
-        Args:
-            a: Start points, ``(n, 2)``.
-            b: End points, ``(n, 2)``.
-            tolerance: Distance from free space up to which points count as free, for ends known less precisely, such
-                as rounded ones from a file; None: the workspace's own.
-
-        Returns:
-            True if a free path stays within ``tolerance`` of the segment; False if an end is not finite.
+        point in which two obstacles touch only if ``squeeze`` is set. The result is True if a free path stays within
+        ``tolerance`` of the segment, and False if an end is not finite. The default tolerance is the workspace's; a
+        larger one is for ends known less precisely, such as rounded ones from a file.
         """
         a, b = as_points("a", a, 2), as_points("b", b, 2)
         if len(a) != len(b):
@@ -306,13 +267,8 @@ class Workspace:
 
         Sides of grown obstacles are exact; rounded corners become inscribed polygons. So a path around one corner is
         too short by at most 0.16 % of the arc, or 2e-5 of the longer side of free space if that is more. A straight
-        passage exactly as wide as the disc is closed; one between corners, even a little narrower, may stay open.
-
-        Args:
-            radius: Radius of the disc, in workspace units, at least 0.
-
-        Raises:
-            ValueError: If the radius is negative or not finite, or leaves no free space.
+        passage exactly as wide as the disc is closed; one between corners, even a little narrower, may stay open. A
+        radius that is negative or not finite, or that leaves no free space, raises ``ValueError``.
         """
         if as_finite("radius", radius) == 0:
             return self
@@ -328,18 +284,14 @@ class Workspace:
     def with_obstacles(self, add: Any = (), remove: Any = ()) -> "Workspace":
         """Return the workspace after obstacles are added and removed.
 
-        Args:
-            add: Obstacles as for the class; they are appended to ``obstacles``.
-            remove: Indices in ``obstacles``, or rings or Shapely polygons that equal obstacles. Parts that other
-                obstacles cover stay blocked.
-
-        Returns:
-            The workspace. The other obstacles keep their indices: an empty polygon, which scene files leave out,
-            takes the place of a removed obstacle.
+        Added obstacles, given as for the class, are appended to ``obstacles``. Obstacles to remove are given by
+        indices in ``obstacles``, or by rings or Shapely polygons that equal them; parts that others cover stay
+        blocked. The other obstacles keep their indices: an empty polygon, which scene files leave out, takes the
+        place of a removed one.
 
         Raises:
             ValueError: If an added obstacle is invalid, a removed one does not exist or is already removed, or
-                nothing is free.
+            nothing is free.
         """
         added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
         obstacles = (*(Polygon() if i in gone else each for i, each in enumerate(self.obstacles)), *added)
@@ -351,10 +303,8 @@ class Workspace:
         free, box, *merged = merge_vertices([free, box, *opened, *beside, *added], 8 * grid)
         if opened:
             opened, beside = merged[: len(removed)], merged[len(removed) : len(removed) + len(beside)]
-            opened = shapely.difference(
-                shapely.intersection(box, shapely.union_all(opened)), shapely.union_all(beside)
-            )
-            free = shapely.union(free, opened)
+            opened = shapely.intersection(box, shapely.union_all(opened))
+            free = shapely.union(free, shapely.difference(opened, shapely.union_all(beside)))
         if added:
             free = shapely.difference(free, shapely.union_all(merged[len(merged) - len(added) :]))
         region = region_after_change(free, self.bounds, self.boundary)
@@ -395,7 +345,6 @@ class Workspace:
 
 
 def require_workspace(workspace: object) -> None:
-    """Raise ``ValueError``, with advice on pixels and voxels, if the argument is not a Workspace."""
     if not isinstance(workspace, Workspace):
         got = f"an array of shape {workspace.shape}" if isinstance(workspace, np.ndarray) else shortened(workspace)
         raise ValueError(f"workspace must be a Workspace, got {got}.{advice_on_cells(workspace)}")

@@ -1,13 +1,10 @@
 """Shortest paths of cars without obstacles: Dubins (forward only) and Reeds-Shepp (forward and backward).
 
 Shortest paths are *words*: sequences of sharpest turns and straight lines. Lengths are in turning radii, so that the
-length of a turn is its angle, and poses are relative to the goal ``(0, 0, 0)``. A path from ``(x, y, heading)`` to
-the goal, reversed, leads from the goal to that pose in the opposite gears. Mirrored front to back, it leads to
-``(-x, y, -heading)`` in its own gears. Words are computed for this mirrored pose and read backward, so the sine and
-cosine of each pose are not needed to rotate the plane.
-
-A turn follows a circle on the left or right of the car. Words are computed from the heading at the end, and from the
-vectors between the circles at the beginning and at the end.
+length of a turn is its angle. A word from the goal to a pose, in opposite gears and read backward, leads from the
+pose to the goal. Words are computed for the pose mirrored front to back, which swaps the gears, so the sine and
+cosine of each pose are not needed to rotate the plane. A turn follows a circle on the left or right of the car. Words
+are computed from the heading at the end, and from the vectors between the circles at the beginning and at the end.
 """
 
 from abc import ABC, abstractmethod
@@ -31,12 +28,9 @@ _MIRRORED = str.maketrans("LR", "RL")
 
 
 class Word(NamedTuple):
-    """Paths of one type to many poses: letters ``L``, ``R`` (turns) and ``S`` (straight), and signed lengths.
+    """Paths of one type to many poses: letters and lengths, negative where the car reverses, NaN for no path."""
 
-    A length is negative where the car reverses, and NaN where no path of this type leads to the pose.
-    """
-
-    letters: str
+    letters: str  # L and R for turns, S for straight
     segments: tuple[Batch | float, ...]
 
     @property
@@ -45,13 +39,12 @@ class Word(NamedTuple):
 
 
 def wrap_angle(angle: Batch) -> Batch:
-    """Return the same angle in [-pi, pi]."""
     return angle - 2 * np.pi * np.rint(angle * (0.5 / np.pi))
 
 
 @dataclass(frozen=True, eq=False, init=False)
 class _Car(ABC):
-    """A car with a goal and a turning radius; subclasses list the words among which a shortest path is."""
+    """A car with a goal and a turning radius; subclasses list the types of paths among which a shortest path is."""
 
     goal: Pose
     radius: float
@@ -65,13 +58,10 @@ class _Car(ABC):
         set_fields(self, goal=goal, radius=as_finite("radius", radius, positive=True))
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the length of the shortest path from each pose to the goal.
+        """Return the length of the shortest path from each pose to the goal, ``(n,)`` in workspace units.
 
-        Args:
-            x: Poses ``(x, y, theta)``, ``(n, 3)``; headings in radians, whole turns do not matter.
-
-        Returns:
-            Lengths in workspace units, ``(n,)``; ``inf`` for poses with a coordinate that is not finite.
+        Poses ``(x, y, theta)``, ``(n, 3)``, have headings in radians; whole turns do not matter. The length is
+        ``inf`` for poses with a coordinate that is not finite.
         """
         x = as_points("x", x, 3)
         lengths = np.empty(len(x))
@@ -86,17 +76,11 @@ class _Car(ABC):
         return lengths
 
     def shortest_path(self, x: ArrayLike) -> list[tuple[str, float]]:
-        """Return the segments of a shortest path to the goal.
+        """Return the segments of a shortest path from a finite pose ``(x, y, theta)`` to the goal, in order.
 
-        Args:
-            x: A pose ``(x, y, theta)``, ``(3,)``, finite.
-
-        Returns:
-            Pairs, in order, of a letter, ``"L"`` (left turn), ``"R"`` (right turn) or ``"S"`` (straight), and a
-            length in workspace units, negative where the car reverses. The list is empty if ``x`` is the goal.
-
-        Raises:
-            ValueError: If ``x`` is not a finite pose, or 1e154 turning radii or more away.
+        A segment is a letter, ``"L"`` (left turn), ``"R"`` (right turn) or ``"S"`` (straight), and a length in
+        workspace units, negative where the car reverses. The list is empty if the pose is the goal. ``ValueError`` if
+        the pose is not finite, or 1e154 turning radii or more away.
         """
         pose = as_finite_point("The start pose", x, 3)
         with np.errstate(all="ignore"):
@@ -129,9 +113,8 @@ class _Car(ABC):
         versine = half * sine_of_heading
         for side in (1.0, -1.0):  # words that start with a right turn are mirror images
             y, sine = side * across, side * sine_of_heading
-            for letters, segments in self._canonical_words(
-                (along - sine, y - versine), (along + sine, y + versine), side * heading
-            ):
+            circles = (along - sine, y - versine), (along + sine, y + versine)
+            for letters, segments in self._canonical_words(*circles, side * heading):
                 yield Word(letters if side > 0 else letters.translate(_MIRRORED), segments)
 
     def _reflection(self, direction: float) -> Symmetry:
@@ -149,36 +132,25 @@ class ReedsShepp(_Car):
     """Length of the shortest path of a car that drives forward and backward, without obstacles.
 
     The car moves along its heading and turns no sharper than its turning radius. A shortest path is one of 48 words
-    of at most five turns and straight lines. The distance is continuous, and the same in both directions. Sideways
-    from the goal it grows like a square root.
+    of at most five turns and straight lines: Reeds and Shepp, "Optimal paths for a car that goes both forwards and
+    backwards", Pacific Journal of Mathematics 145, 1990. The distance is continuous, and the same in both directions.
+    Sideways from the goal it grows like a square root.
 
     Args:
-        goal: The goal pose ``(x, y, theta)``, in workspace units and radians, finite.
-        radius: The minimum turning radius, in workspace units, positive.
-
-    Raises:
-        ValueError: If the goal is not three finite numbers, or the radius is not positive and finite.
-
-    References:
-        Reeds and Shepp, "Optimal paths for a car that goes both forwards and backwards", Pacific Journal of
-        Mathematics 145, 1990. Their three symmetries drive a path in the opposite gears (time flip), in a mirror
-        (reflect), and from its end to its beginning (backwards).
+        goal: The goal pose ``(x, y, theta)``, in workspace units and radians, finite, else ``ValueError``.
+        radius: The minimum turning radius, in workspace units, positive and finite, else ``ValueError``.
     """
 
     @property
     def symmetries(self) -> tuple[Symmetry, Symmetry]:
-        """Reflections of positions in the lines through the goal along and across its heading.
-
-        Both also negate the heading relative to the goal's.
-        """
+        """Reflections in the lines through the goal along and across its heading; both negate relative headings."""
         return self._reflection(self.goal[2]), self._reflection(self.goal[2] + _QUARTER)
 
     @staticmethod
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
-        """Yield the words of Reeds and Shepp, without their rule for the gears of first and last turns.
+        """Yield the words of Reeds and Shepp, but with first and last turns that go the shorter way, in either gear.
 
-        Each first or last turn goes the shorter way around, in either gear. This is a valid path, and the rule allows
-        it if it is shortest.
+        Each is a valid path. Their rule for the gears allows it if it is shortest.
         """
         yield from _words_to_left(*to_left, heading)
         yield from _words_to_right(*to_right, heading)
@@ -256,21 +228,15 @@ _CIRCLE = 2 * np.pi
 class Dubins(_Car):
     """Length of the shortest path of a car that only drives forward, without obstacles.
 
-    The car moves along its heading and turns no sharper than its turning radius. A shortest path is one of six words:
-    LSL, RSR, LSR, RSL, RLR, LRL. The distance depends on the direction of travel. It jumps, by up to a full circle,
-    at poses from which a single turn, or one turn to each side, leads to the goal. There the shorter path counts,
-    which may miss the goal by 1e-10 turning radii.
+    The car moves along its heading and turns no sharper than its turning radius. A shortest path is one of six words,
+    LSL, RSR, LSR, RSL, RLR, LRL: Dubins, "On curves of minimal length with a constraint on average curvature",
+    American J. of Mathematics 79, 1957. The distance depends on the direction of travel. It jumps, by up to a full
+    circle, at poses from which a single turn, or one turn to each side, leads to the goal. There the shorter path
+    counts, which may miss the goal by 1e-10 turning radii.
 
     Args:
-        goal: The goal pose ``(x, y, theta)``, in workspace units and radians, finite.
-        radius: The minimum turning radius, in workspace units, positive.
-
-    Raises:
-        ValueError: If the goal is not three finite numbers, or the radius is not positive and finite.
-
-    References:
-        Dubins, "On curves of minimal length with a constraint on average curvature", American J. of Mathematics 79,
-        1957.
+        goal: The goal pose ``(x, y, theta)``, in workspace units and radians, finite, else ``ValueError``.
+        radius: The minimum turning radius, in workspace units, positive and finite, else ``ValueError``.
     """
 
     @property
@@ -297,11 +263,7 @@ class Dubins(_Car):
 
 
 def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
-    """Return the lengths of LSL: a left turn by ``angle``, a straight line, and the rest of the total ``turn``.
-
-    If a turn lacks almost nothing of a full circle, it is replaced by none, as where a line or a single turn leads to
-    the goal. No other word helps there.
-    """
+    """Return the segments of LSL, whose turns sum to ``turn``; a turn of nearly a full circle becomes none."""
     slack = _SLACK / np.maximum(distance, _SLACK)
     first = _forward_turn(angle, slack)
     first = np.where(first <= turn + slack, np.minimum(first, turn), first)

@@ -14,11 +14,7 @@ from plr_jax._types import ArrayLike, Distances, Symmetry
 class Euclidean:
     """Straight-line distance to a goal, in any dimension, without obstacles.
 
-    Args:
-        goal: The goal, ``(dim,)``, finite.
-
-    Raises:
-        ValueError: If the goal is not a vector of finite numbers.
+    The goal is a vector of finite numbers, ``(dim,)``, else ``ValueError``.
     """
 
     goal: Float[np.ndarray, "dim"]

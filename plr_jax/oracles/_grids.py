@@ -5,7 +5,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
@@ -14,9 +14,11 @@ from scipy.sparse import csgraph, csr_array
 from plr_jax._arrays import as_finite_point, as_numbers, as_points, set_fields, shortened, with_inf_for_masked
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.masks import as_mask
+from plr_jax.geometry.masks import Mask, as_mask
 from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets
 
+Grid: TypeAlias = Float[np.ndarray, "..."]
+Cells: TypeAlias = Int[np.ndarray, "steps"]
 _DISTANCES = 2**22  # distances of cells in memory at a time
 _OUTSIDE = -1
 _POINTS = 8192  # points interpolated at a time, so that their arrays stay in the cache
@@ -29,13 +31,10 @@ class _CellGraph(ABC):
 
     goal: Float[np.ndarray, "dim"] | None
     dim: ClassVar[int]
+    """Number of coordinates of a point."""
 
     def with_goal(self, goal: ArrayLike) -> Self:
-        """Return the same graph with another goal in a free cell, ``(dim,)``; edges are not computed again.
-
-        Raises:
-            ValueError: If the goal is not in a free cell.
-        """
+        """Return the graph with another goal in a free cell, ``(dim,)`` (else ``ValueError``), sharing the edges."""
         _ = self._steps  # computed once, for all copies
         graph: Any = copy(self)
         graph.__dict__.pop("_to_goal", None)
@@ -43,17 +42,10 @@ class _CellGraph(ABC):
         return graph
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the length of a shortest path from the cell of each point to the goal's cell.
+        """Return the length of a shortest path from the cell of each point ``(n, dim)`` to the goal's cell, ``(n,)``.
 
-        Args:
-            x: Points, ``(n, dim)``.
-
-        Returns:
-            Distances, ``(n,)``; ``inf`` in blocked cells, outside the grid, without a path to the goal, and for
-            points with a NaN.
-
-        Raises:
-            ValueError: If there is no goal.
+        It is ``inf`` in blocked cells, outside the grid, without a path to the goal, and for points with a NaN.
+        ``ValueError`` if there is no goal.
         """
         return self._to_goal[self._cells_of("x", x)]
 
@@ -83,9 +75,7 @@ class _CellGraph(ABC):
         """Return the cell index of each point, after a check of the shape; errors call the points ``name``."""
 
 
-def legal_steps(
-    free: Bool[np.ndarray, "rows columns"], connectivity: int
-) -> tuple[Int[np.ndarray, "steps"], Int[np.ndarray, "steps"], Bool[np.ndarray, "steps"]]:
+def legal_steps(free: Mask, connectivity: int) -> tuple[Cells, Cells, Bool[np.ndarray, "steps"]]:
     """Return start and end cells (row-major) of all legal steps, each in one direction, and which are diagonal."""
     rows, columns = np.nonzero(free)
     legal = np.pad(free, 1)
@@ -106,30 +96,22 @@ class GridGraph(_CellGraph):
 
     A step leads to one of 4 neighbors and has length 1, or to one of 8, where diagonal steps have length sqrt(2). A
     diagonal step must not cut a corner: both cells beside it must be free. These are the rules of the Moving AI
-    benchmarks and, with 4 neighbors, of the League of Robot Runners.
+    benchmarks (N. Sturtevant, IEEE TCIAIG 4(2), 2012) and, with 4 neighbors, of the League of Robot Runners.
 
     The cell in row ``r`` and column ``c`` contains the points with ``c <= x < c + 1`` and ``r <= y < r + 1``, as in
     :func:`scenes.read_map`. So integers are the columns and rows of ``.scen`` files. All points of a cell have the
-    same distance.
+    same distance. Invalid arguments raise ``ValueError``.
 
     Args:
         free: Whether each cell is free, ``(rows, columns)``, as :func:`scenes.read_cells` reads a ``.map`` file.
         goal: A point in a free cell, ``(2,)``. None: only :meth:`between` can be used.
         connectivity: Number of neighbors of a cell, 4 or 8.
-
-    Raises:
-        ValueError: If ``free`` is not a nonempty 2-D boolean array, the goal is not in a free cell, or
-            ``connectivity`` is not 4 or 8.
-
-    References:
-        N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012.
     """
 
-    free: Bool[np.ndarray, "rows columns"]
+    free: Mask
     connectivity: int
     goal: Float[np.ndarray, "2"] | None
     dim: ClassVar[int] = 2
-    """Number of coordinates of a point."""
 
     def __init__(self, free: ArrayLike, goal: ArrayLike | None = None, *, connectivity: int = 4):
         if isinstance(connectivity, bool) or connectivity not in (4, 8):
@@ -147,17 +129,10 @@ class GridGraph(_CellGraph):
         return f"GridGraph({rows} x {columns} cells, {self.connectivity}-connected)"
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
-        """Return the length of a shortest path between the cells of points, pair by pair.
+        """Return the length of a shortest path between the cells of points ``(n, 2)``, pair by pair, ``(n,)``.
 
-        Each distinct cell of ``x``, or of ``y`` if it has fewer, takes one search over the grid.
-
-        Args:
-            x: Points, ``(n, 2)``.
-            y: Points, ``(n, 2)``.
-
-        Returns:
-            Distances, ``(n,)``; ``inf`` in blocked cells, outside the grid, without a path, and for points with a
-            NaN.
+        Each distinct cell of ``x``, or of ``y`` if it has fewer, takes one search over the grid. The length is
+        ``inf`` in blocked cells, outside the grid, without a path, and for points with a NaN.
         """
         ends = self._cells_of("x", x), self._cells_of("y", y)
         if len(ends[0]) != len(ends[1]):
@@ -212,21 +187,16 @@ class VoxelGraph(_CellGraph):
 
     A point can follow any path over 26 neighbors. So the length is never below that of the shortest path of any angle
     between the two centers. In open space, for cubes, it is at most 12.9 % above it. A point on a face between two
-    voxels belongs to the upper one, a point on an upper bound to the last one.
+    voxels belongs to the upper one, a point on an upper bound to the last one. Invalid arguments raise
+    ``ValueError``.
 
     Args:
-        free: Whether each voxel is free, booleans ``(nx, ny, nz)``, indexed ``[i, j, k]`` as in :class:`VoxelSpace`.
+        free: Whether each voxel is free, booleans ``(nx, ny, nz)``, indexed ``[i, j, k]`` as in :class:`VoxelSpace`;
+            at least one is.
         goal: A point in a free voxel, ``(3,)``; distances are measured from the voxel's center.
         moves: Number of neighbors of a voxel, 6, 18 or 26.
-        bounds: The box that the voxels fill, or its corners ``(lo, hi)``. None: voxels of side 1, the first with its
-            corner at 0, so that voxel ``i`` spans ``[i, i + 1]``.
-
-    Raises:
-        ValueError: If ``free`` is not a 3-D boolean array with a free voxel, the bounds are not a 3-D box without
-            periodic axes, the goal is not in a free voxel, or ``moves`` is not 6, 18 or 26.
-
-    References:
-        R. Dial, "Algorithm 360: shortest-path forest with topological ordering", CACM 12(11), 1969.
+        bounds: The box that the voxels fill, or its corners ``(lo, hi)``, without periodic axes. None: voxels of side
+            1, the first with its corner at 0.
     """
 
     grid: VoxelGrid
@@ -235,7 +205,6 @@ class VoxelGraph(_CellGraph):
     moves: int
     goal: Float[np.ndarray, "3"]
     dim: ClassVar[int] = 3
-    """Number of coordinates of a point."""
 
     def __init__(self, free: ArrayLike, goal: ArrayLike, moves: int = 26, bounds: Box | ArrayLike | None = None):
         if isinstance(moves, bool) or moves not in _AXES:
@@ -281,7 +250,7 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _to_goal(self) -> Distances:
-        """Distance of every padded voxel to the goal, by Dial's buckets, each narrower than the shortest step."""
+        """Distance of every padded voxel to the goal, by buckets narrower than the shortest step (Dial, 1969)."""
         steps, legal = self._steps
         bits = np.arange(len(steps), dtype=np.uint32)
         jumps = np.sum(steps * self.grid.padded.strides, axis=1)
@@ -311,24 +280,20 @@ class VoxelGraph(_CellGraph):
 class GridField:
     """Distances from another library at the cell centers of a grid, interpolated between them.
 
-    The **last** axis of the array runs along the first coordinate of a point, and its first axis along the last
-    coordinate. In 2-D, ``values[row, column]`` belongs to ``(x, y)`` with ``x`` in that column and ``y`` in that row,
-    row 0 at the lowest ``y``, as in :meth:`Box.grid`. This is the layout of scikit-fmm over a ``meshgrid`` and of
-    xarray with ascending dimensions ``("y", "x")``. For a raster with row 0 at the top give ``values[::-1]``, for a
-    table ``[x, y, ...]`` give ``values.T``.
+    The **last** axis of the array runs along the first coordinate of a point. In 2-D, ``values[row, column]`` belongs
+    to ``(x, y)`` with ``x`` in that column and ``y`` in that row, row 0 at the lowest ``y``, as in :meth:`Box.grid`.
+    This is the layout of scikit-fmm over a ``meshgrid`` and of xarray with ascending dimensions ``("y", "x")``. For a
+    raster with row 0 at the top give ``values[::-1]``, for a table ``[x, y, ...]`` give ``values.T``.
 
     Interpolation is multilinear between the centers of cells with a value. If some centers around a point have none,
     the weights of the others are scaled to sum to 1. In the outer halves of the cells at the bounds, the distance is
     that of the nearest point between centers. Along a periodic axis, the last cells are neighbors of the first.
+    Invalid arguments raise ``ValueError``.
 
     Args:
         values: Distance at each center, in any dimension, at least 0; ``inf``, NaN or masked where the goal cannot be
             reached. Kept as a read-only array, with ``inf`` for all of these.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: corners of outer cells, not centers.
-
-    Raises:
-        ValueError: If ``values`` is empty or contains anything but numbers of at least 0, or ``bounds`` is not a box
-            of the same dimension.
     """
 
     values: Float[np.ndarray, "..."]
@@ -362,14 +327,10 @@ class GridField:
         return self.bounds.dim
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the interpolated distance at each point.
+        """Return the interpolated distance at each point ``(n, dim)``, ``(n,)``.
 
-        Args:
-            x: Points, ``(n, dim)``.
-
-        Returns:
-            Distances, ``(n,)``; ``inf`` where the cell that contains the point has no value, outside the bounds, and
-            for points with a NaN.
+        It is ``inf`` where the cell that contains the point has no value, outside the bounds, and for points with a
+        NaN.
         """
         x = as_points("x", self.bounds.settled(x), self.dim)
         distances = np.full(len(x), np.inf)
@@ -381,9 +342,9 @@ class GridField:
         return distances
 
     def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, "n"]]:
-        """Return interpolated distances, even in cells without a value, and whether each point's cell has a value.
+        """Return interpolated distances at points in the box, and whether the cell of each point has a value.
 
-        Points must lie in the box. Distances are ``inf`` where no cell around the point has a value.
+        Cells without a value get distances too: ``inf`` where no cell around the point has a value.
         """
         from scipy import ndimage  # slow to import, and needed only here
 
@@ -398,13 +359,10 @@ class GridField:
         return values, np.isfinite(nearest)
 
     @cached_property
-    def _padded(
-        self,
-    ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."], Bool[np.ndarray, "..."] | None]:
-        """Values (0 if unknown), whether they are known, and boxes between centers that must not be interpolated.
+    def _padded(self) -> tuple[Grid, Grid, Bool[np.ndarray, "..."] | None]:
+        """Values (0 if unknown) and whether they are known, padded by a cell; boxes not to interpolate in, or None.
 
-        Values are padded by a cell. In these boxes (None: no box), cells with a value touch at an edge or a corner
-        only.
+        In these boxes between centers, cells with a value touch at an edge or a corner only.
         """
         is_known = np.isfinite(self.values)
         values = np.where(is_known, self.values, 0.0)

@@ -22,12 +22,9 @@ class NearestGoal:
     such as a door, is several goals: points along it, no farther apart than twice the error that you accept.
 
     Args:
-        distance_fns: One distance function per goal, all of the same dimension. To share preprocessing, use
-            ``[first, *map(first.with_goal, others)]`` of a ``VisibilityGraph``, ``Roadmap`` or ``GridGraph``. PLRs
-            work too.
-
-    Raises:
-        ValueError: If the list is empty, contains anything but distance functions with ``dim``, or dimensions differ.
+        distance_fns: One distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs.
+            To share preprocessing, use ``[first, *map(first.with_goal, others)]`` of a ``VisibilityGraph``,
+            ``Roadmap`` or ``GridGraph``.
     """
 
     distance_fns: tuple[DistanceFn, ...]
@@ -57,29 +54,21 @@ class NearestGoal:
         return self._distances(x).min(axis=0)
 
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """Return the index of the goal that is nearest to each point ``(n, dim)``.
-
-        The index is the first of equally near goals, and -1 where no goal can be reached.
-        """
+        """Return the index of the goal nearest to each point ``(n, dim)``: the first of equal ones, -1 if none."""
         distances = self._distances(x)
         return np.where(np.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """Return the shortest path from a point ``(dim,)`` to the nearest goal, by that goal's ``shortest_path``.
-
-        ``ValueError`` if its distance function has no such method, as PLRs have none.
-        """
+        """Return the path from a point ``(dim,)`` by the nearest goal's ``shortest_path``, else ``ValueError``."""
         nearest: Any = self.distance_fns[self.which(as_point("The start", x, self.dim)[None])[0]]
         if not hasattr(type(nearest), "shortest_path"):
             raise ValueError(
-                f"Paths need oracles with shortest_path, such as VisibilityGraph, got {shortened(nearest)}: use "
-                "trace or descend."
+                f"Paths need oracles with shortest_path, got {shortened(nearest)}: use trace or descend."
             )
         return nearest.shortest_path(x)
 
     def _distances(self, x: ArrayLike) -> Float[np.ndarray, "goals n"]:
         x = as_points("x", x, self.dim)
-        answers = np.array(
-            [as_values(f"Distance function {i}", fn(x), len(x)) for i, fn in enumerate(self.distance_fns)]
-        )
+        fns = enumerate(self.distance_fns)
+        answers = np.array([as_values(f"Distance function {i}", fn(x), len(x)) for i, fn in fns])
         return np.where(np.isnan(answers), np.inf, answers)  # PLRs answer NaN at points with a NaN

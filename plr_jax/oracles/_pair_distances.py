@@ -8,9 +8,10 @@ corners.
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import csgraph
 
 from plr_jax._arrays import parts, take_ragged
@@ -21,6 +22,8 @@ from plr_jax.geometry.single_points import FEW, CornerSight, Place, PointLocator
 from plr_jax.geometry.visibility import triangles_within
 from plr_jax.geometry.workspace import Workspace
 
+Points: TypeAlias = Float[np.ndarray, "n 2"]
+Entries: TypeAlias = Float[np.ndarray, "entries"]
 _CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
 _WAYS = 1 << 18  # paths through two corners in memory at a time
 _DISTANCES = 1 << 24  # distances between corners in memory at a time, and in the cache
@@ -34,7 +37,7 @@ class _CornerLists:
 
     first: Int[np.ndarray, "points_plus_one"]
     corner: Int[np.ndarray, "entries"]
-    distance: Float[np.ndarray, "entries"]
+    distance: Entries
 
     @cached_property
     def point(self) -> Int[np.ndarray, "entries"]:
@@ -74,14 +77,9 @@ class PairDistances:
         start, end = edges.T
         return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
 
-    @cached_property
-    def _rows(self) -> dict[int, Float[np.ndarray, "corners"]]:
-        """Known distances from single corners to all corners."""
-        return {}
-
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, "corners"]]:
-        """Return distances from some corners, at most ``_at_once``, to all corners; up to so many are cached."""
-        rows = self._rows
+        """Return distances from some corners to all corners; those from up to ``_at_once`` corners are cached."""
+        rows = self.__dict__.setdefault("_rows", {})
         if missing := [corner for corner in corners if corner not in rows]:
             if len(rows) + len(missing) > self._at_once:
                 rows, missing = {}, corners  # other threads may read the old rows
@@ -103,7 +101,7 @@ class PairDistances:
         num_corners = len(corners.points)
         return np.append(first, len(corner) + num_corners), np.append(corner, np.arange(num_corners))
 
-    def __call__(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
+    def __call__(self, x: Points, y: Points) -> Distances:
         """Return the distance from each ``x`` to its ``y``: ``inf`` without a path, bitwise the same if swapped."""
         if len(x) != len(y):
             raise ValueError(f"x and y must be equally many points, got {len(x)} and {len(y)}.")
@@ -114,7 +112,7 @@ class PairDistances:
             distance[rest] = self._distances(x[rest], y[rest])
         return distance
 
-    def _distances(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
+    def _distances(self, x: Points, y: Points) -> Distances:
         swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
         x, y = np.where(swaps, y, x), np.where(swaps, x, y)
         distance, seen = np.full(len(x), np.inf), self.workspace.is_visible(x, y)
@@ -122,7 +120,7 @@ class PairDistances:
         hidden = np.flatnonzero(~seen)
         is_free = self.workspace.is_free_to_tolerance
         hidden = hidden[is_free(x[hidden]) & is_free(y[hidden])]
-        hidden = hidden[np.argsort(_as_complex(x[hidden]), kind="stable")]  # so that batches share points and corners
+        hidden = hidden[np.argsort(x[hidden] @ [1, 1j], kind="stable")]  # so that batches share points and corners
         counts = self._candidates(x[hidden])[0] + self._candidates(y[hidden])[0]
         for part in parts(counts, _CANDIDATES):
             pairs = hidden[part]
@@ -130,7 +128,7 @@ class PairDistances:
         return distance
 
     def _distance(self, x: list[float], y: list[float]) -> float:
-        """Return the distance of one pair, to the bit as :meth:`_distances` does; NaN if a point has no place."""
+        """Return the distance of one pair, to the bit as :meth:`_distances`; NaN if an end cannot be located."""
         if y < x:
             x, y = y, x
         start, end = self.locator.place(*x), self.locator.place(*y)
@@ -143,16 +141,12 @@ class PairDistances:
         return math.sqrt(dx * dx + dy * dy) if is_visible else self._around(x, start, y, end)
 
     def _around(self, x: list[float], start: Place, y: list[float], end: Place) -> float:
-        """Return the length of the shortest path with turns; the ends are points and their places.
-
-        The search tries first corners in ascending order of their lower bounds. The bound of the way from a corner to
-        ``y`` is a difference of their distances to a landmark, as in Goldberg and Harrelson, "Computing the shortest
-        path: A* search meets graph theory" (2005).
-        """
+        """Return the length of the shortest path with turns between two points, given with their places."""
         (first, to_first), (last, to_last) = self._turns_at(x, start), self._turns_at(y, end)
         if not len(first) or not len(last):
             return math.inf
-        # 1. Bound the length of the way through each first corner, whether or not last corners see y.
+        # 1. Bound the length of the way through each first corner, by differences of distances to landmarks: Goldberg
+        #    and Harrelson, "Computing the shortest path: A* search meets graph theory" (2005).
         of_first, of_last, legs = self._landmarks[first], self._landmarks[last], to_last[:, None]
         with np.errstate(invalid="ignore"):  # a landmark and both corners may be infinitely far from one another
             nearer, farther = of_first - (of_last - legs).max(axis=0), (of_last + legs).min(axis=0) - of_first
@@ -170,7 +164,6 @@ class PairDistances:
         return shortest
 
     def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some"]]:
-        """Return the corners at which paths from the triangles of a point may turn, and their distances from it."""
         corner = place.take(*self._regions)
         dx, dy = (self.visibility.corners.points[corner] - x).T
         return corner, np.sqrt(dx * dx + dy * dy)
@@ -189,7 +182,7 @@ class PairDistances:
     def _rounding(self) -> float:
         return _SLACK * float(self._landmarks[np.isfinite(self._landmarks)].max())
 
-    def _by_corners(self, x: Float[np.ndarray, "n 2"], y: Float[np.ndarray, "n 2"]) -> Distances:
+    def _by_corners(self, x: Points, y: Points) -> Distances:
         """Return lengths of shortest paths with turns; the length of a good path limits which corners are tried."""
         at_x, at_y = self._lists(x), self._lists(y)
         least_x, least_y = self._lower_bounds(at_x, y), self._lower_bounds(at_y, x)
@@ -197,7 +190,7 @@ class PairDistances:
         most = self._shortest(at_x.filter(promising), at_y) * (1 + _SLACK)
         return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
-    def _lower_bounds(self, lists: _CornerLists, other: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "entries"]:
+    def _lower_bounds(self, lists: _CornerLists, other: Points) -> Entries:
         to_other = other[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.distance + np.linalg.norm(to_other, axis=1)
 
@@ -217,9 +210,9 @@ class PairDistances:
                 length[entries] = _run_minima(onward, first)
         return _run_minima(at_x.distance + length, at_x.first)
 
-    def _lists(self, x: Float[np.ndarray, "n 2"]) -> _CornerLists:
+    def _lists(self, x: Points) -> _CornerLists:
         """Return the corners that each point sees and at which a path from it may turn."""
-        _, index, number = np.unique(_as_complex(x), return_index=True, return_inverse=True)
+        _, index, number = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._regions
         places = self.workspace.triangulation.place(points)
@@ -229,12 +222,10 @@ class PairDistances:
         distance = np.linalg.norm(points[point] - self.visibility.corners.points[corner], axis=1)
         return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(kept).take(number)
 
-    def _candidates(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
+    def _candidates(self, x: Points) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
         """Return how many corners may see each point, and the indices of the lists in ``_regions`` that hold them."""
-        begins, (held, first, triangle) = (
-            self._regions[0],
-            triangles_at(self.workspace.triangulation, self.workspace.triangulation.place(x)),
-        )
+        begins, mesh = self._regions[0], self.workspace.triangulation
+        held, first, triangle = triangles_at(mesh, mesh.place(x))
         num_runs, in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
         num_runs[held], in_triangle[held] = np.diff(first), True
         point = np.repeat(np.arange(len(x)), num_runs)
@@ -243,15 +234,9 @@ class PairDistances:
         return np.bincount(point, np.diff(begins)[runs], len(x)).astype(int), runs
 
 
-def _run_minima(
-    values: Float[np.ndarray, "entries"], first: Int[np.ndarray, "runs_plus_one"]
-) -> Float[np.ndarray, "runs"]:
+def _run_minima(values: Entries, first: Int[np.ndarray, "runs_plus_one"]) -> Float[np.ndarray, "runs"]:
     """Return the minimum of ``values[first[i] : first[i + 1]]`` for each ``i``, ``inf`` if that is empty."""
     result, some = np.full(len(first) - 1, np.inf), np.diff(first) > 0
     if some.any():
         result[some] = np.minimum.reduceat(values, first[:-1][some])
     return result
-
-
-def _as_complex(x: Float[np.ndarray, "n 2"]) -> Complex[np.ndarray, "n"]:
-    return x[:, 0] + 1j * x[:, 1]

@@ -39,14 +39,12 @@ class Metric:
 
     @property
     def widths(self) -> Float[np.ndarray, "dim"]:
-        """Weighted widths of the domain; along a periodic axis, the weighted period."""
         return self.weights * self.domain.width
 
     def lengths(self, a: Float[np.ndarray, "#n dim"], b: Points) -> Float[np.ndarray, "n"]:
         return np.linalg.norm(self.weights * self.domain.difference(b, a), axis=1)
 
     def tree(self, vertices: Points) -> KDTree:
-        """Build a k-d tree over :meth:`tree_coordinates`; its distances are those of the metric."""
         periods = np.where(self.domain.periodic, self.widths, 0.0) if self.domain.is_periodic else None
         return KDTree(self.tree_coordinates(vertices), boxsize=periods)
 
@@ -58,7 +56,6 @@ class Metric:
 
 
 def metric_of(domain: Box, weights: ArrayLike | None) -> Metric:
-    """Return the metric with the given weights (None: 1); raise ``ValueError`` unless all are positive."""
     if weights is None:
         return Metric(domain, np.ones(domain.dim))
     weights = as_finite_point("weights", weights, domain.dim)
@@ -77,21 +74,14 @@ _DRAWS_BEFORE_GIVING_UP = 100_000
 
 
 def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
-    """Return the connection radius ``gamma (log n / n)^(1/dim)`` of PRM* for ``n >= 2`` vertices.
-
-    By Karaman and Frazzoli, IJRR 2011, section 3.3; ``gamma`` is the bound above which PRM* is asymptotically
-    optimal.
-    """
+    """Return the radius ``gamma (log n / n)^(1/dim)`` of PRM*, asymptotically optimal, for ``n >= 2`` vertices."""
     unit_ball_volume = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
     gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume) ** (1 / dim)
     return gamma * (math.log(num_vertices) / num_vertices) ** (1 / dim)
 
 
 def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
-    """Return the first free draws of a uniform sequence over the domain, and the free volume, estimated.
-
-    The volume is measured in the metric's weighted coordinates.
-    """
+    """Draw free configurations uniformly from the domain; also return an estimate of the weighted free volume."""
     domain = metric.domain
     rng = np.random.default_rng(seed)
     batch = max(num_samples, 1000)
@@ -120,12 +110,8 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
     return pairs[visible].astype(np.int32)
 
 
-def checked_is_free(domain: Box, is_free: IsFree) -> IsFree:
-    """Wrap a user's test: nothing outside the domain is free, periodic axes are wrapped, and answers are checked."""
-    return partial(_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
-
-
 def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
+    """Ask a user's test about configurations in the domain, wrapped, and check its answers; others are not free."""
     inside = domain.contains(x)
     if inside.any():
         inside[inside] = as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
@@ -139,9 +125,7 @@ def checked_is_visible(
     if is_visible is None and resolution is not None:
         return partial(_is_visible_sampled, metric, is_free, as_finite("resolution", resolution, positive=True))
     if is_visible is None or resolution is not None:
-        raise ValueError(
-            "Give either is_visible, an exact test of motions, or resolution, the step of a sampled test."
-        )
+        raise ValueError("Give is_visible, an exact test of motions, or resolution, the step of a sampled test.")
     return partial(_is_visible, metric.domain, is_visible)
 
 
@@ -175,11 +159,11 @@ class Roadmap:
     """Distance to a goal over a probabilistic roadmap (PRM*), a `DistanceFn` in any dimension.
 
     The vertices are free configurations, drawn uniformly, and the goal. Two vertices within the PRM* radius that see
-    each other are joined by a straight edge. Dijkstra's algorithm computes the distance of each vertex to the goal. A
-    query joins a point to all vertices that it sees within the radius, and takes the shortest path through one of
-    them. A path of that length exists, so the answer is never below the true distance, as far as the edge test can be
-    trusted. It approaches the true distance as samples are added. Lengths are Euclidean norms of differences times
-    the ``weights``; edges go the short way around periodic axes.
+    each other are joined by a straight edge (Karaman and Frazzoli, "Sampling-based algorithms for optimal motion
+    planning", IJRR 2011, section 3.3). A query joins a point to all vertices that it sees within the radius, and
+    takes the shortest path through one of them. A path of that length exists, so the answer is never below the true
+    distance, as far as the edge test can be trusted. It approaches the true distance as samples are added. Lengths
+    are Euclidean norms of differences times the ``weights``; edges go the short way around periodic axes.
 
     Args:
         domain: The box of configurations, or its corners ``(lo, hi)``. Outside it nothing is free. Along periodic
@@ -204,12 +188,7 @@ class Roadmap:
         distances: Distance of each vertex to the goal, ``inf`` if the roadmap does not connect them.
 
     Raises:
-        ValueError: If the domain is not a box, the goal is not free, fewer than 1 in 10,000 draws are free, a test
-            does not return one boolean per point, or an argument is out of range.
-
-    References:
-        Karaman and Frazzoli, "Sampling-based algorithms for optimal motion planning", IJRR 2011: section 3.3 on PRM*.
-        The free volume in its radius is estimated by the fraction of draws that are free.
+        ValueError: If fewer than 1 in 10,000 draws are free, or an argument is invalid.
     """
 
     domain: Box
@@ -236,7 +215,7 @@ class Roadmap:
     ):
         require_integer("num_samples", num_samples, 1)
         domain = Box.of(domain, "The domain")
-        is_free = checked_is_free(domain, is_free)
+        is_free = partial(_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
         metric = metric_of(domain, weights)
         is_visible = checked_is_visible(metric, is_free, is_visible, resolution)
         goal = _free_goal(domain, is_free, goal)
@@ -255,23 +234,14 @@ class Roadmap:
 
     @classmethod
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
-        """Build the roadmap of a point robot in a workspace, whose bounds are the domain, with exact edge tests.
-
-        The other arguments are those of the class.
-
-        Raises:
-            ValueError: If the goal is not free, or less than 1 in 10,000 of the bounds' area is free.
-        """
+        """Build the roadmap of a point robot in a workspace, with exact edge tests; the rest is as for the class."""
         require_workspace(workspace)
         return cls(workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible)
 
     def with_goal(self, goal: ArrayLike) -> "Roadmap":
         """Return the roadmap of the same samples for another free goal ``(dim,)``, testing only the goal's edges.
 
-        The result equals a new construction with this goal and the same seed.
-
-        Raises:
-            ValueError: If the goal is not free.
+        The result equals a new construction with this goal and the same seed. ``ValueError`` if the goal is not free.
         """
         goal = _free_goal(self.domain, self.is_free, goal)
         samples, edges = self.graph.vertices[1:], self.graph.edges
@@ -306,29 +276,19 @@ class Roadmap:
         return sum(array.nbytes for array in (self.graph.vertices, self.graph.edges, self.graph.lengths))
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the distance of each point to the goal along the roadmap.
+        """Return the distance of each point ``(n, dim)`` to the goal along the roadmap, ``(n,)``, in weighted units.
 
-        A point without a free straight motion to a vertex within the radius tries 2, 4, ... times the radius.
-
-        Args:
-            x: Points, ``(n, dim)``.
-
-        Returns:
-            Distances ``(n,)``, in weighted units of the domain. ``inf`` for points outside the domain, with a NaN, or
-            not free; for points that see no vertex; and if no visible vertex is connected to the goal.
+        A point without a free straight motion to a vertex within the radius tries 2, 4, ... times the radius. The
+        distance is ``inf`` for points outside the domain, with a NaN, or not free; for points that see no vertex; and
+        if no visible vertex is connected to the goal.
         """
         return self._first_vertices(self.domain.wrapped(as_points("x", self.domain.settled(x), self.domain.dim)))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """Return the path whose length a call returns.
+        """Return the path from a point ``(dim,)`` to the goal whose length a call returns, as vertices ``(m, dim)``.
 
-        Args:
-            x: A point, ``(dim,)``.
-
-        Returns:
-            Vertices of the path, ``(m, dim)``, from ``x`` to the goal, without repetitions: one vertex if ``x`` is
-            the goal, none if the distance is ``inf``. Along periodic axes they are wrapped, and the path goes the
-            short way.
+        They have no repetitions: one vertex if the point is the goal, none if the distance is ``inf``. Along periodic
+        axes they are wrapped, and the path goes the short way.
         """
         x = self.domain.wrapped(as_point("The start", self.domain.settled(x), self.domain.dim)[None])
         distance, first = self._first_vertices(x)
@@ -349,11 +309,8 @@ class Roadmap:
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Return each point's distance through the best vertex seen between two radii, and that vertex or -1."""
-        places, vertices, distances = (
-            self._metric.tree_coordinates(x),
-            self.graph.vertices,
-            np.append(self.distances, np.inf),
-        )
+        places, vertices = self._metric.tree_coordinates(x), self.graph.vertices
+        distances = np.append(self.distances, np.inf)
         count = self._tree.query_ball_point(places, outer, return_length=True)
         step = max(1, _BATCH // max(1, count.max()))
         distance, first = np.empty(len(x)), np.empty(len(x), int)

@@ -15,20 +15,14 @@ _SLACK = 4  # multiple of the tolerance by which robots are shrunk
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
     """Return, for each robot, the exact distance to its goal among the obstacles, without the other robots.
 
-    Robots of equal size share the visibility of corners.
+    It is a distance function of positions ``(n, 2)``, never above the robot's own shortest path, ``inf`` where its
+    center cannot be. Robots of equal size share the visibility of corners.
 
     Args:
         problem: The robots, their workspace and their goals.
         inflated: Whether obstacles are grown by each robot's radius (the inscribed radius of a robot that turns), so
-            that distances are those of its reference point. False: distances of points, as in the paper, which are
-            shorter.
-
-    Returns:
-        For each robot a distance function of positions ``(n, 2)``, never above the robot's own shortest path, ``inf``
-        where its center cannot be.
-
-    References:
-        Section V-B of the paper, which uses the point robots' distances.
+            that distances are those of its reference point. False: distances of points, as in section V-B of the
+            paper, which are shorter.
     """
     first: dict[float, VisibilityGraph] = {}
     distance_fns = []

@@ -9,12 +9,11 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields, shortened
-from plr_jax._arrays import index_of as index_of
+from plr_jax._arrays import as_finite_point, as_point, as_points, index_of, set_fields, shortened
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, cells_of_goals
-from plr_jax.geometry.cell_sight import CellSources, Sight, SourceLists, goal_sight, lists_of_goal
+from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, Indices, cells_of_goals
+from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
 from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
 from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see_polygons
 from plr_jax.geometry.corners import (
@@ -27,6 +26,7 @@ from plr_jax.geometry.corners import (
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
+from plr_jax.geometry.triangulation import TriangleLists
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
@@ -41,22 +41,16 @@ class VisibilityGraph:
     A shortest path turns only at corners that stick out into free space. Construction computes the visibility polygon
     of every corner, the graph of corners that see one another, and by Dijkstra's algorithm the distance of each
     corner to the goal. A query tries corners in ascending order of ``distance(corner) + |x - corner|`` and stops at
-    the first one that sees the point.
+    the first one that sees the point. See de Berg et al., Computational Geometry (3rd ed.), chapter 15.
 
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
-        goal: The goal, ``(2,)``, in closed free space.
+        goal: The goal, two finite numbers in closed free space, else ``ValueError``.
         shared: For internal use: corners and what they see, shared by oracles of a workspace; None: computed.
         goal_view: For internal use: what the goal sees, if it is known; the goal is then not checked.
 
     Attributes:
         distances: Distance of each vertex of ``graph`` to the goal, ``inf`` if it cannot be reached.
-
-    Raises:
-        ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
-
-    References:
-        de Berg et al., Computational Geometry (3rd ed.), chapter 15; see :mod:`plr_jax.geometry.visibility`.
     """
 
     workspace: Workspace
@@ -87,9 +81,8 @@ class VisibilityGraph:
             shared = PairDistances(workspace, corner_visibility(workspace))
         corners = shared.visibility
         if goal_view is None:
-            goal_table, (_, seen) = visibility_of(
-                workspace.triangulation, viewpoints_at(workspace.triangulation, goal[None])
-            )
+            view = viewpoints_at(workspace.triangulation, goal[None])
+            goal_table, (_, seen) = visibility_of(workspace.triangulation, view)
             goal_view = goal_table, corners.of_vertex[seen]
         # Join the goal, vertex 0, to the corners that it sees and that see it.
         corner, place = np.setdiff1d(goal_view[1], [-1]), goal_view[0].points[0]
@@ -102,23 +95,15 @@ class VisibilityGraph:
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
 
     def with_goal(self, goal: ArrayLike) -> "VisibilityGraph":
-        """Return the oracle of the same workspace for another goal ``(2,)``, sharing corners and what they see.
-
-        Raises:
-            ValueError: If the goal is not two finite numbers, lies in an obstacle or outside the bounds.
-        """
+        """Return the oracle for another free goal ``(2,)`` (else ``ValueError``), sharing what corners see."""
         return VisibilityGraph(self.workspace, goal, shared=self._pairs)
 
     def with_workspace(self, workspace: Workspace) -> "VisibilityGraph":
         """Return the oracle for the same goal after a local change of the workspace, reusing what did not change.
 
-        The result equals a new oracle up to rounding. The more the workspaces differ, the longer it takes.
-
-        Args:
-            workspace: The changed workspace, for example from :meth:`Workspace.with_obstacles`.
-
-        Raises:
-            ValueError: If the goal is not in closed free space of the new workspace.
+        The changed workspace comes for example from :meth:`Workspace.with_obstacles`. The result equals a new oracle
+        up to rounding. The more the workspaces differ, the longer it takes. ``ValueError`` if the goal is no longer
+        in closed free space.
         """
         require_workspace(workspace)
         own, goal = self.workspace, self.goal
@@ -168,11 +153,11 @@ class VisibilityGraph:
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
-        """Return a box's free convex pieces, and the goal or corners that paths from each may go to first."""
+        """Return a box's free convex pieces, and the goal or corners to which paths from each may go first."""
         return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """Return boxes' free convex pieces, and the goal or corners that paths from each may go to first."""
+        """Return boxes' free convex pieces, and the goal or corners to which paths from each may go first."""
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
@@ -180,8 +165,7 @@ class VisibilityGraph:
         if not isinstance(before, VisibilityGraph):
             raise ValueError(f"before must be a VisibilityGraph, got {shortened(before)}.")
         if (self.goal != before.goal).any():
-            goals = f"{before.goal.tolist()} and {self.goal.tolist()}"
-            raise ValueError(f"Both oracles must have one goal, got {goals}.")
+            raise ValueError(f"Both oracles must have one goal, got {before.goal.tolist()} and {self.goal.tolist()}.")
         return _changed_distances(before, self)
 
     @property
@@ -202,26 +186,17 @@ class VisibilityGraph:
         return FamilyCells.of(self._corners, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
-        self,
-        shared: FamilyCells,
-        members: "Sequence[VisibilityGraph]",
-        box: Int[np.ndarray, "cells"],
-        member: Int[np.ndarray, "cells"],
-        near: Int[np.ndarray, "cells"],
+        self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices, near: Indices
     ) -> CellSources:
         """Return the sources of cells for members of the family, see :func:`cells_of_goals`."""
         goals = [FamilyGoal(each.sources, each._turns, each._goal_table) for each in members]
         return cells_of_goals(shared, self._corners.corners, goals, box, member, near)
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the length of the shortest path from each point to the goal.
+        """Return the length of the shortest path from each point ``(n, 2)`` to the goal, ``(n,)`` in workspace units.
 
-        Args:
-            x: Points, ``(n, 2)``.
-
-        Returns:
-            Distances in workspace units, ``(n,)``: ``inf`` in an obstacle, outside the bounds, where the goal cannot
-            be reached, and for points that are not finite.
+        It is ``inf`` in an obstacle, outside the bounds, where the goal cannot be reached, and for points that are
+        not finite.
         """
         return self._first_turns(self._points("x", x))[0]
 
@@ -230,30 +205,20 @@ class VisibilityGraph:
         return self.workspace.is_free(x)
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
-        """Return the length of the shortest path between points, pair by pair, whatever the goal.
+        """Return the length of the shortest path between points ``(n, 2)``, pair by pair, ``(n,)``, for any goal.
 
-        Distances between corners are computed when needed. Up to 16 million of them are cached for all oracles that
-        :meth:`with_goal` makes of one another. With more than 4,096 corners, ask for many pairs in one call.
-
-        Args:
-            x: Points, ``(n, 2)``.
-            y: Points, ``(n, 2)``.
-
-        Returns:
-            Distances in workspace units, ``(n,)``, bitwise the same if ``x`` and ``y`` are swapped; ``inf`` without a
-            path, or if a point is not free or not finite.
+        Lengths are bitwise the same if ``x`` and ``y`` are swapped; ``inf`` without a path, or if a point is not free
+        or not finite. Distances between corners are computed when needed. Up to 16 million of them are cached for all
+        oracles that :meth:`with_goal` makes of one another. With more than 4,096 corners, ask for many pairs in one
+        call.
         """
         return self._pairs(self._points("x", x), self._points("y", y))
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m 2"]:
-        """Return the shortest path from a point to the goal.
+        """Return the shortest path from a point ``(2,)`` to the goal, as vertices ``(m, 2)`` without repetitions.
 
-        Args:
-            x: The point, ``(2,)``.
-
-        Returns:
-            Vertices of the path, ``(m, 2)``, from ``x`` to the goal, without repetitions: one vertex if ``x`` is the
-            goal, none if the distance is ``inf``. Corners that the path only grazes may be among them.
+        There is one vertex if the point is the goal, none if the distance is ``inf``. Corners that the path only
+        grazes may be among them.
         """
         x = as_point("The start", self.workspace.bounds.settled(x), 2)
         distance, turn = self._first_turns(x[None])
@@ -262,14 +227,10 @@ class VisibilityGraph:
         return path_to_root(self.graph, self._parents, x, int(turn[0]))
 
     def directions(self, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
-        """Return the directions in which shortest paths start, the negative gradient of the distance.
+        """Return unit vectors, ``(n, 2)``, along which shortest paths from points ``(n, 2)`` start.
 
-        Args:
-            x: Points, ``(n, 2)``.
-
-        Returns:
-            Unit vectors, ``(n, 2)``: zero within the workspace's tolerance of the goal, NaN where the distance is
-            ``inf``. If several paths are shortest, the direction of one of them.
+        They are the negative gradient of the distance: zero within the workspace's tolerance of the goal, NaN where
+        the distance is ``inf``. If several paths are shortest, the direction of one of them.
         """
         x = self._points("x", x)
         distance, turn = self._first_turns(x)
@@ -342,7 +303,7 @@ class NearestSources:
     graphs: tuple[VisibilityGraph, ...]
 
     @cached_property
-    def _sight_and_lists(self) -> tuple[Sight, SourceLists]:
+    def _sight_and_lists(self) -> tuple[Sight, TriangleLists]:
         """The sight of all goals (vertices ``0`` to ``count - 1``), then corners; what each triangle may see."""
         first, count = self.graphs[0], len(self.graphs)
         # Oracles that were not made of one another may number corners in different ways.
@@ -410,9 +371,8 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     turn_of[after._turns.vertex] = np.arange(len(after._turns.vertex))
     now = turn_of[source[before._turns.vertex]]
     same_turn = now >= 0
-    same_turn[same_turn] = (after._turns.normal[:, now[same_turn]] == before._turns.normal[:, same_turn]).all(
-        axis=(0, 2)
-    )
+    normals = after._turns.normal[:, now[same_turn]], before._turns.normal[:, same_turn]
+    same_turn[same_turn] = (normals[0] == normals[1]).all(axis=(0, 2))
     change_before = np.where(same_turn, source_change[before._turns.vertex], np.nan)
     change_after = np.full(len(after._turns.vertex), np.nan)
     change_after[now[same_turn]] = change_before[same_turn]
@@ -439,9 +399,8 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     for oracle, pairs in ((before, pairs_before), (after, pairs_after)):
         rows = np.flatnonzero(pairs.is_doubted)
         points = oracle.sources.points[pairs.source[rows], None]
-        pairs.is_doubted[rows] = hulls_meet_boxes(
-            np.concatenate([points, triangles[pairs.triangle[rows]]], axis=1), boxes
-        )
+        hulls = np.concatenate([points, triangles[pairs.triangle[rows]]], axis=1)
+        pairs.is_doubted[rows] = hulls_meet_boxes(hulls, boxes)
         shift[pairs.triangle[pairs.is_doubted | np.isnan(pairs.change)]] = np.nan
         known = ~np.isnan(pairs.change)
         np.minimum.at(least, pairs.triangle[known], pairs.change[known])

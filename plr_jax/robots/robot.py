@@ -27,10 +27,9 @@ class Robot:
     """A convex body that moves in the plane: all points within ``rounding`` of its ``core``.
 
     A new shape is a subclass that sets the three attributes; the library reads only these and the properties that
-    follow from them. Robots of equal shape must be equal and have the same hash, as frozen dataclasses do.
-
-    The *reference point* is the origin of the core's frame. A configuration holds its position, and the heading by
-    which the body turns about it. The reference point must lie in the body, since distances measure its path.
+    follow from them. Robots of equal shape must be equal and have the same hash, as frozen dataclasses do. The
+    *reference point* is the origin of the core's frame and must lie in the body, since distances measure its path. A
+    configuration holds its position, and the heading by which the body turns about it.
 
     Attributes:
         rounding: Radius by which the core is rounded, in workspace units, at least 0.
@@ -70,7 +69,6 @@ class Robot:
 
 
 def check_body(name: str, robot: Robot) -> None:
-    """Raise ``ValueError`` unless a robot is a convex body that contains its reference point."""
     core, rounding, dof = np.asarray(robot.core), robot.rounding, robot.dof
     if core.ndim != 2 or core.shape[1] != 2 or len(core) == 0 or not np.isfinite(core).all():
         raise ValueError(f"{name} must have a core of finite vertices (n, 2), got {robot.core!r:.200}.")
@@ -102,9 +100,8 @@ def team_dof(robots: Sequence[Robot]) -> int:
 def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
     """Return the signed turns, the shorter way, from headings ``theta0`` to ``theta1``; counterclockwise is positive.
 
-    All code takes the direction of a turn from this function. Half a turn is counterclockwise. So is a clockwise turn
-    that falls short of half a turn by at most 1e-10 of a full turn: rounded or wrapped headings thus keep their
-    direction. Turns are at most pi + 6.3e-10.
+    All code takes the direction of a turn from here. Half a turn, or up to 1e-10 of a full turn more, is
+    counterclockwise, so that rounded or wrapped headings keep their direction.
     """
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * (turns - np.ceil(turns - _HALF_TURN))
@@ -126,10 +123,10 @@ def between(
 
 
 def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return, for some times, the rows of a path before and after them, and the share of the motion that is done.
+    """Return the path's rows before and after times ``when``, and the share of the motion between that is done.
 
-    Times ``when`` are clipped to the nondecreasing ``times`` of the rows. The share is exactly 0 at a row (of equal
-    times, the last), and exactly 1 at the end.
+    Times are clipped to the nondecreasing ``times`` of rows. The share is 0 at a row (of equal times, the last), 1 at
+    the end.
     """
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
@@ -149,8 +146,6 @@ def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, 
 
 def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
     """Return the robot's core (without its rounding) at a configuration, as a Shapely geometry."""
-    import shapely
-
     corners = placed(robot, robot.core, q)
     return (shapely.Point, shapely.LineString, shapely.Polygon)[min(len(corners), 3) - 1](corners)
 
@@ -201,11 +196,8 @@ class PolygonRobot(Robot):
 class RectangleRobot(Robot):
     """A rectangle, with configurations ``(x, y, theta)``: center and heading.
 
-    The heading is the direction of the length, in radians counterclockwise from the x axis, and periodic.
-
-    Args:
-        length: Side along the heading, in workspace units; positive and finite, else ``ValueError``.
-        width: Side across the heading, in workspace units; positive and finite, else ``ValueError``.
+    The heading is the direction of the ``length``, in radians counterclockwise from the x axis, and periodic.
+    ``length`` and ``width`` are in workspace units, positive and finite, else ``ValueError``.
     """
 
     length: float

@@ -34,7 +34,7 @@ class PlanarArm:
     The first angle is that of the first link to the x axis; each other angle is measured from the previous link.
     Angles are counterclockwise and modulo a full turn. A configuration is free if all links avoid obstacles and the
     outside of the bounds, up to ``workspace.tolerance``, and on request one another. Classification of boxes is
-    conservative, and tighter for smaller boxes.
+    conservative, and tighter for smaller boxes. An argument out of its range raises ``ValueError``.
 
     Args:
         workspace: The Workspace.
@@ -42,9 +42,6 @@ class PlanarArm:
         base: Position of the first joint, ``(2,)``, with a clearance of at least half the width.
         width: Width of the links, at least 0: a link covers all points within half of it of a segment.
         self_collision: Whether links that are not neighbors must not overlap; needs a positive width.
-
-    Raises:
-        ValueError: If an argument is out of its range.
     """
 
     workspace: Workspace
@@ -67,15 +64,12 @@ class PlanarArm:
             raise ValueError(f"The lengths of an arm's links must be positive, got {lengths.tolist()}.")
         width, self_collision = as_finite("width", width), as_bool("self_collision", self_collision)
         if self_collision and width == 0:
-            raise ValueError(
-                "self_collision needs links of a width above 0, got width 0: give a width, or leave it out."
-            )
+            raise ValueError("self_collision needs links of a width above 0, got 0: give a width, or leave it out.")
         clearance = workspace.clearance(base[None])[0]
         if clearance < width / 2 - workspace.tolerance:
             expected = f"a clearance of at least {width / 2:g}, half the width of the links"
             raise ValueError(f"The base of the arm at {base.tolist()} must have {expected}, got {clearance:.3g}.")
-        fields = {"lengths": lengths, "base": base, "width": width, "self_collision": self_collision}
-        set_fields(self, workspace=workspace, **fields)
+        set_fields(self, workspace=workspace, lengths=lengths, base=base, width=width, self_collision=self_collision)
 
     @property
     def dof(self) -> int:
@@ -99,11 +93,7 @@ class PlanarArm:
         return self.base + np.concatenate([np.zeros((len(links), 1, 2)), np.cumsum(links, axis=1)], axis=1)
 
     def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
-        """Return whether configurations ``(n, joints)`` are free; False for those that are not finite.
-
-        Links may not overlap obstacles, the outside of the bounds or, with ``self_collision``, links that are not
-        their neighbors, up to ``workspace.tolerance``.
-        """
+        """Return whether configurations ``(n, joints)`` are free; False for those that are not finite."""
         q = as_points("q", q, self.dof)
         free = np.isfinite(q).all(axis=1)
         ends = self.forward(np.where(free[:, None], q, 0.0))

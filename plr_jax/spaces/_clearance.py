@@ -35,7 +35,7 @@ class ClearanceSpace:
     Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
     joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
     largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of the answers' precision
-    are allowed for; lower a clearance that has larger errors by these.
+    are allowed for; lower a clearance that has larger errors by these. Invalid arguments raise ``ValueError``.
 
     Args:
         domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
@@ -46,9 +46,6 @@ class ClearanceSpace:
         lipschitz: Largest change of the clearance per unit along each axis, at least 0: ``(dof,)``, or one number for
             all.
         motion_cost: Cost of motions; by default their Euclidean length over all axes.
-
-    Raises:
-        ValueError: If an argument has the wrong type, sign or number of axes.
 
     Example:
         A ball of radius 0.2 among spheres::
@@ -99,8 +96,8 @@ class ClearanceSpace:
         """Return whether straight motions are proven free all the way; periodic axes take the short way.
 
         A motion is not proven free if its clearance drops below about a thousandth of the change that the constants
-        allow along the whole motion, for example if it slides along an obstacle. Clearances that contradict
-        ``lipschitz`` raise ``ValueError``.
+        allow along it, as when it slides along an obstacle. Clearances that contradict ``lipschitz`` raise
+        ``ValueError``.
         """
         q0, q1 = as_motions(q0, q1, self.domain.dim)
         free = self.domain.contains(q0) & self.domain.contains(q1)
@@ -179,7 +176,6 @@ class ClearanceSpace:
         return clearance
 
     def _rounding(self, clearance: Numbers, q: Configurations) -> Numbers:
-        """Bound the rounding errors of clearances at configurations ``q``."""
         return _ROUNDING * self._unit * (np.abs(clearance) + np.abs(q) @ self.lipschitz)
 
     @cached_property

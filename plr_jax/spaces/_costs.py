@@ -138,7 +138,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
     """Return lower and upper bounds of the cost factor over boxes, and *pulls*, ``(2, n, dof)``, or None.
 
     A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of
-    ``dq`` with one of the box's two pulls, if there are any. An invalid answer of the cost map raises ``ValueError``.
+    ``dq`` with one of the box's two pulls, if any. An invalid answer of the cost map raises ``ValueError``.
     """
     bounds = cost_map.bounds(lo, hi)
     if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:
@@ -173,10 +173,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
 
 
 def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the cost factor at configurations and, for a ``DirectionalCost``, their two pulls, else None.
-
-    With pulls ``a`` and ``b``, a motion ``dq`` costs its length times the factor, plus ``max(a @ dq, b @ dq)``.
-    """
+    """Return the cost factor at configurations and, for a ``DirectionalCost``, pulls as :func:`cost_bounds`."""
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
         return (lower + upper) / 2, pulls

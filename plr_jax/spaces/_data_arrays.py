@@ -32,9 +32,7 @@ def raster_values(name: str, raster: Any) -> Float[np.ndarray, "..."]:
 def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
     """Return the box that the cells fill, and slices that put the cells with the lowest coordinates first."""
     if len(raster.dims) != 2:
-        raise ValueError(
-            f'{name} must have the dimensions y and x, got {raster.dims}: use squeeze("band") for a band.'
-        )
+        raise ValueError(f'{name} must have the dimensions y and x, got {raster.dims}: use squeeze("band") for one.')
     if str(raster.dims[0]).lower() in _X_NAMES or str(raster.dims[1]).lower() in _Y_NAMES:
         raise ValueError(f"{name} must have the dimensions y and x in this order, got {raster.dims}: transpose it.")
     if (

@@ -31,11 +31,9 @@ def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "
 
 
 def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Booleans:
-    """Return whether each segment certainly crosses a wall even if its ends move by up to ``reaches``.
-
-    Columns of ``reaches``: first end, second end; the second is at least the first. The test is sufficient: the ends
-    stay on opposite sides of the wall's line, and the wall's ends are farther from the segment than any point moves.
-    """
+    """Return whether each segment certainly crosses a wall, however far its ends move, up to ``reaches``."""
+    # Sufficient: ends stay on opposite sides of the wall's line, and the wall's ends are farther from the segment
+    # than any point moves. The second end moves at least as far as the first.
     boundary = workspace.boundary
     link, edge = workspace.edge_tree.query(shapely.linestrings(links), predicate="intersects")
     of_link, reach = links[link], reaches[link]
@@ -86,10 +84,7 @@ class BodySpace:
         require_workspace(self.workspace)
 
     def is_free(self, q: ArrayLike) -> Booleans:
-        """Return whether positions ``(n, 2)``, or positions and headings ``(n, 3)`` in radians, are free.
-
-        The robot may overlap obstacles and the outside of the bounds by ``workspace.tolerance`` at most.
-        """
+        """Return whether positions ``(n, 2)``, with headings ``(n, 3)`` in radians, are free, to the tolerance."""
         q = as_points("q", q, self.robot.dof)
         return self.are_free(q, q)
 
@@ -138,8 +133,7 @@ class PlaneSpace(BodySpace):
         """Tell whether boxes of positions are FREE, BLOCKED or MIXED; see :class:`CellState`.
 
         A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED, since walls that
-        close touch. A box that touches a point where obstacles touch is not FREE, since no path passes through that
-        point.
+        close touch. A box that touches a point where obstacles touch is not FREE, since no path passes there.
         """
         center, half = as_boxes(lo, hi, 2)
         # Shrink by half the tolerance: then a box that is nowhere nearer than the radius is free up to the tolerance.

@@ -66,7 +66,7 @@ class RasterCost:
     factor is copied from the nearest unblocked cell, so that interpolation next to it stays finite. Outside the
     bounds, the factor is taken from the nearest point inside; along periodic axes the raster repeats. If
     configurations have more coordinates than the raster has axes, only the leading ones select the factor; it applies
-    to turns as well.
+    to turns as well. Invalid arguments raise ``ValueError``.
 
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where the cell is
@@ -77,10 +77,6 @@ class RasterCost:
         interpolation: ``"bilinear"`` interpolates multilinearly between cell centers and is constant in the outer
             half of border cells. ``"nearest"`` is constant in each cell; on a border the upper cell counts. Its
             bounds are wider, because a box that touches a border counts the cells on both sides.
-
-    Raises:
-        ValueError: If values are out of range or all blocked, the bounds are not a box with one dimension per raster
-            axis, or the interpolation is unknown.
     """
 
     values: Float[np.ndarray, "..."]
@@ -162,12 +158,8 @@ class RasterCost:
         The values are -1 for unknown, 0 for free, 1 to 98 for costs from 1 to 252, 99 for inscribed, and 100 for
         lethal. Other arguments and errors are as for :meth:`from_costmap`.
         """
-        grid = _in_range(
-            values,
-            _GRID_UNKNOWN,
-            _GRID_LETHAL,
-            "values of an OccupancyGrid; for bytes of costmap_2d use from_costmap",
-        )
+        expected = "values of an OccupancyGrid; for bytes of costmap_2d use from_costmap"
+        grid = _in_range(values, _GRID_UNKNOWN, _GRID_LETHAL, expected)
         costs = np.interp(grid, (0, 1, _GRID_MAX_COST), (0, 1, _MAX_COST))
         costs[grid >= _GRID_INSCRIBED] = _INSCRIBED
         costs[grid >= _GRID_LETHAL] = _LETHAL
@@ -196,16 +188,10 @@ class RasterCost:
 
         A cell is blocked if its center is at most ``inscribed_radius`` from the center of a lethal cell, even if
         ``inflation_radius`` is smaller. So :meth:`space` for a point is the space of the robot. Up to
-        ``inflation_radius`` the cost is at least ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``.
-        Costs become factors as in :meth:`from_costmap`, but are not rounded to bytes, because steps would widen the
-        bounds.
-
-        Args:
-            inscribed_radius: Inscribed radius of the robot, in units of the bounds, at least 0.
-            inflation_radius: How far costs are raised, in units of the bounds; rounded up to whole cells as in Nav2
-                (using the shortest side if cells are not cubes).
-            cost_scaling_factor: Rate of the exponential decay, per unit of distance.
-            cost_travel_multiplier: As for :meth:`from_costmap`.
+        ``inflation_radius``, rounded up to whole cells as in Nav2 (by their shortest side), the cost is at least
+        ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. Radii and distances are in units of the
+        bounds. Costs become factors as in :meth:`from_costmap`, but are not rounded to bytes, because steps would
+        widen the bounds. ``ValueError`` if an argument is negative or not finite.
         """
         inscribed = as_finite("inscribed_radius", inscribed_radius)
         reach = as_finite("inflation_radius", inflation_radius)
@@ -239,11 +225,7 @@ class RasterCost:
         return np.isfinite(self.values)
 
     def space(self, radius: float | int = 0.0) -> VoxelSpace:
-        """Return the configuration space of a point or ball among the cells that are not blocked.
-
-        The radius is in units of the bounds, 0 for a point. Errors are those of :class:`VoxelSpace`, which has no
-        periodic axes.
-        """
+        """Return the space of a point, or of a ball of a radius in units of the bounds, among cells not blocked."""
         return VoxelSpace(self.free.T, self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
@@ -262,9 +244,9 @@ class RasterCost:
         """Return lower and upper bounds of the factor over closed boxes, which may extend beyond the raster.
 
         With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, they
-        are the exact extremes if the box meets at most three intervals between cell centers along each axis; over
-        larger boxes they are the extremes over all cells whose centers surround the box. Both are rounded outward, to
-        float32 where several cells count. Corners, ``(n, dof)``, must be finite with ``hi`` nowhere below ``lo``.
+        are exact if the box meets at most three intervals between cell centers along each axis; over larger boxes
+        they are the extremes over all cells whose centers surround the box. Both are rounded outward, to float32
+        where several cells count. Corners, ``(n, dof)``, must be finite with ``hi`` nowhere below ``lo``.
         """
         lo, hi = self._leading_coordinates("lo", lo), self._leading_coordinates("hi", hi)
         as_boxes(lo, hi, self.dim)
@@ -364,11 +346,11 @@ class RasterCost:
     @cached_property
     def _table(self) -> "SparseTable":
         # Two periods along periodic axes, so that boxes may wrap.
-        axes = zip(self._filled_factors.shape, self.domain.periodic, strict=True)
-        more = [(0, size + 1 if periodic else 0) for size, periodic in axes]
-        return SparseTable(
-            np.pad(self._filled_factors, more, mode="wrap") if self.domain.is_periodic else self._filled_factors
-        )
+        factors = self._filled_factors
+        more = [
+            (0, size + 1 if wraps else 0) for size, wraps in zip(factors.shape, self.domain.periodic, strict=True)
+        ]
+        return SparseTable(np.pad(factors, more, mode="wrap") if self.domain.is_periodic else factors)
 
 
 def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
@@ -382,12 +364,11 @@ def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
 
 @dataclass(frozen=True, eq=False)
 class SparseTable:
-    """A sparse table: extremes of an array's windows, to look up the smallest and largest entry of any block.
+    """Extremes of an array's windows, to look up the smallest and largest entry of any block.
 
-    For every position and every power of two, it stores the extremes of the window of that side that begins there, as
-    float32 rounded outward. A block about as wide along every axis is covered by two windows per axis; an elongated
-    block needs more. Along axes shorter than a window, the window spans the axis. See Bender and Farach-Colton, "The
-    LCA problem revisited", 2000.
+    For every position and power of two, it stores the extremes of the window of that side that begins there (at most
+    a whole axis), as float32 rounded outward. Two windows per axis cover a block about as wide along every axis; an
+    elongated block needs more. See Bender and Farach-Colton, "The LCA problem revisited", 2000.
     """
 
     values: Raster

@@ -32,9 +32,8 @@ class RigidBodySpace(BodySpace):
 
     A configuration is free if the body overlaps neither obstacles nor the outside of the bounds, up to
     ``workspace.tolerance``. Headings count modulo a full turn. Classification of boxes is conservative, and tighter
-    for smaller boxes. The robot must have a heading, as a RectangleRobot or a PolygonRobot; others raise
-    ``ValueError``. A turn by one radian costs ``rotation_weight`` workspace units, positive, by default the
-    circumscribed radius.
+    for smaller boxes. The robot must have a heading, as a RectangleRobot or a PolygonRobot, else ``ValueError``. A
+    turn by one radian costs ``rotation_weight`` workspace units, positive, by default the circumscribed radius.
     """
 
     rotation_weight: float | int | None = None
@@ -64,9 +63,8 @@ class RigidBodySpace(BodySpace):
         """Tell whether boxes of positions and headings (radians) are FREE, BLOCKED or MIXED (:class:`CellState`)."""
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
-        has_room = motion_test(self.workspace, self.robot).has_room(
-            center[:, 0], center[:, 1], _motion_bounds(half, 0.0)
-        )
+        test, moves = motion_test(self.workspace, self.robot), _motion_bounds(half, 0.0)
+        has_room = test.has_room(center[:, 0], center[:, 1], moves)
         state[has_room] = CellState.FREE
         unsure = np.flatnonzero(~has_room)
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))

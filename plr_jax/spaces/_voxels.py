@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int8
 
-from plr_jax._arrays import as_finite, as_points
+from plr_jax._arrays import as_finite, as_points, set_fields
 from plr_jax._types import ArrayLike
 from plr_jax.collision.voxels import ball_passes, blocked_within, point_passes
 from plr_jax.geometry.boundary import rounding_of
@@ -39,25 +39,21 @@ class VoxelSpace:
 
     Raises:
         ValueError: If an argument is invalid, no voxel is free, or voxels are too small for the precision of
-            coordinates.
+        coordinates.
     """
 
     grid: VoxelGrid
     radius: float
 
     def __init__(self, free: ArrayLike, bounds: Box | ArrayLike | None = None, radius: float | int = 0.0):
-        object.__setattr__(self, "grid", VoxelGrid.of(free, bounds))
-        object.__setattr__(self, "radius", as_finite("radius", radius))
-        if 0 < self.radius < _LEAST_RADIUS * self.tolerance:
-            raise ValueError(
-                f"radius must be 0 for a point, or at least {_LEAST_RADIUS * self.tolerance:.2g} in {self.domain}, "
-                f"got {self.radius:g}."
-            )
-        if self.radius > self.domain.width.min() / 2:
-            raise ValueError(
-                f"radius must be at most {self.domain.width.min() / 2:g}, for the ball to fit into {self.domain}, "
-                f"got {self.radius:g}."
-            )
+        set_fields(self, grid=VoxelGrid.of(free, bounds), radius=as_finite("radius", radius))
+        least, most = _LEAST_RADIUS * self.tolerance, self.domain.width.min() / 2
+        if 0 < self.radius < least:
+            expected = f"0 for a point, or at least {least:.2g} in {self.domain}"
+            raise ValueError(f"radius must be {expected}, got {self.radius:g}.")
+        if self.radius > most:
+            expected = f"at most {most:g}, for the ball to fit into {self.domain}"
+            raise ValueError(f"radius must be {expected}, got {self.radius:g}.")
 
     def __repr__(self) -> str:
         ball = f", radius={self.radius:g}" if self.radius else ""

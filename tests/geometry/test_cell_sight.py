@@ -150,7 +150,7 @@ def test_the_goal_is_never_asked_and_corners_where_paths_wrap_around_them():
     """From behind a wall paths to (1, 5) turn at its upper corners, from in front of it at none."""
     oracle = VisibilityGraph(Workspace(TEN, [box(4, 2, 6, 8)]), (1, 5))
     sight, named = oracle.sight, {tuple(point): i for i, point in enumerate(oracle.sources.points.tolist())}
-    assert sight.source_table.turn[0] == -1 and (sight.source_table.turn[1:] >= 0).all()
+    assert sight.turn[0] == -1 and (sight.turn[1:] >= 0).all()
     in_front_and_behind = as_pieces([box(2, 4, 3, 5), box(8, 6, 9, 7)])
     for source, bends in {(1, 5): [True, True], (4, 8): [False, False], (6, 8): [False, True]}.items():
         found = sight.may_bend(in_front_and_behind, np.full(2, named[source]))

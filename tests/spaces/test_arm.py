@@ -67,7 +67,7 @@ def test_links_that_are_no_neighbors_keep_off_one_another():
         ((OPEN, [1], (5, 0)), "must have a clearance of at least 0, half the width"),
         ((OPEN, [1], (3.9, 0), 0.3), "at least 0.15, .* got 0.1"),
         ((OPEN, [1], (0, 0), -1.0), "width must be a finite number of at least 0"),
-        ((OPEN, [1, 1, 1], (0, 0), 0.0, True), "got width 0: give a width"),
+        ((OPEN, [1, 1, 1], (0, 0), 0.0, True), "got 0: give a width"),
     ],
 )
 def test_bad_input_is_refused(arguments, message):
