@@ -161,14 +161,19 @@ class Sight:
     def is_wall(self) -> Bool[np.ndarray, "triangles 3"]:
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
-    def may_bend(self, pieces: Pieces, source: Indices) -> OfPieces:
-        """Return whether a shortest path from some point of each piece may turn at its source; True for a goal."""
+    def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
+        """Return, for each convex piece and its source, whether a shortest path from some point may turn there.
+
+        The source is a corner, which the point is assumed to see, or the goal, where the answer is True. With
+        ``from_all``, return whether paths from every point of the piece may turn there, without any tolerance.
+        """
         turn = self.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
+        extreme, slack = (lowest, 0.0) if from_all else (highest, self.turns.slack)
         for normal in self.turns.normal[:, turn]:
-            height = highest(x * normal[:, :1] + y * normal[:, 1:])
-            may[corner] &= height >= (normal * self.turns.points[turn]).sum(axis=1) - self.turns.slack
+            height = extreme(x * normal[:, :1] + y * normal[:, 1:])
+            may[corner] &= height >= (normal * self.turns.points[turn]).sum(axis=1) - slack
         return may
 
 
@@ -346,6 +351,10 @@ class CellSources:
         cones = sources.points[source], sources.distances[source], apex, offset
         lowest, _ = difference_of_cones(self.pieces[:, piece], *cones)
         keep = np.isfinite(distance)[self.piece]
+        # A rival up to the tolerance better is dropped only if no part of the piece will lose the best source, as one
+        # at which no path turns: beside a thin wall, paths from some parts turn at one of its corners, and paths from
+        # others at the next corner, whose cone is hardly lower.
+        by_best &= self.sight.may_bend(self.pieces, best, from_all=True)
         keep[rivals[lowest > np.where(by_best[piece], -self.sight.tolerance, 0.0)]] = False
         found = replace(self, distance=distance, best=best).of_pairs(keep)
         return found.of_pieces(np.flatnonzero(np.isfinite(distance)))

@@ -46,6 +46,17 @@ def test_distances_are_the_oracles(kind, domain):
             cells = both.append(cells[rng.permutation(len(cells))])[rng.permutation(len(both) + len(cells))]
 
 
+def test_cells_below_the_end_of_a_wall_as_thin_as_the_tolerance_keep_the_corner_of_their_paths():
+    """Some of the paths turn at either corner of this end; the cones of the two hardly differ."""
+    oracle = VisibilityGraph(Workspace(UNIT, [box(0.4, 0.45, 0.4 + 1e-9, 0.9)]), (0.9, 0.9))
+    memory, cells, rng = CellMemory(oracle, UNIT), Cells.root(2), np.random.default_rng(0)
+    for axis in (0, 1, 0, 1, 0, 1, 0, 1, None):
+        x = cells.points(rng.uniform(-1, 1, (20, 2)), UNIT)
+        exact = oracle(x.reshape(-1, 2)).reshape(x.shape[:2])
+        np.testing.assert_allclose(memory.distances(cells, x), exact, atol=10 * oracle.workspace.tolerance)
+        cells = cells if axis is None else cells.split(np.full(len(cells), axis))
+
+
 def test_many_pairs_are_looked_at_in_parts(monkeypatch):
     rng = np.random.default_rng(0)
     workspace = WORKSPACES[0](rng)
