@@ -389,22 +389,24 @@ class GridField:
 
         shape = np.array(self.values.shape)[:, None]
         places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width).T[::-1] * shape
-        nearest = self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))]
-        padded, weights, parted = self._padded
-        total, weight = (ndimage.map_coordinates(each, places + 0.5, order=1) for each in (padded, weights))
-        values = np.divide(total, weight, out=np.full(len(x), np.inf), where=weight > 0)
-        if parted is not None:
-            values = np.where(parted[tuple((places + 0.5).astype(np.intp))], nearest, values)
-        return values, np.isfinite(nearest)
+        padded, known, weights, parted = self._padded
+        values, is_known = ndimage.map_coordinates(padded, places + 0.5, order=1), np.ones(len(x), bool)
+        if len(beside := np.flatnonzero(np.isnan(values))):
+            places = places[:, beside]
+            nearest = self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))]
+            total, weight = (ndimage.map_coordinates(each, places + 0.5, order=1) for each in (known, weights))
+            among = np.divide(total, weight, out=np.full(len(beside), np.inf), where=weight > 0)
+            if parted is not None:
+                among = np.where(parted[tuple((places + 0.5).astype(np.intp))], nearest, among)
+            values[beside], is_known[beside] = among, np.isfinite(nearest)
+        return values, is_known
 
     @cached_property
-    def _padded(
-        self,
-    ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."], Bool[np.ndarray, "..."] | None]:
-        """Values (0 if unknown), whether they are known, and boxes between centers that must not be interpolated.
+    def _padded(self) -> tuple[Any, Any, Any, Bool[np.ndarray, "..."] | None]:
+        """Values (NaN if unknown, then 0), whether they are known, and boxes that must not be interpolated.
 
-        Values are padded by a cell. In these boxes (None: no box), cells with a value touch at an edge or a corner
-        only.
+        Values are padded by a cell. Boxes lie between centers. In those that must not be interpolated (None: no box),
+        cells with a value touch at an edge or a corner only.
         """
         is_known = np.isfinite(self.values)
         values = np.where(is_known, self.values, 0.0)
@@ -419,4 +421,4 @@ class GridField:
                 around = tuple(slice(end, n - 1 + end) for end, n in zip(corner, values.shape, strict=True))
                 sets |= is_known[around].astype(np.intp) << bit
             parted = disconnected_sets(values.ndim)[sets]
-        return values, is_known.astype(float), parted
+        return np.where(is_known, values, np.nan), values, is_known.astype(float), parted
