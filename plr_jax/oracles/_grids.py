@@ -350,17 +350,21 @@ class GridField:
 
         shape = np.array(self.values.shape)[:, None]
         places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width).T[::-1] * shape
-        nearest = self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))]
-        padded, weights, parted = self._padded
-        total, weight = (ndimage.map_coordinates(each, places + 0.5, order=1) for each in (padded, weights))
-        values = np.divide(total, weight, out=np.full(len(x), np.inf), where=weight > 0)
-        if parted is not None:
-            values = np.where(parted[tuple((places + 0.5).astype(np.intp))], nearest, values)
-        return values, np.isfinite(nearest)
+        padded, known, weights, parted = self._padded
+        values, is_known = ndimage.map_coordinates(padded, places + 0.5, order=1), np.ones(len(x), bool)
+        if len(beside := np.flatnonzero(np.isnan(values))):
+            places = places[:, beside]
+            nearest = self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))]
+            total, weight = (ndimage.map_coordinates(each, places + 0.5, order=1) for each in (known, weights))
+            among = np.divide(total, weight, out=np.full(len(beside), np.inf), where=weight > 0)
+            if parted is not None:
+                among = np.where(parted[tuple((places + 0.5).astype(np.intp))], nearest, among)
+            values[beside], is_known[beside] = among, np.isfinite(nearest)
+        return values, is_known
 
     @cached_property
-    def _padded(self) -> tuple[Grid, Grid, Bool[np.ndarray, "..."] | None]:
-        """Values (0 if unknown) and whether they are known, padded by a cell; boxes not to interpolate in, or None.
+    def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:
+        """Values (NaN if unknown, then 0), whether known, padded by a cell; boxes not to interpolate in, or None.
 
         In these boxes between centers, cells with a value touch at an edge or a corner only.
         """
@@ -377,4 +381,4 @@ class GridField:
                 around = tuple(slice(end, n - 1 + end) for end, n in zip(corner, values.shape, strict=True))
                 sets |= is_known[around].astype(np.intp) << bit
             parted = disconnected_sets(values.ndim)[sets]
-        return values, is_known.astype(float), parted
+        return np.where(is_known, values, np.nan), values, is_known.astype(float), parted

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import product_in_order, row_products
+from plr_jax._arrays import hash64, product_in_order, row_products
 from plr_jax._types import DistanceFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
@@ -96,31 +96,29 @@ class FaceTests:
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn = distance_fn
         self._domain = domain
-        self._known: dict[bytes, bool] = {}
+        self._keys, self._free = np.zeros(0, np.uint64), np.zeros(0, bool)  # of the faces of the last call
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, "faces"]:
-        domain = self._domain
-        geometry = np.concatenate(
-            [part[side] for part in (cells.depth, cells.position) for side in (faces.lower, faces.upper)], axis=1
-        )
-        geometry = np.column_stack([geometry, faces.axis])  # a cell may share several faces with itself
-        keys = [row.tobytes() for row in geometry]
-        new = np.array([index for index, key in enumerate(keys) if key not in self._known], np.int64)
-        free = np.zeros(len(new), bool)
+        domain, of_cell = self._domain, cells.hashes()
+        keys = hash64(hash64(of_cell[faces.lower]) + of_cell[faces.upper])
+        keys += faces.axis.astype(np.uint64)  # a cell may share several faces with itself
+        _, here, before = np.intersect1d(keys, self._keys, assume_unique=True, return_indices=True)
+        free, is_new = np.zeros(len(faces), bool), np.ones(len(faces), bool)
+        free[here], is_new[here] = self._free[before], False
         # Test points in fractions of a face; face_points ignores the coordinate along the face's axis.
         points = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
         for some in (points[:_FEW], points[_FEW:]):
-            unsure = np.flatnonzero(~free)
+            unsure = np.flatnonzero(is_new & ~free)
             if len(some) and len(unsure):
-                tested = faces[new[unsure]]
+                tested = faces[unsure]
                 x = face_points(cells, tested, some)
                 across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]
                 sides = [domain.lo + domain.width * (x + sign * across) for sign in (-1, 1)]
                 both = domain.wrapped(np.concatenate(sides)).reshape(-1, domain.dim)
                 below, above = np.isfinite(call_oracle(self._distance_fn, both)).reshape(2, *x.shape[:2])
                 free[unsure] = np.any(below & above, axis=1)
-        self._known |= {keys[index]: bool(is_free) for index, is_free in zip(new, free, strict=True)}
-        return np.array([self._known[key] for key in keys], bool)
+        self._keys, self._free = keys, free
+        return free
 
 
 def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
@@ -219,12 +217,12 @@ def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
 
 
 _MOST_SPLIT = 0.5  # largest share of the leaves that one round splits before all values are fitted again
-# A round splits at least one in 16 leaves, or one in 64 if splitting more exceeds the byte limit.
-_LEAST_SPLIT, _LEAST_SPLIT_AT_END = 1 / 16, 1 / 64
+_LEAST_SPLIT = 1 / 64  # if fewer of the leaves can be split within the byte limit, growth ends
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
 _VOLUME_POWER = 0.25
-# Values are rounded to this multiple of the mean error: more leaves reduce the error further than more digits.
-_STEP_PER_MEAN_ERROR = 1.0
+# Values are rounded to the mean error: more leaves reduce the error further than more digits. Near the byte limit,
+# growth aims at rounding to twice the mean error; at most to this multiple.
+_MOST_MEAN_ERRORS = 3.0
 _SMALLEST_STEP = 2.0**-22  # in units of the largest distance: the resolution of 32-bit floats
 # Weight of the difference between a value and its prediction, relative to the samples of a cell: so small that it
 # decides only values that no sample determines, inside walls.
@@ -235,11 +233,15 @@ _UNPREDICTED = 1e-3  # share of _PREDICTION_WEIGHT that pulls the corners of the
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
-    """A partition with its fitted function, whose residuals are in ``fit``; ``len`` is the number of leaves."""
+    """A partition with its fitted function, whose residuals are in ``fit``; ``len`` is the number of leaves.
+
+    It is full if its values had to be rounded more than usual to fit into the byte limit.
+    """
 
     fit: CellFit
     stored: StoredValues
     num_bytes: int
+    is_full: bool
 
     def __len__(self) -> int:
         return len(self.fit)
@@ -274,17 +276,16 @@ class _Rounds:
             if grown.num_bytes <= self._limits.max_bytes:
                 return grown
             self._most = len(leaf) // 2
-            if self._most < _LEAST_SPLIT_AT_END * len(now):
-                return None
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
         fit, limits = now.fit, self._limits
         room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
-            room = min(room, int(len(now) * (limits.max_bytes / now.num_bytes - 1)))
-        # Only half of the splits that fit, since errors change when adjacent leaves are split.
-        number = max((room + 1) // 2, int(_LEAST_SPLIT * len(now)), 1)
-        number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), limits.max_leaves - len(now), self._most)
+            num_bytes = now.num_bytes - len(now.stored.code) / 8  # if the step doubles, each value takes a bit less
+            room = min(room, self._most, int(len(now) * (limits.max_bytes / num_bytes - 1)))
+            if now.is_full or room < _LEAST_SPLIT * len(now):
+                room = 0
+        number = min(int(np.ceil(_MOST_SPLIT * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
         worth_it = (error > least_priority(fit, limits)) & fit.can_split
@@ -315,14 +316,18 @@ class _Rounds:
         of_cell = 2.0 ** (-0.5 * fit.cells.depth.sum(axis=1))
         weight = weights_of_fit(fit.reachable, fit.weight) * fit.pattern.weight * (of_cell / of_cell.mean())[:, None]
         values, residual = fit_values(self._order, partition.space, fit, weight)
-        # The rounding step is about the mean error.
         mean_error = float(np.sum(weight * np.abs(residual)) / np.sum(weight))
-        step = max(_STEP_PER_MEAN_ERROR * mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()))
-        stored = StoredValues.quantize(partition, values, max(step, float(np.finfo(np.float32).tiny)))
-        body = BitWriter()
-        stored.write(body)
-        num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits)
-        return _FittedPartition(replace(fit, residual=residual), stored, num_bytes)
+        least = max(mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()), float(np.finfo(np.float32).tiny))
+        step = least
+        while True:  # raise the step until the file fits
+            stored = StoredValues.quantize(partition, values, step)
+            body = BitWriter()
+            stored.write(body)
+            num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits)
+            excess = 8 * (num_bytes - self._limits.max_bytes) / len(values)
+            if excess <= 0 or step > _MOST_MEAN_ERRORS * least:
+                return _FittedPartition(replace(fit, residual=residual), stored, num_bytes, step > least)
+            step *= 2 ** max(excess, 0.01)
 
 
 def fit_values(
