@@ -19,7 +19,7 @@ import numpy as np
 from jax.export import is_symbolic_dim
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-from plr_jax._arrays import padded, padded_size, parts, ragged_indices, size_in_eighths, take_ragged
+from plr_jax._arrays import padded, parts, ragged_indices, size_in_eighths, take_ragged
 from plr_jax.geometry.box import Box
 
 _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
@@ -28,7 +28,7 @@ _SHORT = 4  # walls of an entry that are tested first; few entries have more
 _LONG = np.uint32(2**31)  # added to the first wall of an entry that has more
 _FEW, _SHARE = 2**6, 16  # rows tested against all walls of their entries; share of more rows that are tested at once
 _COST = 4  # time to test a wall read for each point, in tests of a wall shared by all points
-_AT_ONCE = 2**14  # pairs of a list entry and a wall tested together
+_AT_ONCE = 2**15  # pairs of a list entry and a wall tested together
 _BLOCK = 2**20  # pairs of a corner and a wall handled together
 _MOST_TESTS = 2**25  # tests of a block of walls in one round
 _MOST_PAIRS = 2**24  # pairs of a list entry and a near wall that fit into memory
@@ -181,47 +181,59 @@ def _near_entries(
     if tests.sum() > _MOST_TESTS:
         return None
     some = np.flatnonzero(tests).astype(np.int32)
-    all_walls, found = _rows(walls), [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, bool))]
-    for part in parts(tests[some], _AT_ONCE // 2):
+    found = [np.zeros((2, 0), np.int32)]
+    for part in parts(tests[some], _AT_ONCE):
         entries = some[part]
         place, row = take_ragged(first, above[entries])
-        hulls = _rows(np.concatenate([lo[leaf[entries]], hi[leaf[entries]], at[entries]], axis=1))
-        for begin in range(0, len(place), _AT_ONCE):
-            some_tests = slice(begin, begin + _AT_ONCE)
-            wall, of_entry = candidates[place[some_tests]], row[some_tests]
-            numbers = (padded(each.astype(np.int32), _AT_ONCE) for each in (of_entry, wall))
-            is_near = _are_near(hulls, *numbers, all_walls, margin)
-            found.append((entries[of_entry], wall, is_near))  # runs while the next pairs are listed
-    is_near = np.concatenate([np.asarray(each)[: len(wall)] for _, wall, each in found])
-    entry, wall = (np.concatenate([column[i] for column in found])[is_near] for i in range(2))
+        wall, at = candidates[place], leaf[entries]
+        near = _near_pairs((lo[at], hi[at], corner[entries]), row, walls, wall, margin)
+        found.append(np.stack([entries[row[near]], wall[near]]))
+    entry, wall = np.concatenate(found, axis=1)
     return entry, wall
 
 
-def _rows(values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "padded columns"]:
-    return padded(values.astype(np.float32), max(_AT_ONCE, padded_size(len(values))))
+def _near_pairs(
+    hulls: tuple[Float[np.ndarray, "entries 2"], Float[np.ndarray, "entries 2"], Float[np.ndarray, "entries 2"]],
+    entry: Int[np.ndarray, "pairs"],
+    walls: Float[np.ndarray, "walls 4"],
+    wall: Int[np.ndarray, "pairs"],
+    margin: float,
+) -> Int[np.ndarray, "near"]:
+    """Return which pairs of an entry and a wall are near: no axis separates the wall from a convex hull.
 
-
-@jax.jit
-def _are_near(
-    hulls: Float[Array, "n 6"], entry: _Pairs, wall: _Pairs, walls: Float[Array, "walls 4"], margin: Float[Array, ""]
-) -> Bool[Array, "pairs"]:
-    """Return whether walls are within a margin of the convex hull of a box and a corner, by separating axes."""
-    x0, y0, x1, y1, cx, cy = hulls[entry].T
-    ax, ay, bx, by = walls[wall].T
-    apart = jnp.zeros(len(entry), bool)
-    for a, b, lo, hi, c in ((ax, bx, x0, x1, cx), (ay, by, y0, y1, cy)):
-        apart |= (jnp.maximum(a, b) < jnp.minimum(lo, c) - margin) | (jnp.minimum(a, b) > jnp.maximum(hi, c) + margin)
-    # Coordinates are relative to the corner from here on.
-    corner = 0 * cx, 0 * cy
-    ends = [(x - cx, y - cy) for x in (x0, x1) for y in (y0, y1)]
-    a, b = (ax - cx, ay - cy), (bx - cx, by - cy)
-    along = b[0] - a[0], b[1] - a[1]
-    for direction, hull, other in [(along, [*ends, corner], [a]), *((end, [*ends, corner], [a, b]) for end in ends)]:
-        of_hull, of_other = ([direction[0] * y - direction[1] * x for x, y in points] for points in (hull, other))
-        reach = margin * jnp.hypot(*direction)
-        apart |= reduce(jnp.minimum, of_hull) - reach > reduce(jnp.maximum, of_other)
-        apart |= reduce(jnp.maximum, of_hull) + reach < reduce(jnp.minimum, of_other)
-    return ~apart
+    A hull is that of a box, given by its least and greatest coordinates, and a corner.
+    """
+    lo, hi, corner = hulls
+    a, b = walls[:, :2], walls[:, 2:]
+    # 1. Compare the bounding boxes: most are apart. NumPy compares four bytes faster than it combines them.
+    of_walls = np.concatenate([np.minimum(a, b), -np.maximum(a, b)], axis=1)
+    of_hulls = np.concatenate([np.maximum(hi, corner) + margin, margin - np.minimum(lo, corner)], axis=1)
+    meets = of_walls.take(wall, axis=0) <= of_hulls.take(entry, axis=0)
+    pairs = np.flatnonzero(meets.view(np.uint32) == 0x01010101)
+    # 2. Describe the two lines from the corner that touch the box. Products beside a line are at least `least`.
+    ends = np.stack([lo, np.stack([hi[:, 0], lo[:, 1]], axis=1), np.stack([lo[:, 0], hi[:, 1]], axis=1), hi]) - corner
+    x, y = ends.transpose(2, 0, 1)
+    beside, lines = x[:, None] * y - y[:, None] * x, []
+    for side in (beside, -beside):
+        least, number = side.min(axis=1), np.arange(len(lo))
+        end = least.argmax(axis=0), number
+        along_x, along_y = (each[end] if side is beside else -each[end] for each in (x, y))
+        reach = margin * (np.abs(along_x) + np.abs(along_y))
+        at_corner = along_x * corner[:, 1] - along_y * corner[:, 0]
+        lines.append((along_x, along_y, np.minimum(least[end], 0) + at_corner - reach))
+    # 3. Take the axes across both lines, and across the wall.
+    columns = np.stack([*((lo + hi) / 2).T, *((hi - lo) / 2).T, *corner.T, *lines[0], *lines[1]])
+    middle_x, middle_y, half_x, half_y, cx, cy, *lines = columns.take(entry[pairs], axis=1)
+    ax, ay, bx, by = walls.T.take(wall[pairs], axis=1)
+    ex, ey = bx - ax, by - ay
+    turn, size_x, size_y = ex * ay - ey * ax, np.abs(ex), np.abs(ey)
+    middle, at_corner = ex * middle_y - ey * middle_x - turn, ex * cy - ey * cx - turn
+    reach = margin * (size_x + size_y)
+    half = size_x * half_y + size_y * half_x + reach
+    apart = (np.minimum(middle - half, at_corner - reach) > 0) | (np.maximum(middle + half, at_corner + reach) < 0)
+    for along_x, along_y, least in (lines[:3], lines[3:]):
+        apart |= np.maximum(along_x * ay - along_y * ax, along_x * by - along_y * bx) < least
+    return pairs[~apart]
 
 
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:

@@ -125,7 +125,7 @@ class PairPLR(FileBacked):
         else:
             answer = partial(_distances_to, self.tables, goals, outside=outside)
             answer = answered_in_parts(answer, (_FEW, _MANY), x, number)[0]
-        return jnp.asarray(answer)
+        return jax.device_put(answer)
 
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
         """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
@@ -200,7 +200,7 @@ class PairPLR(FileBacked):
             answers = (each.reshape(batch) for each in few(self._numpy, _rows(x, batch), _rows(y, batch)))
         else:
             answers = answered_in_parts(partial(compiled, self.tables), (_FEW, _MANY), x, y)
-        return tuple(map(jnp.asarray, answers))
+        return tuple(map(jax.device_put, answers))  # unlike `jnp.asarray`, compiles nothing
 
     def _are_few(self, pairs: int) -> bool:
         return pairs * len(self.stored.outline.points) <= _FEW_TESTS

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt16, UInt32
 
@@ -16,9 +15,10 @@ from plr_jax.plr.frame import unresolved_types
 from plr_jax.plr.tables import Tables, build_tables
 
 _UNROLLED, _CLUSTER = 16, 32  # occluders, and neighboring walls in a box, tested in one step of a loop
-_LEAVES_AT_ONCE = 32
+_PATHS_AT_ONCE = 2**16  # paths from corners to leaves that fit into caches
 STEEPEST = 127  # slope of a bound that rises by 1 for each unit of length, in the numbers of `PairTables.onward`
 NO_WAY = np.uint32(2**16 - 1)  # length of `PairTables.onward` for corners without a path to the leaf
+_LEVEL = np.uint32(STEEPEST << 16 | STEEPEST << 24)  # both slopes of `PairTables.onward`, if they are 0
 _SHRUNK = np.float32(1 - 8 * np.finfo(np.float32).eps)  # makes up for the rounding of bounds to leaves
 _NOWHERE = 1e30  # a coordinate beyond every domain, for boxes of no walls
 
@@ -137,12 +137,12 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     # 3. Bound the lengths of paths from corners to leaves, in steps of which the longest path has less than 2**16.
     distances = distances_table(stored, size)
     longest = distances.max(where=np.isfinite(distances), initial=0.0) + 2 * np.hypot(*domain.width)
-    distances, step = in_32_bits(distances), in_32_bits(np.asarray(longest / (NO_WAY - 1)))
+    step = np.asarray(longest / (NO_WAY - 1), np.float32)
     middles = ((lo + hi) / 2).astype(np.float32)
     halves = np.maximum(hi - middles, middles - lo) / _SHRUNK
-    middles, halves = (in_32_bits(padded(each, rows)) for each in (middles, halves))
-    corners, (x, y) = in_32_bits(padded(seen.corners, size, np.inf)), (along[listed] for along in seen.corners.T)
-    listed = jax.device_put(listed)
+    middles, halves = (padded(each, rows).astype(np.float32) for each in (middles, halves))
+    corners = padded(seen.corners, size, np.inf).astype(np.float32)
+    x, y = (along[listed] for along in corners.T)
     return PairTables(
         partition=build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes),
         walls=in_boxes(seen.walls),
@@ -150,11 +150,11 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         near=near,
         x=in_32_bits(x),
         y=in_32_bits(y),
-        listed=listed,
-        distances=distances,
-        onward=_bounds_to_leaves(distances, listed, corners, middles, halves, step),
-        step=step,
-        middles=middles,
+        listed=jax.device_put(listed),
+        distances=in_32_bits(distances),
+        onward=jax.device_put(_bounds_to_leaves(distances, listed, corners, middles, halves, step)),
+        step=in_32_bits(step),
+        middles=in_32_bits(middles),
         middle=in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=in_32_bits(stored.domain.width / 2),
         proud_walls=in_boxes(free.walls),
@@ -165,51 +165,48 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     )
 
 
-@jax.jit
 def _bounds_to_leaves(
-    distances: Float[Array, "size size"],
-    listed: UInt16[Array, "rows longest"],
-    corners: Float[Array, "size 2"],
-    middles: Float[Array, "rows 2"],
-    halves: Float[Array, "rows 2"],
-    step: Float[Array, ""],
-) -> UInt32[Array, "rows size"]:
+    distances: Float[np.ndarray, "size size"],
+    listed: UInt16[np.ndarray, "rows longest"],
+    corners: Float[np.ndarray, "size 2"],
+    middles: Float[np.ndarray, "rows 2"],
+    halves: Float[np.ndarray, "rows 2"],
+    step: Float[np.ndarray, ""],
+) -> UInt32[np.ndarray, "rows size"]:
     """Return `PairTables.onward`, given each leaf's corners, the middle of its box and half its widths.
 
     The distance from a corner is convex: nowhere below its tangent plane at the middle. Take the slopes of the
     shortest path to the middle, and lower this plane until it is below the tangent planes of all paths in the box.
     """
-    rows, size = len(listed), len(distances)
-
-    def of_leaves(leaves):
-        listed, middle, half = leaves
-        away = jnp.moveaxis(middle[:, None] - corners[listed], -1, 0)
-        length = jnp.sqrt((away * away).sum(axis=0))
-        direction = jnp.where((length > 0) & (length < jnp.inf), away / length, 0)
-        count = (length < jnp.inf).sum(axis=1).max()
-
-        def path(column):
-            corner, leg, along = (
-                jax.lax.dynamic_slice_in_dim(each, column, 1, axis=-1) for each in (listed, length, direction)
-            )
-            return leg + distances[corner[:, 0]], along
-
-        def choose(column, found):
-            (way, along), (shortest, slopes) = path(column), found
-            return jnp.minimum(way, shortest), jnp.where(way < shortest, along, slopes)
-
-        def lower(column, least):
-            way, along = path(column)
-            bend = jnp.abs(along - slopes / STEEPEST) * half.T[:, :, None]
-            return jnp.minimum(_SHRUNK * way - (bend[0] + bend[1]), least)
-
-        none = np.full((len(listed), size), np.inf, np.float32)
-        _, slopes = jax.lax.fori_loop(0, count, choose, (none, np.zeros((2, *none.shape), np.float32)))
-        slopes = jnp.round(STEEPEST * slopes)
-        least = jax.lax.fori_loop(0, count, lower, none)
-        steps = jnp.clip(jnp.floor(least / step), 0, NO_WAY - 1).astype(jnp.uint32)
-        slope_x, slope_y = (jnp.where(least < 0, 0, slopes) + STEEPEST).astype(jnp.uint32)
-        return jnp.where(least < jnp.inf, steps | slope_x << 16 | slope_y << 24, NO_WAY)
-
-    parts = (each.reshape(-1, np.gcd(rows, _LEAVES_AT_ONCE), *each.shape[1:]) for each in (listed, middles, halves))
-    return jax.lax.map(of_leaves, tuple(parts)).reshape(rows, size)
+    onward = np.full((len(listed), len(distances)), NO_WAY, np.uint32)
+    counts = np.isfinite(corners[:, 0])[listed].sum(axis=1)
+    for count in np.unique(counts[counts > 0]):
+        leaves = np.flatnonzero(counts == count)
+        at_once = max(1, _PATHS_AT_ONCE // (count * len(distances)))
+        for some in (leaves[first : first + at_once] for first in range(0, len(leaves), at_once)):
+            corner = listed[some, :count]
+            x, y = (middles[some, None] - corners[corner]).transpose(2, 0, 1)
+            length = np.sqrt(x * x + y * y)
+            along = [np.divide(each, length, out=np.zeros_like(each), where=length > 0) for each in (x, y)]
+            slopes = [np.round(STEEPEST * each) for each in along]
+            # How far the plane of each path must be lowered to be below another path in the box.
+            bend = np.zeros((*corner.shape, count), np.float32)
+            for of_path, slope, half in zip(along, slopes, halves[some].T, strict=True):
+                bend += np.abs(of_path[:, :, None] - slope[:, None] / STEEPEST) * half[:, None, None]
+            slope_x, slope_y = ((each + STEEPEST).astype(np.uint32) for each in slopes)
+            slopes = slope_x << 16 | slope_y << 24
+            paths = distances.take(corner, axis=0)
+            paths += length[:, :, None]
+            shortest = paths.argmin(axis=1)
+            paths *= _SHRUNK
+            for path, lowered, slope, column, place in zip(paths, bend, slopes, shortest, some, strict=True):
+                path -= lowered.take(column, axis=1)
+                onward[place] = slope.take(column)
+            least = paths.min(axis=1)
+            reached = np.isfinite(least)
+            steps = np.minimum(np.where(reached, least, 0) / step, NO_WAY - 1)
+            slopes = onward[some]
+            is_positive = steps >= 0
+            steps = np.where(is_positive, steps, 0).astype(np.uint32)
+            onward[some] = np.where(reached, np.where(is_positive, slopes, _LEVEL) | steps, NO_WAY)
+    return onward

@@ -1,6 +1,8 @@
 """PairPLR: what it answers for which points, in compiled functions too, gradients, its file, and one goal of it."""
 
 import math
+import subprocess
+import sys
 import tracemalloc
 from functools import partial
 
@@ -102,6 +104,20 @@ def test_large_batches_are_answered_as_small_ones(maze):
     np.testing.assert_allclose(jax.jit(maze.__call__)(x, y), every, rtol=3e-7, atol=3e-7)
     for part in (slice(0, 4000), slice(16_000, 20_000)):
         np.testing.assert_allclose(every[part], maze(x[part], y[part]), rtol=3e-7, atol=3e-7)
+
+
+@pytest.mark.full
+def test_the_first_large_batch_of_a_process_compiles_one_program():
+    program = """
+import jax, numpy as np, plr_jax
+events = []
+jax.monitoring.register_event_duration_secs_listener(lambda event, _, **__: events.append(event))
+pairs = plr_jax.construct_pairs(plr_jax.scenes.maze().workspace, max_bytes=1024)
+np.asarray(pairs(*np.random.default_rng(0).random((2, 100_000, 2))))
+print(events.count("/jax/core/compile/backend_compile_duration"))
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == "1"
 
 
 @pytest.mark.full

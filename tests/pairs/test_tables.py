@@ -14,8 +14,8 @@ def test_bounds_to_leaves_are_below_all_paths_and_near_the_shortest():
     listed[1:3, 1:], listed[3], corners[-1] = size - 1, size - 1, np.inf  # padding
     distances[-1], distances[:, -1], distances[listed[4], 5] = np.inf, np.inf, np.inf
     corners, middles, halves, distances = (each.astype(np.float32) for each in (corners, middles, halves, distances))
-    step = np.float32(2**-15)
-    packed = np.asarray(_bounds_to_leaves(distances, listed.astype(np.uint16), corners, middles, halves, step))
+    step = np.array(2**-15, np.float32)
+    packed = _bounds_to_leaves(distances, listed.astype(np.uint16), corners, middles, halves, step)
     away = (rng.uniform(-1, 1, (200, leaves, 2)) * halves).astype(np.float64)
     legs = np.linalg.norm((middles + away)[:, :, None] - corners.astype(np.float64)[listed], axis=3)
     paths = (legs[..., None] + distances.astype(np.float64)[listed]).min(axis=2)
