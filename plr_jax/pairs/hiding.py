@@ -40,9 +40,10 @@ State = TypeVar("State")
 _Points = Float[Array, "n 2"]
 _Rows = UInt32[Array, "n"]
 _Flags = Bool[Array, "n"]
-_Pairs = Int[Array, "pairs"]
 Boxes = tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]
 Entries = Int[np.ndarray, "entries"]  # a number for each corner that a leaf lists
+EntryPoints = Float[np.ndarray, "entries 2"]
+PairIndices = Int[np.ndarray, "pairs"]
 Corners = Float[np.ndarray, "corners 2"]
 Walls = Float[np.ndarray, "walls 4"]
 NearPairs = tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]]  # list entries, and a wall near each
@@ -162,7 +163,7 @@ def near_entries(
 
 
 def _near_entries(
-    boxes: Boxes, leaf: Entries, number: Entries, at: Float[np.ndarray, "entries 2"], walls: Walls, margin: float
+    boxes: Boxes, leaf: Entries, number: Entries, corner: EntryPoints, walls: Walls, margin: float
 ) -> NearPairs | None:
     lo, hi = boxes
     if len(lo) == 1:
@@ -173,7 +174,7 @@ def _near_entries(
         of_runs = np.minimum.reduceat(lo, begin), np.maximum.reduceat(hi, begin)
         key = leaf // _RUN * (number.max(initial=0) + 1) + number
         _, which, above = np.unique(key, return_index=True, return_inverse=True)
-        if (near := _near_entries(of_runs, leaf[which] // _RUN, number[which], at[which], walls, margin)) is None:
+        if (near := _near_entries(of_runs, leaf[which] // _RUN, number[which], corner[which], walls, margin)) is None:
             return None
         entry, candidates = near
         first = np.searchsorted(entry, np.arange(len(which) + 1))
@@ -193,10 +194,10 @@ def _near_entries(
 
 
 def _near_pairs(
-    hulls: tuple[Float[np.ndarray, "entries 2"], Float[np.ndarray, "entries 2"], Float[np.ndarray, "entries 2"]],
-    entry: Int[np.ndarray, "pairs"],
-    walls: Float[np.ndarray, "walls 4"],
-    wall: Int[np.ndarray, "pairs"],
+    hulls: tuple[EntryPoints, EntryPoints, EntryPoints],
+    entry: PairIndices,
+    walls: Walls,
+    wall: PairIndices,
     margin: float,
 ) -> Int[np.ndarray, "near"]:
     """Return which pairs of an entry and a wall are near: no axis separates the wall from a convex hull.
