@@ -189,7 +189,7 @@ def _require_goals(
 
 
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return the priority with which to split each leaf: its error; more if it is cut off from the goal and large.
+    """Return each leaf's priority to be split: its error, and more if it is large and cut off from the goal.
 
     The error is the geometric mean of largest and root mean square error, times a power of the volume. Mean errors
     of the PLR are then smaller than with largest errors alone, and largest errors hardly larger.

@@ -217,11 +217,13 @@ def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
 
 
 _MOST_SPLIT = 0.5  # largest share of the leaves that one round splits before all values are fitted again
-_LEAST_SPLIT = 1 / 64  # if fewer of the leaves can be split within the byte limit, growth ends
+# A round splits at least one in 16 leaves, or one in 4 near a byte limit, where fewer rounds take less time. If the
+# byte limit allows to split less than one in 64, growth ends.
+_LEAST_SPLIT, _LEAST_SPLIT_OF_BYTES, _WORTH_A_ROUND = 1 / 16, 1 / 4, 1 / 64
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
 _VOLUME_POWER = 0.25
 # Values are rounded to the mean error: more leaves reduce the error further than more digits. Near the byte limit,
-# growth aims at rounding to twice the mean error; at most to this multiple.
+# continuous leaves aim at rounding to twice the mean error; values are rounded to at most this multiple.
 _MOST_MEAN_ERRORS = 3.0
 _SMALLEST_STEP = 2.0**-22  # in units of the largest distance: the resolution of 32-bit floats
 # Weight of the difference between a value and its prediction, relative to the samples of a cell: so small that it
@@ -279,13 +281,17 @@ class _Rounds:
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
         fit, limits = now.fit, self._limits
-        room = limits.max_leaves - len(now)
+        room, least = limits.max_leaves - len(now), _LEAST_SPLIT
         if np.isfinite(limits.max_bytes):
-            num_bytes = now.num_bytes - len(now.stored.code) / 8  # if the step doubles, each value takes a bit less
-            room = min(room, self._most, int(len(now) * (limits.max_bytes / num_bytes - 1)))
-            if now.is_full or room < _LEAST_SPLIT * len(now):
+            # If the step doubles, each value takes a bit less. Smooth leaves need the finer step.
+            num_bytes = now.num_bytes - (len(now.stored.code) / 8 if self._order == 0 else 0)
+            room = min(room, self._most, int(np.ceil(len(now) * (limits.max_bytes / num_bytes - 1))))
+            least = _LEAST_SPLIT_OF_BYTES
+            if now.is_full or room < _WORTH_A_ROUND * len(now):
                 room = 0
-        number = min(int(np.ceil(_MOST_SPLIT * len(now))), room)
+        # Only half of the splits that fit, since errors change when adjacent leaves are split.
+        number = max((room + 1) // 2, int(least * len(now)))
+        number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
         worth_it = (error > least_priority(fit, limits)) & fit.can_split
