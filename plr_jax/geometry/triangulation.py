@@ -64,7 +64,7 @@ _BITS = 46  # bits of integer coordinates: they resolve the grid to which a work
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
-    """Rounded points, a triangle that contains each, and whether the point lies on each side of that triangle."""
+    """Rounded points, a triangle that contains each, and on which edges of that triangle the point lies."""
 
     x: Float[np.ndarray, "n 2"]
     triangle: Int[np.ndarray, "n"]
@@ -158,8 +158,7 @@ class Triangulation:
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to the grid and locate them; points outside the region move onto the nearest wall.
 
-        A point within the tolerance of a vertex where the region touches itself moves there, on all sides of its
-        triangle.
+        A point within tolerance of a vertex where the region touches itself moves there, on all its triangle's sides.
         """
         boundary, given, x = self.boundary, x, self.on_grid(x)
         triangle, turn = self.locate(x)

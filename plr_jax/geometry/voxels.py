@@ -83,7 +83,7 @@ class VoxelGrid:
         return np.pad(self.free, 1)
 
     def numbers(self, x: Coordinates) -> tuple[Numbers, Numbers]:
-        """Return, along each axis, the least and largest number of the voxels that contain each point."""
+        """Return, along each axis, the least and largest index (in ``padded``) of voxels that contain each point."""
         below, above = zip(*[self.numbers_along(axis, row) for axis, row in enumerate(x)], strict=True)
         return np.stack(below), np.stack(above)
 

@@ -150,7 +150,7 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The tree of least error plus price per leaf; nodes are numbers of nodes of the old tree, then of new boxes."""
+    """The tree of least error plus price per leaf. Node indices count the old tree's nodes first, then new boxes."""
 
     price: float
     axes: list[Int[np.ndarray, "_"]]  # split axis of each node, level by level; -1 for a leaf
