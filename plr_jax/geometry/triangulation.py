@@ -38,7 +38,7 @@ class Locator:
     ]  # of sides: inward unit normal, and its scalar product with their points
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return each point's triangle, or one nearby (-1: none), and its signed distance to the nearest side."""
+        """Return each point's triangle, or one nearby (-1: none), and the signed distance to its nearest side."""
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
         found, best = np.full(len(x), -1), np.full(len(x), -np.inf)

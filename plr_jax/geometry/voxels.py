@@ -191,7 +191,7 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
-    """Return which sets of the voxels around a point faces do not connect; the bits of an index are the members."""
+    """Return whether faces do not connect each set of voxels around a point; bits of its index tell the members."""
     num = 2**num_axes
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     one = np.zeros_like(free)

@@ -82,7 +82,7 @@ class NearWalls:
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
     def hide(self, leaf: _Rows, place: _Rows, x: _Points, corner: _Points) -> _Flags:
-        """Return whether walls hide a corner, number ``place`` in a leaf's list, from a point of that leaf."""
+        """Return whether walls hide a corner, at index ``place`` of a leaf's list, from a point of that leaf."""
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
         if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW:

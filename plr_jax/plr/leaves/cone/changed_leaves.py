@@ -1,4 +1,4 @@
-"""Find the cone leaves to keep after a change of the map, as it changes all their distances by one number.
+"""Find the cone leaves to keep after a change of the map, as all their distances change by an equal amount.
 
 The cone of a source (a corner, or the goal) is its distance to the goal plus the straight distance to it. A shortest
 path can go to a source first only if its cone is, somewhere in the leaf, as low as the leaf's proven upper bound. If

@@ -104,7 +104,7 @@ def updated_cones(
     before: ChangingFn,
     limits: Limits,
 ) -> UpdatedCones:
-    """Keep leaves in which all distances changed by one number, and find the best leaves for the rest."""
+    """Keep leaves in which all distances changed by the same amount, and find the best leaves for the rest."""
     pattern = sample_pattern(2, LeafModel.num_samples, 0, 0)  # for choosing visible sources
     _require_proof_of(before, leaves)
     node_costs = node_costs or compute_node_costs(leaves, before, limits)
