@@ -149,7 +149,7 @@ class ChangingFn(CellwiseFn, Protocol):
     ) -> CellSources: ...
 
     def changed_since(self, before: Any, /) -> Any:
-        """Return how distances changed since ``before``, an older function; ``ValueError`` if not comparable."""
+        """Return ``ChangedDistances`` (where, by how much) since ``before``; ``ValueError`` if not comparable."""
         ...
 
 

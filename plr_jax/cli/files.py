@@ -261,9 +261,9 @@ def export(
 ) -> None:
     """Write a file as code without dependencies, whose answers equal those of query, bit for bit.
 
-    Pairs become the distance to one goal, or, in JavaScript without a goal, the distance between any two points.
-    Pairs of a grid become a header that gives the steps between any two cells; it reads a file of tables, which is
-    written beside it.
+    Pairs (a file of distances between any two points) become the distance to one goal, or, in JavaScript without a
+    goal, the distance between any two points. Pairs of a grid become a header that gives the steps between any two
+    cells; it reads a file of tables, which is written beside it.
     """
     from plr_jax import load
     from plr_jax._files import write_atomically

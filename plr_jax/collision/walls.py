@@ -1,7 +1,8 @@
 """Collision tests of one robot with a workspace along straight motions.
 
 A grid over the bounds stores the clearance at each cell's center and the walls near it. The clearance changes by at
-most the distance moved, which decides most motions at once. The others are tested against the walls of their cell.
+most the distance moved, which decides most motions at once. Other motions are tested against the walls of their cell;
+those of point robots by ``Workspace.is_visible`` against all walls.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""The nearest of several goals: by the least cost of a straight motion, and by the costs at the nodes of a grid."""
+"""The nearest of several goals: by straight motions, or by the path from a grid node, read from nodes' costs."""
 
 from typing import Any
 

@@ -338,7 +338,7 @@ class SlopeSolver:
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
-        """Return the cells to refine, mostly by their loss (``SlopeProgram.losses``), and how many cells to add."""
+        """Return cells to refine, those of goals that hide a loss first, then by loss, and how many may be added."""
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow

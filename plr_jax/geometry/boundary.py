@@ -54,7 +54,7 @@ class Boundary:
 
     @cached_property
     def offset(self) -> Float[np.ndarray, "edges"]:
-        """``normal @ x`` of the points ``x`` on each edge."""
+        """Scalar product of each edge's ``normal`` with any point of the edge."""
         return (self.normal * self.segments.sum(axis=1)).sum(axis=1) / 2
 
     @cached_property
@@ -119,7 +119,7 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
 def match_boundary(
     vertices: Vertices, edges: Edges, old: Boundary
 ) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
-    """Return the index of the equal vertex, and of the equal edge, of those of ``old``; -1 if there is none."""
+    """Return, for each vertex and for each edge, the index of the equal one in ``old``; -1 if there is none."""
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T

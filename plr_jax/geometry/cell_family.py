@@ -85,7 +85,7 @@ class FamilySamples:
     def first_turns(
         self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, "corners"]
     ) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return samples' distances to a goal, and first vertices of their paths: 0, the goal, corner + 1, or -1."""
+        """Return samples' distances to a goal, and first vertices of paths: 0 (goal), corner + 1, or -1 (no path)."""
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         if len(self.first):
             way = corner_distances[self.corner] + self.length

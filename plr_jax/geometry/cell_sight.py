@@ -6,8 +6,7 @@ piece may go first. When a cell is cut, its parts inherit pieces and sources. A 
 piece turns there, or if no point of the piece sees it.
 
 Within free space, what a viewpoint sees ends at *shadows*: rays past a corner, between the nearer wall that ends
-there and the farther wall behind it. If no shadow crosses a free convex piece, the viewpoint sees all of it or
-nothing.
+there and the farther wall behind it. If no shadow crosses a free convex piece, the viewpoint sees all or nothing.
 """
 
 from dataclasses import dataclass, replace
@@ -125,7 +124,7 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return two :class:`TurnPoints` per corner, ``2 * corner + side``, one for each way to bend around it."""
+    """Return :class:`TurnPoints` for both ways (``side``: 0 or 1) to bend around corners: ``2 * corner + side``."""
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
     points = np.repeat(corners.points, 2, axis=0)
@@ -133,7 +132,7 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 
 
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
-    """List for each triangle of free space the corners that see a part of it, as ``2 * corner + side``."""
+    """List for each triangle the corners that see a part of it, as ``2 * corner + side`` (see `turns_by_side`)."""
     visits, (right, left) = [], turns_by_side(visibility.corners).bounds
     for side in range(2):
         view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
@@ -377,7 +376,7 @@ def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return the :class:`Sight` for any goal; its sources are corners with the side that paths bend around."""
+    """Return the :class:`Sight` for any goal; each corner is two sources, one for each way to bend around it."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     shadows = Shadows.of(visibility.table)

@@ -126,8 +126,7 @@ def first_visible_ragged(
 ) -> FirstVisible:
     """Return each point's visible candidate of least path length, as an index of ``lengths``, and its length.
 
-    ``lengths`` through each point's ``counts`` candidates, point by point, are modified in place. ``sees`` tests
-    indices.
+    ``lengths`` through each point's ``counts`` candidates, in order, are modified in place. ``sees`` tests indices.
     """
     found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)

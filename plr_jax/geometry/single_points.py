@@ -23,7 +23,7 @@ _NEAR = 4  # tolerances. Farther from all vertices of its triangles, rounding ca
 
 
 class Place(NamedTuple):
-    """A point rounded to the grid, its triangle, and the one beyond the side on which it lies, else the same one."""
+    """A point rounded to the grid, its triangle, and the triangle across the side it lies on, else its own again."""
 
     x: float
     y: float
@@ -48,7 +48,7 @@ class PointLocator:
         self._grid, self._tolerance = triangulation.grid, triangulation.tolerance
 
     def place(self, x: float, y: float) -> Place | None:
-        """Return the place of a point; None if batches must decide: outside free space, or near two sides."""
+        """Locate a point. None (batch functions decide) outside free space, or close to two sides of a triangle."""
         across, along = (x - self._x0) / self._width, (y - self._y0) / self._height
         if not (0 <= across < self._columns and 0 <= along < self._rows):
             return None
@@ -81,7 +81,7 @@ class PointLocator:
         return Place(x, y, triangle, beyond if side == 0 else triangle)
 
     def is_free_segment(self, start: Place, end: Place) -> bool | None:
-        """Return whether a segment is free; None if batches must decide: its line passes a vertex closely."""
+        """Return whether a segment is free. None (the batch functions decide) if its line passes near a vertex."""
         if start.triangle == end.triangle:
             return True
         corners, x, y, dx, dy = self._corners, start.x, start.y, end.x - start.x, end.y - start.y

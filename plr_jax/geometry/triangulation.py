@@ -38,7 +38,7 @@ class Locator:
     ]  # of sides: inward unit normal, and its scalar product with their points
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return each point's triangle, or one nearby (-1: none), and its signed distance to the nearest side."""
+        """Return each point's triangle, or one nearby (-1: none), and the signed distance to its nearest side."""
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
         found, best = np.full(len(x), -1), np.full(len(x), -np.inf)
@@ -64,7 +64,7 @@ _BITS = 46  # bits of integer coordinates: they resolve the grid to which a work
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
-    """Rounded points, a triangle that contains each, and whether the point lies on each side of that triangle."""
+    """Rounded points, a triangle that contains each, and on which edges of that triangle the point lies."""
 
     x: Float[np.ndarray, "n 2"]
     triangle: Int[np.ndarray, "n"]
@@ -158,8 +158,7 @@ class Triangulation:
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to the grid and locate them; points outside the region move onto the nearest wall.
 
-        A point within the tolerance of a vertex where the region touches itself moves there, on all sides of its
-        triangle.
+        A point within tolerance of a vertex where the region touches itself moves there, on all its triangle's sides.
         """
         boundary, given, x = self.boundary, x, self.on_grid(x)
         triangle, turn = self.locate(x)

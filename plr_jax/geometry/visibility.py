@@ -33,7 +33,7 @@ Visits: TypeAlias = Int[np.ndarray, "2 visits"]  # pairs (viewpoint, triangle)
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Points on the grid of vertices, and the sectors (ranges of directions) they look into; without any, all."""
+    """Points on the grid of vertices, and the sectors (ranges of directions) they look into, or all."""
 
     points: Vectors
     owner: Int[np.ndarray, "sectors"]  # the point to which each sector belongs: at the start of its edge, or inside

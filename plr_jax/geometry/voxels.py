@@ -83,7 +83,7 @@ class VoxelGrid:
         return np.pad(self.free, 1)
 
     def numbers(self, x: Coordinates) -> tuple[Numbers, Numbers]:
-        """Return, along each axis, the least and largest number of the voxels that contain each point."""
+        """Return, along each axis, the least and largest index (in ``padded``) of voxels that contain each point."""
         below, above = zip(*[self.numbers_along(axis, row) for axis, row in enumerate(x)], strict=True)
         return np.stack(below), np.stack(above)
 
@@ -191,7 +191,7 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
-    """Return which sets of the voxels around a point faces do not connect; the bits of an index are the members."""
+    """Return whether faces do not connect each set of voxels around a point; bits of its index tell the members."""
     num = 2**num_axes
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     one = np.zeros_like(free)

@@ -236,7 +236,7 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, "voxels"]]:
-        """Steps as changes of voxel numbers, and the legal steps from each voxel as bits."""
+        """Steps as changes of a voxel's 3 indices, and for each padded voxel a bit per step: whether it is legal."""
         steps = np.array(list(product((-1, 0, 1), repeat=3)))
         num_axes = np.count_nonzero(steps, axis=1)
         steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]

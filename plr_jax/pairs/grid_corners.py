@@ -60,7 +60,7 @@ def corner_cells(free: Grid) -> Grid:
 
 
 def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
-    """Return the pairs of corners (lower numbers, higher numbers) that see each other with no corner in between."""
+    """Return the pairs of corners (lower index, higher index) that see each other with no corner in between."""
     places = np.flatnonzero(corner_cells(free))
     number = np.full(free.size, -1, np.int32)
     number[places] = np.arange(len(places))

@@ -302,7 +302,7 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
-    """Return the length of a path between cells, and which blocks of their corners may give a shorter one."""
+    """Return the length of a path between cells, and which blocks of their corners may give a shorter path."""
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)

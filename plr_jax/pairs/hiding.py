@@ -1,8 +1,8 @@
 """Fast tests of whether obstacles hide points from each other: walls near a listed corner, and occluders.
 
-Near walls: only few walls can hide a corner from the leaf that lists it, as it is visible from most of the leaf. They
-are found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a large box and a
-corner is not between a part of the box and the corner.
+Near walls of a leaf and a corner that it lists (to which paths may go first) may lie between them. They are few, as
+most of the leaf sees the corner. They are found for runs of neighbor leaves first, then for ever shorter runs: a wall
+that is not between a large box and a corner is not between a part of the box and the corner.
 
 Occluders are long chords of obstacles: a segment that crosses one is blocked. They are chosen greedily to block most
 of some random segments, as long as each saves more time than its test takes. A few dozen replace most wall tests.
@@ -82,7 +82,7 @@ class NearWalls:
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
     def hide(self, leaf: _Rows, place: _Rows, x: _Points, corner: _Points) -> _Flags:
-        """Return whether walls hide a corner, number ``place`` in a leaf's list, from a point of that leaf."""
+        """Return whether walls hide a corner, at index ``place`` of a leaf's list, from a point of that leaf."""
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
         if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW:

@@ -9,8 +9,7 @@ lower bound of the path length through each:
 3. Stop once no remaining bound is smaller than the length of a path found.
 
 Legs (segments from a point to a listed corner) are tested against the few walls near the leaf and the corner,
-straight paths against all walls. Most pairs of points need one or two rounds. Each round takes only pairs that are
-still open.
+straight paths against all walls. Most pairs of points need one or two rounds. Each round takes only open pairs.
 """
 
 from collections.abc import Callable
@@ -335,9 +334,9 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
 
 
 def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether points are in free space as the moved walls bound it: whether these wind around them once.
+    """Return whether points stay in free space when its walls move into it, as for upper bounds (``tables.walls``).
 
-    Where walls have passed one another, so that free space has vanished, they wind around a point less often.
+    The moved walls wind once around such a point, and less often where they passed one another and no space is left.
     """
 
     def winds(turns, walls):

@@ -31,8 +31,7 @@ def with_thin_parts(
     """Find thin walls, cut walls that are thin in part, and give sharp tips of thin obstacles two points.
 
     The points of a tip are neighbors on the lattice with the same ``vertex``. A point that rounding puts on or across
-    a thin wall sees one of their corners, on either side of it. Return the outline, and the vertex at each point, -1
-    inside walls.
+    a thin wall sees the corner on its side. Return the outline, and the vertex at each point, -1 inside walls.
     """
     spans = _thin_spans(outline, free_space, width)
     if not any(spans.values()):
@@ -48,7 +47,7 @@ def with_thin_parts(
     taken, rows = set(places), []  # rows: ring, place, vertex, whether the wall from there is thin
 
     def beside(place: tuple[int, int], x: float, y: float) -> tuple[int, int]:
-        """Return the free neighbor of a place that is farthest in a direction, or the place itself."""
+        """Return a lattice point's free neighbor that is farthest in a direction, or the point itself."""
         around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (place[0] + i, place[1] + j) not in taken]
         i, j = max(around, key=lambda each: (each[0] * x + each[1] * y) / np.hypot(*each), default=(0, 0))
         return place[0] + i, place[1] + j
@@ -74,7 +73,7 @@ def with_thin_parts(
 
 
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, list[tuple[float, float]]]:
-    """Return the intervals in which walls are thin, in distances from their start, for walls that have some."""
+    """Return, for each wall that is thin in part, the intervals where it is, as distances from its start."""
     reach, following, start = RECEDING * width, outline.following_past_contacts, outline.positions
     onward, moved = start[following] - start, outline.moved_walls(reach, surely=True).reshape(-1, 2, 2)
     lengths, is_turned = np.linalg.norm(onward, axis=1), (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0

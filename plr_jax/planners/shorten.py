@@ -156,7 +156,7 @@ def _shortened_in_corridors(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return each robot's cheapest motions within its corridor in the given rows, with both ends fixed."""
+    """Return each robot's cheapest configurations near its own (in its corridor) in ``rows``; both ends stay."""
     require_time(test.deadline, "all corridors were searched")
     path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
@@ -211,7 +211,7 @@ def _joint_costs(
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
-    """Return the configurations that robot ``i`` may take in each row: the path's own first, then some around it."""
+    """Return robot ``i``'s *places*, the configurations to try in each row: first the path's own, then others."""
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
     offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))
     offsets[:, :2] = width * _PLUS_PATTERN @ axes
@@ -224,7 +224,7 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _least_cost_through(cost: Costs) -> Costs:
-    """Return, for each motion, the least cost of a sequence with it that begins and ends at place 0."""
+    """Return, for each motion between places, the least cost of a sequence with it from place 0 to place 0."""
     both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
@@ -234,7 +234,7 @@ def _least_cost_through(cost: Costs) -> Costs:
 
 
 def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
-    """Return, row by row, the places of the cheapest sequence of motions whose first and last place are 0."""
+    """Return, row by row, the indices of the places of the cheapest sequence from place 0 to place 0."""
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0

@@ -210,7 +210,8 @@ def lifelong(
     :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
     keep their motions. A robot at its goal blocks others only for a short time, since it will leave for its next
     goal. A robot that finds no path goes to a place near its goal where it may rest, and is replanned later. If it
-    cannot make way, robots that would pass there are replanned. If all this fails, the whole team is planned again.
+    finds no such place either, it stays, and robots that would pass its position are replanned. If all this fails,
+    the whole team is planned again.
 
     The function shows progress in terminals. Ctrl-C, or a team that cannot be planned, ends it early; it then returns
     the run so far. Results are deterministic unless a time limit is reached.

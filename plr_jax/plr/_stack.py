@@ -167,7 +167,7 @@ class _SameShapeGroup:
         )
 
     def pick(self, which: UInt32[AnyArray, "*batch"]) -> Tables:
-        """Return lookup tables for points of which each has its own PLR, number ``which`` of the group."""
+        """Return lookup tables for points that each have their own PLR, at index ``which`` of the group."""
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(self.arrays, self.shapes, strict=True)

@@ -299,7 +299,7 @@ _BYTES_A_BIT, _LEAST_BITS = 16, 80
 
 
 class Proof(IntEnum):
-    """The proof that a file stores: none, bounds that classes of leaves share, or bounds of each leaf."""
+    """The proof in a file: none, bounds that leaves of similar errors (a class) share, or bounds of each leaf."""
 
     NONE = 0
     CLASSES = 1  # or only the largest error of all leaves, if there is no room for classes

@@ -1,7 +1,6 @@
 """The outer structure of PLR files: header, checksums and layers of bits, as ``portable/FORMAT.md`` describes it.
 
-A PLR is stored in one layer. A file of distances between pairs of points may have several, and may be cut off after
-any of them.
+A PLR is stored in one layer. A file of distances between pairs of points may have several, and be cut off after any.
 """
 
 import os

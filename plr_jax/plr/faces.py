@@ -21,7 +21,7 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
     """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
     Both halves of the larger node replace a pair, and ``keep`` drops pairs. The rows of ``pairs`` are nodes of ``a``,
-    nodes of ``b``, and data that halves inherit, if any. In the result, numbers of leaves replace those of nodes.
+    nodes of ``b``, and data that halves inherit, if any. In the result, indices of leaves replace those of nodes.
     """
     trees, found = (a, b), []
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]

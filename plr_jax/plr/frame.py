@@ -60,7 +60,7 @@ def slots_in_blocks(
 def leaves_in_blocks(
     cells: Cells, block_bits: Int[np.ndarray, "dim"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """Return pairs of a leaf and a block (cell of the coarse grid) that overlap: index, and position by axis."""
+    """Return overlapping pairs: a leaf's index, and the position by axis of a block (cell of the coarse grid)."""
     first = np.where(
         cells.depth >= block_bits,
         cells.position >> np.maximum(cells.depth - block_bits, 0),
@@ -82,7 +82,7 @@ def enumerate_boxes(
 
 
 def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
-    """Choose at most ``most`` of the ``bits`` of all axes, one by one from the axis with the most bits left."""
+    """Return how many of each axis's ``bits`` (halvings) to take, ``most`` in all or fewer, where most are left."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
         chosen[np.argmax(bits - chosen)] += 1

@@ -221,7 +221,7 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
-    """Return each cell's axis of least cost along which halves are neither too narrow nor too deep; 0 if none is."""
+    """Return each cell's axis of least cost whose halves are neither too narrow nor too deep; axis 0 if none is."""
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
     closed |= depth >= fit.max_axis_depth
@@ -261,7 +261,7 @@ FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
-    """The bytes and the mean rounding error of a file, given nodes, which of them are leaves, and bits of values."""
+    """The bytes and mean rounding error of a file, given nodes, indices of leaves, and bits per stored value."""
 
     choices: Sequence[int]  # numbers of bits to choose from
     size: Callable[[Nodes, Int[np.ndarray, "leaves"], int], int]
@@ -322,7 +322,7 @@ def grow_best_first(
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Int[np.ndarray, "leaves"], int]:
-    """Choose the leaves and bits of least expected error; each number of bits has the largest tree that fits."""
+    """Try the largest tree that fits for each number of bits per value; return the leaves and bits of least error."""
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]

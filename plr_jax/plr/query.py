@@ -101,7 +101,7 @@ def waypoints_in_tables(tables: Tables, x: AnyArray) -> Points:
 
 
 def lookup(tables: Tables, x: Points) -> Bits:
-    """Return the number of each point's leaf, within rounding; an arbitrary leaf outside the domain and for NaN."""
+    """Return the index of each point's leaf, within rounding; an arbitrary leaf outside the domain and for NaN."""
     if tables.folding is not None:
         nowhere = x.__array_namespace__().zeros(x.shape[:-1], bool)
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, nowhere))
@@ -261,7 +261,7 @@ def _leaf_parameters(tables: Tables, row: Bits, dtype: np.dtype) -> list[Values]
 
 
 def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
-    """Return an integer whose lowest 23 bits are a point's place along an axis, as a fraction of the domain."""
+    """Return the bits of a float in [1, 2): the lowest 23 are a point's fraction of the domain along an axis."""
     lo, start, scale, top = (
         tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
     )

@@ -37,12 +37,12 @@ class Pattern:
 
     @cached_property
     def design(self) -> Float[np.ndarray, "k terms"]:
-        """Matrix ``[1 u]``: a plane's values at the samples are ``design @ [center half]``."""
+        """Matrix ``[1 u]`` from a plane (center value, then half its rise by axis) to its values at the samples."""
         return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
 
     @cached_property
     def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """Matrix from the values at all samples to the least-squares plane ``[center half]``."""
+        """Matrix from values at samples to the least-squares plane: center value, then half its rise by axis."""
         root = np.sqrt(self.weight)
         return np.linalg.pinv(self.design * root[:, None]) * root
 

@@ -16,9 +16,9 @@ from plr_jax.plr.leaves import as_sourced
 
 
 class SourceSight:
-    """Visibility polygons of the sources of a PLR of cones, and whether the path from each source crosses no wall.
+    """Visibility polygons of the sources of cones, and whether the path from each to its last source crosses no wall.
 
-    Sources that a file rounded to within ``rounding`` of their place count as seen up to that distance.
+    Sight has at least the tolerance ``rounding``, the distance by which a file may have moved a source.
     """
 
     def __init__(self, plr: PLR, workspace: Workspace, rounding: float):
@@ -46,8 +46,7 @@ class SourceSight:
     ) -> tuple[Int[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
         """Return the first source of each start's path, and whether the path is free.
 
-        If the path over ``first`` crosses a wall or ends elsewhere, take the shortest free path to the goal, if there
-        is one.
+        If the path over ``first`` crosses a wall or ends elsewhere, take the shortest free path to the goal, if any.
         """
         first, is_free = first.copy(), self._is_clear[first] & self._sees(first, x)
         failing = np.flatnonzero(~(is_free & self._arrives[first]))

@@ -69,7 +69,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """A stand-in for one array per point: indexing with integers gives one value per point."""
+    """Arrays of equal shape in one table, one for each point: ``t[i, j]`` reads entry ``[i, j]`` of every array."""
 
     flat: AnyArray
     shape: tuple[int, ...]  # of each point's array

@@ -139,7 +139,7 @@ class SeesBoxes(Protocol):
     """
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, "n"]:
-        """Return where the straight motion to ``q`` is proven free from all free configurations of a box."""
+        """Return, by box, whether straight motions to ``q`` from all its free configurations are proven free."""
         ...
 
 

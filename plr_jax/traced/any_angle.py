@@ -294,7 +294,7 @@ class CornerPairs:
 
 
 def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
-    """Return the length of segments whose ends see each other, else ``inf`` with gradient 0."""
+    """Return lengths of segments from ``a`` to ``b``; ``inf`` with gradient 0 if the ends do not see each other."""
     return jnp.where(seen, distance(a, b), jnp.inf)
 
 

@@ -71,7 +71,7 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Return a point's place along an axis as an integer of 23 bits, from its offset and the frame of the axis."""
+    """Return a 23-bit fraction of the domain, from an offset from its lower corner and the axis's `Frame` column."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start

@@ -153,7 +153,7 @@ class _Image:
         self.body.write(records.ravel(), np.tile(widths, len(records)))
 
     def _finish_codes(self, numbers: Float[np.ndarray, "leaves terms"], flags: int) -> bytes:
-        """Append the leaf parameters that differ from those that a query computes (``numbers``); return all bytes."""
+        """Append planes, and parameters that differ from those a query computes (``numbers``); return all bytes."""
         power = self.dim - 1 - np.arange(self.dim)
         order = {"plane": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
         of_plane = np.concatenate([[0], 1 << order * power if order else 1 + np.arange(self.dim)])

@@ -1,9 +1,9 @@
-"""Find the cone leaves in which a change of the map changes all distances by one number.
+"""Find the cone leaves to keep after a change of the map, as all their distances change by an equal amount.
 
 The cone of a source (a corner, or the goal) is its distance to the goal plus the straight distance to it. A shortest
 path can go to a source first only if its cone is, somewhere in the leaf, as low as the leaf's proven upper bound. If
 all such paths are intact and changed by one number, no distance increased by more. If no other cone of the new map
-comes down as low, no distance increased by less.
+comes down as low, no distance increased by less. All other leaves are searched again.
 """
 
 from dataclasses import dataclass

@@ -114,10 +114,10 @@ class Lattice:
 
 
 class GoalSamples(NamedTuple):
-    """Samples for one goal: a ``table`` of coordinates, distance and weight, and ``source`` (-1 without a path)."""
+    """Samples of the distance to one goal."""
 
-    table: Float[np.ndarray, "samples 4"]
-    source: Int[np.ndarray, "samples"]
+    table: Float[np.ndarray, "samples 4"]  # two coordinates, distance, and weight
+    source: Int[np.ndarray, "samples"]  # index in `sources` of each path's first turn; -1 without a path
     sources: Sources
 
 
@@ -294,7 +294,10 @@ def _largest_tree(
 
 
 def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], shortfall: float) -> LeafOptions:
-    """Return the most frequent sources in each leaf that uses several, with their errors at all samples."""
+    """Return the most frequent sources of leaves whose samples use several, and each leaf's own, with their errors.
+
+    Samples more than ``shortfall`` above a cone do not see its source.
+    """
     goal, options, mixed = fits.goal, [], np.flatnonzero(fits.is_mixed[box])
     count = len(goal.sources.points)
     for shape, place, first, offset in lattice.by_shape(box[mixed]):

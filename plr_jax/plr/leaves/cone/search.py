@@ -94,7 +94,7 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
 
 
 def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources, by_side: bool = False) -> ConeBoxes:
-    """Find each box's best cone, of at most 4, by the integral of its proven error (0 for ``negligible`` errors)."""
+    """Find each box's cone of least proven error integral, of up to 4 tried; errors <= ``negligible`` count as 0."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):

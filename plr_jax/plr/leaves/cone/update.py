@@ -104,7 +104,7 @@ def updated_cones(
     before: ChangingFn,
     limits: Limits,
 ) -> UpdatedCones:
-    """Keep leaves in which all distances changed by one number, and find the best leaves for the rest."""
+    """Keep leaves in which all distances changed by the same amount, and find the best leaves for the rest."""
     pattern = sample_pattern(2, LeafModel.num_samples, 0, 0)  # for choosing visible sources
     _require_proof_of(before, leaves)
     node_costs = node_costs or compute_node_costs(leaves, before, limits)
@@ -150,7 +150,7 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The tree of least error plus price per leaf; nodes are numbers of nodes of the old tree, then of new boxes."""
+    """The tree of least error plus price per leaf. Node indices count the old tree's nodes first, then new boxes."""
 
     price: float
     axes: list[Int[np.ndarray, "_"]]  # split axis of each node, level by level; -1 for a leaf
