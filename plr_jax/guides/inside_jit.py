@@ -89,8 +89,8 @@ with `field(x)`. If the agent moves between neighboring cells, use `moves=4` or 
 (length) of steps, and a reset is tens of times faster than with any-angle paths.
 
 If `step` resets the environment, `vmap` turns `lax.cond` into both of its branches, so every step computes a field.
-So draw a pool of states before, and let a reset pick one of them. If resets need new
-maps, compute a few new states in each step outside of `vmap`, and replace some of the pool.
+So draw a pool of states before, and let a reset pick one of them. If resets need new maps, compute a few new states
+in each step outside of `vmap`, and replace some of the pool.
 
 ```python
 def reset(key):
