@@ -27,8 +27,9 @@ class Problem:
     Args:
         workspace: The workspace of all robots.
         robots: The robots, at least one.
-        starts: Start configurations, ``(robots, dof)``, in workspace units and radians. ``dof`` is 2 if no robot has
-            a heading, else 3; the headings of robots without one (points and discs) are ignored.
+        starts: Start configurations, ``(robots, dof)``. Rows are ``(x, y)`` in workspace units if no robot has a
+            heading, else ``(x, y, heading)`` with the heading in radians. Headings of robots without one (points and
+            discs) are ignored.
         goals: Goal configurations, ``(robots, dof)``.
         rotation_weight: Cost of a turn by one radian, in workspace units, at least 0, for robots with a heading.
             None: each robot's circumscribed radius, which is half the diagonal for a rectangle.
@@ -66,7 +67,7 @@ class Problem:
         weight = None if rotation_weight is None else as_finite("rotation_weight", rotation_weight)
         set_fields(self, workspace=workspace, robots=robots, rotation_weight=weight)
         given = {"starts": starts, "goals": goals}
-        set_fields(self, **{name: _configurations(name, q, len(robots), self.dof) for name, q in given.items()})
+        set_fields(self, **{name: _configurations(name, q, robots) for name, q in given.items()})
         for name in given:
             _require_free(name, getattr(self, name), robots, workspace)
             _require_no_overlap(name, getattr(self, name), robots, workspace.tolerance)
@@ -133,6 +134,8 @@ def require_problem(problem: object, path: object = None) -> None:
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
     require_problem(problem, path)
+    if path is None:
+        raise ValueError("A path must be an array, got None: solution.path is None, see solution.status.")
     shape = f"(steps, robots, dof) = (steps, {len(problem.robots)}, {problem.dof})"
     array = as_numbers("A path", path, f"numbers of shape {shape}")
     if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:
@@ -140,11 +143,19 @@ def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robot
     return array
 
 
-def _configurations(name: str, value: ArrayLike, num_robots: int, dof: int) -> Float[np.ndarray, "robots dof"]:
-    shape = f"(robots, dof) = ({num_robots}, {dof})"
+def _configurations(name: str, value: ArrayLike, robots: Sequence[Robot]) -> Float[np.ndarray, "robots dof"]:
+    dof = team_dof(robots)
+    shape = f"(robots, dof) = ({len(robots)}, {dof})"
     configurations = as_numbers(name, value, f"numbers of shape {shape}").copy()
-    if configurations.shape != (num_robots, dof):
-        raise ValueError(f"{name} must have shape {shape}, got {configurations.shape}.")
+    if configurations.shape != (len(robots), dof):
+        reason = ""
+        if configurations.shape == (len(robots), 2):
+            turning = next(i for i, robot in enumerate(robots) if robot.dof == 3)
+            rows = "each row is (x, y, heading in radians), 0 for robots that do not turn"
+            reason = f": robot {turning} can turn, so {rows}"
+        elif configurations.shape == (len(robots), 3):
+            reason = ": no robot can turn, so each row is (x, y)"
+        raise ValueError(f"{name} must have shape {shape}, got {configurations.shape}{reason}.")
     broken = np.flatnonzero(~np.isfinite(configurations).all(axis=1))
     if broken.size:
         raise ValueError(f"{name} must be finite, got {configurations[broken[0]]} for robot {broken[0]}.")

@@ -202,6 +202,7 @@ def test_what_is_no_path_is_reported():
     ):
         result = validate(SOLVED, path)
         assert not result.valid and "A path must" in result.message and np.isnan(result.cost)
+    assert "solution.path is None, see solution.status" in validate(SOLVED, None).message
     path = np.insert(PATH, 1, PATH[0], axis=0)
     path[1, 1, 0] = np.nan
     result = validate(SOLVED, path)

@@ -33,7 +33,7 @@ print(reward(x, x + 0.01).shape)
 
 `plr_jax.grid_distance(free, goal)` returns a `plr_jax.GridDistance`. The map `free[row, column]` and the goal
 `(x, y)` may be traced. Cell `[i, j]` covers `x` in `[j, j + 1]` and `y` in `[i, i + 1]`, and everything beyond the
-grid is blocked.
+grid is blocked. The center of cell `[i, j]` is `(j + 0.5, i + 0.5)`: add 0.5 to integer cell positions, column first.
 
 ```python
 @jax.jit
@@ -83,14 +83,38 @@ print(max_corners)
 
 # In an environment
 
-- Compute the field in `reset`, and keep it in the environment's state. Keep the last distance there as well: then a
-  step computes only the distance of the new point.
-- Let the motion rule forbid what the distance forbids: blocked cells, and steps between two blocked cells that share
-  only a corner. Otherwise an agent reaches points without a path to the goal, and rewards are `inf` or NaN.
-- If `step` resets the environment, `vmap` turns `lax.cond` into both of its branches, so every step computes a field.
-  Draw a pool of states before, and let a reset pick one of them. If resets need new maps, compute a few new states in
-  each step outside of `vmap`, and replace some of the pool.
+In `reset`, compute the field and store it in the environment's state. If the agent stands on cell centers, store
+`field.cells` instead, and index `cells[row, column]`. With any-angle paths, a step is then about 25 times faster than
+with `field(x)`. If the agent moves between neighboring cells, use `moves=4` or `moves=8`: the distance is the number
+(length) of steps, and a reset is tens of times faster than with any-angle paths.
 
-Oracles such as `plr_jax.VisibilityGraph` run on the host, so they cannot be called inside `jit`. Notebook 5 of the
-repository shapes rewards with `grid_distance`.
+If `step` resets the environment, `vmap` turns `lax.cond` into both of its branches, so every step computes a field.
+So draw a pool of states before, and let a reset pick one of them. If resets need new maps, compute a few new states
+in each step outside of `vmap`, and replace some of the pool.
+
+```python
+def reset(key):
+    free = jax.random.bernoulli(key, 0.8, (15, 15)).at[jnp.array([0, 14]), jnp.array([0, 14])].set(True)
+    cells = plr_jax.grid_distance(free, jnp.array([14.5, 14.5]), moves=4).cells
+    return {"agent": jnp.array([0, 0]), "cells": cells}  # the agent's row and column
+
+pool = jax.vmap(reset)(jax.random.split(jax.random.key(2), 1024))
+
+def step(state, action, key):
+    cells, old = state["cells"], state["agent"]
+    agent = jnp.clip(old + jnp.array([[0, 1], [1, 0], [0, -1], [-1, 0]])[action], 0, 14)
+    agent = jnp.where(jnp.isinf(cells[*agent]), old, agent)  # distances of blocked cells are inf
+    before, after = cells[*old], cells[*agent]
+    is_done = (after == 0) | jnp.isinf(after)  # at the goal, or on a map without a path
+    number = jax.random.randint(key, (), 0, 1024)
+    new = jax.tree.map(lambda leaf, same: jnp.where(is_done, leaf[number], same), pool, {**state, "agent": agent})
+    return new, jnp.where(jnp.isinf(before), 0, before - after), is_done  # state, reward, done
+
+state, keys = jax.tree.map(lambda leaf: leaf[:64], pool), jax.random.split(jax.random.key(3), 64)
+state, reward, is_done = jax.jit(jax.vmap(step))(state, jnp.zeros(64, int), keys)
+```
+
+Let the motion rule forbid what the distance forbids: blocked cells, and steps between two blocked cells that share
+only a corner. Otherwise rewards are `inf` or NaN. `plr_jax.VisibilityGraph` and other oracles run on the host, not
+inside `jit`.
 """

@@ -19,11 +19,15 @@ plr_jax.scenes.save(problem, "rooms.json")  # plr_jax.scenes.load reads it; so d
 
 # Problems
 
-A `plr_jax.Problem` has a row of `starts` and of `goals` for each robot: `(x, y)`, or `(x, y, heading)` if any robot
-can turn. In such a team, give robots without a heading rows `(x, y, 0)`. A `plr_jax.Robot` is convex:
+A `plr_jax.Problem` has a row of `starts` and of `goals` for each robot: `(x, y)`, or `(x, y, heading)`, in radians,
+if any robot can turn. In such a team, give robots without a heading rows `(x, y, 0)`. A `plr_jax.Robot` is convex:
 `plr_jax.PointRobot` and `plr_jax.DiscRobot` do not turn, `plr_jax.RectangleRobot` and `plr_jax.PolygonRobot` do.
-`plr_jax.scenes` has ready-made problems. Paths may touch obstacles and other robots. For a margin, plan with larger
-robots.
+`plr_jax.scenes` has ready-made problems. Obstacles have an area: for a wall with corners `(0, 3), (4, 3), (4, 5)`,
+pass `shapely.LineString([(0, 3), (4, 3), (4, 5)]).buffer(0.1, cap_style="flat")`.
+
+Paths may touch obstacles and other robots. For a margin of 0.05, plan with discs whose radius is larger by 0.05, and
+check the path with the real robots: `plr_jax.validate(problem, solution.path).clearance` is at least 0.05, up to
+rounding.
 
 The cost of a path is the sum of what the robots travel, plus `rotation_weight` for each radian of turning:
 `plr_jax.path_cost`. All robots move from one row of the path to the next at the same time. `plr_jax.makespan` is the
@@ -59,7 +63,8 @@ print(better.stats.num_nodes, plr_jax.zero()(starts), plr_jax.straight_line(prob
 ```
 
 With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the path until the cost is at most 1.05 times the
-lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. Distances of
+lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. A factor that is met early
+ends the search and the shortening, so the path may cost more than without a factor. Distances of
 `robot_distance_fns` leave out the cost of turns, so robots that turn may never reach a small factor.
 
 In place of the cost-to-go along lattices, `bl_plan` accepts a `plr_jax.HeuristicFn`: `plr_jax.zero`,

@@ -29,8 +29,8 @@ _MOST_BYTES = 2**26  # largest file: a path of about three million numbers
 class Status(enum.StrEnum):
     """Reason why a planner ended; its value is a phrase for messages."""
 
-    SOLVED = "a path within the cost factor was found"
-    EXHAUSTED = "no search is left, and none found a path within the cost factor on the lattices"
+    SOLVED = "a path was found, within the cost factor if one is set"
+    EXHAUSTED = "no search is left, and none found a path on the lattices, within the cost factor if one is set"
     TIME_LIMIT = "the time limit was reached"
     EXPANSION_LIMIT = "the limit on expansions was reached"
     MEMORY_LIMIT = "the memory limit was reached, or a search left out children to save memory"
@@ -293,7 +293,8 @@ class BLOptions:
         heuristic_weight: Factor of the heuristic in "bl", from 0 to 1e6; larger is greedier. None: 2, or 3/8 times
             the number of robots if larger. It grows by half with each finer lattice.
         cost_factor: The search stops at a path whose cost is at most this multiple of the lower bound. Until then, or
-            until a limit, it continues with smaller weights and steps; 1 usually means until a limit.
+            until a limit, it continues with smaller weights and steps; 1 usually means until a limit. A factor that
+            is met early ends the search and the shortening, so the path may cost more than without a factor.
         lower_bound: Known lower bound of all path costs, in workspace units. The planner uses the largest of it, the
             cost of straight motions, and the heuristic at the starts if that is a lower bound.
         time_limit: Seconds, positive or ``inf``. A running call of Shapely or of the heuristic, or a running

@@ -1,5 +1,6 @@
 """The public function :func:`grid_distance`: distances on a grid of cells that may be traced by JAX."""
 
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial, reduce
@@ -41,6 +42,7 @@ class GridDistance:
     @property
     def cells(self) -> Float[Array, "h w"]:
         """Distances of the centers of all cells to the goal, computed at each access."""
+        _require_one_map(self, "jax.vmap(lambda field: field.cells)(fields)")
         return _cells(self)
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
@@ -53,8 +55,11 @@ class GridDistance:
             Distances in cell sides, ``(...)``. They are ``inf`` with gradient 0 outside the grid, inside blocked
             cells and where no path exists, and NaN where a coordinate of the point or goal is NaN, or if
             ``is_complete`` is false.
+
+        Points of an integer type are corners of cells, and give a ``UserWarning``.
         """
-        return _distance(self, _as_points("x", x))
+        _require_one_map(self, "jax.vmap(lambda field, x: field(x))(fields, x)")
+        return _distance(self, *_as_floats(x=_as_points("x", x)))
 
     def __repr__(self) -> str:
         return f"GridDistance({self.shape[0]} x {self.shape[1]} cells, {type(self.paths).__name__})"
@@ -76,12 +81,13 @@ class GridDistances:
 
         Points ``(x, y)`` are ``(..., 2)``, real; their leading axes broadcast, else ``ValueError``.
         """
+        _require_one_map(self, "jax.vmap(lambda field, x, y: field(x, y))(fields, x, y)")
         x, y = _as_points("x", x), _as_points("y", y)
         try:
             jnp.broadcast_shapes(x.shape, y.shape)
         except ValueError:
             raise ValueError(f"x and y must broadcast, got shapes {x.shape} and {y.shape}.") from None
-        return _distance(self, x, y)
+        return _distance(self, *_as_floats(x=x, y=y))
 
     def __repr__(self) -> str:
         return f"GridDistances({type(self.paths).__name__})"
@@ -103,7 +109,12 @@ def grid_distance(
     Maps and goals may be created inside ``jax.jit``, batched by ``jax.vmap``, and distances differentiated by
     ``jax.grad`` with respect to points and goal (the gradient is 0 for ``moves`` of 4 or 8). Cell ``[i, j]`` covers
     ``x`` in ``[j, j + 1]`` and ``y`` in ``[i, i + 1]``; everything beyond the grid is blocked. A point on a boundary
-    between cells counts as free if one of them is.
+    between cells counts as free if one of them is. The center of cell ``[i, j]`` is ``(j + 0.5, i + 0.5)``: add 0.5
+    to integer cell positions, column first. Integer points are corners of cells, and give a ``UserWarning``.
+
+    If the agent moves between neighboring cells, use ``moves=4`` or ``moves=8``: the distance is the number (length)
+    of steps, and is computed tens of times faster. If the agent stands on cell centers, compute ``field.cells`` once,
+    store it and index ``cells[row, column]``: this is faster than ``field(x)`` in each step.
 
     Args:
         free: Which cells are free, booleans ``(h, w)``.
@@ -136,6 +147,7 @@ def grid_distance(
     point = None if goal is None else _as_points("goal", goal)
     if point is not None and point.ndim != 1:
         raise ValueError(f"goal must be one point of shape (2,), got shape {point.shape}: use jax.vmap for more.")
+    point = None if point is None else _as_floats(goal=point)[0]
     count = 0
     if moves == "any-angle":
         inside = (h - 1) * (w - 1)
@@ -202,7 +214,15 @@ def _as_mask(free: ArrayLike) -> Bool[Array | np.ndarray, "h w"]:
     return mask
 
 
-def _as_points(name: str, value: ArrayLike) -> Float[Array | np.ndarray, "*batch 2"]:
+def _require_one_map(field: GridDistance | GridDistances, call: str) -> None:
+    """Raise an error if the field holds several maps; under ``vmap``, it holds one."""
+    if maps := jnp.shape(field.is_complete):
+        batch = " x ".join(map(str, maps))
+        raise ValueError(f"This field holds a batch of {batch} maps (it was made under vmap): use it as {call}.")
+
+
+def _as_points(name: str, value: ArrayLike) -> Array | np.ndarray:
+    """Return points ``(..., 2)`` as an array of floats or integers."""
     try:
         points = _as_array(value)
     except (TypeError, ValueError, OverflowError):
@@ -211,8 +231,21 @@ def _as_points(name: str, value: ArrayLike) -> Float[Array | np.ndarray, "*batch
     if not is_real or points.ndim == 0 or points.shape[-1] != 2:
         got = f"{points.dtype} of shape {points.shape}"
         raise ValueError(f"{name} must be real numbers of shape (..., 2), rows (x, y), got {got}.")
-    is_wide = jnp.issubdtype(points.dtype, jnp.floating) and points.dtype.itemsize >= 4
-    return points if is_wide else points.astype(jax.dtypes.canonicalize_dtype(np.float64))
+    return points
+
+
+def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "*batch 2"]]:
+    """Convert points, given by name, to floats of at least 32 bits; warn once if some are integers."""
+    names = [name for name, each in points.items() if jnp.issubdtype(each.dtype, jnp.integer)]
+    if names:
+        message = (
+            f"Integer points are corners of cells, got integers for {' and '.join(names)}: add 0.5 to (column, row) "
+            "for the center of a cell, or pass floats if you mean a corner."
+        )
+        warnings.warn(message, stacklevel=3)
+    default = jax.dtypes.canonicalize_dtype(np.float64)
+    is_wide = [jnp.issubdtype(each.dtype, jnp.floating) and each.dtype.itemsize >= 4 for each in points.values()]
+    return [each if wide else each.astype(default) for each, wide in zip(points.values(), is_wide, strict=True)]
 
 
 def _as_array(value: ArrayLike) -> Array | np.ndarray:

@@ -1,3 +1,5 @@
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,7 +45,7 @@ class TestOfEveryKind:
         assert (np.asarray(field(nowhere)) == np.inf).all() and (np.asarray(pairs(nowhere, GOAL)) == np.inf).all()
         assert np.isnan(field([[np.nan, 1], [1, np.nan]])).all() and np.isnan(pairs(GOAL, [1, np.nan]))
         assert np.isfinite(field([[0, 0], [0, 4], [1, 2.5]])).all() and field(GOAL) == 0 == pairs(GOAL, GOAL)
-        for goal in ([1.5, 1.5], [9, 9], [np.inf, 0]):
+        for goal in ([1.5, 1.5], [9.0, 9.0], [np.inf, 0]):
             assert (np.asarray(grid_distance(FREE, goal, moves=moves).cells) == np.inf).all()
         unknown = grid_distance(FREE, [np.nan, 1], moves=moves)
         assert np.isnan(unknown.cells).all() and np.isnan(unknown([0.5, 0.5]))
@@ -115,3 +117,35 @@ def test_wrong_points_are_told(unchecked_types):
         field([1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match=r"x and y must broadcast, got shapes \(3, 2\) and \(4, 2\)"):
         pairs(np.ones((3, 2)), np.ones((4, 2)))
+
+
+def test_integer_points_give_one_warning_for_a_call():
+    field, pairs = grid_distance(FREE, GOAL), grid_distance(FREE, None)
+    integers = (3, 2), np.array([3, 2]), jnp.array([3, 2], jnp.int8)
+    for call in (lambda x: grid_distance(FREE, x), field, jax.jit(field), lambda x: pairs(x, x)):
+        for x in integers:
+            with pytest.warns(UserWarning, match="corners of cells.*add 0.5 to .column, row.") as warned:
+                call(x)
+            assert len(warned) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert field((3.0, 2)) == pairs(GOAL, [3, 2.0])
+
+
+@pytest.mark.parametrize("moves", MOVES)
+@pytest.mark.parametrize("number", [1, 3, 6])  # 6 is the width of the maps
+def test_a_batch_of_fields_must_be_called_under_vmap(moves, number, unchecked_types):
+    maps = np.stack([FREE] * number)
+    fields = jax.vmap(lambda free: grid_distance(free, GOAL, moves=moves))(maps)
+    message = f"holds a batch of {number} maps .it was made under vmap.: use it as "
+    for use, call in (
+        (lambda fields: fields(GOAL), r"jax.vmap\(lambda field, x: field\(x\)\)\(fields, x\)"),
+        (lambda fields: fields.cells, r"jax.vmap\(lambda field: field.cells\)\(fields\)"),
+    ):
+        for each in (use, jax.jit(use)):
+            with pytest.raises(ValueError, match=message + call):
+                each(fields)
+        assert len(jax.jit(jax.vmap(use))(fields)) == number
+    pairs = jax.vmap(lambda free: grid_distance(free, None, moves=moves))(maps)
+    with pytest.raises(ValueError, match=message + r"jax.vmap\(lambda field, x, y: field\(x, y\)\)"):
+        pairs(GOAL, GOAL)
