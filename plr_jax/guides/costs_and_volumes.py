@@ -30,7 +30,7 @@ print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, a
 
 # Costs
 
-A `plr_jax.CostMap` is a factor: a motion through `q` costs `cost_map(q)` times its length. For times, give `1 / speed`.
+A `plr_jax.CostMap` is a positive factor of the length of motions through `q`. For travel times, give `1 / speed`.
 
 - `plr_jax.RasterCost`: a raster of factors. `interpolation="bilinear"`, the default, suits samples of a smooth cost;
   `"nearest"` suits cells of classes, such as road and river. The two are different costs, with different true
