@@ -30,9 +30,18 @@ from plr_jax.cli.inputs import (
 
 if TYPE_CHECKING:
     from plr_jax import PLR, DistanceFn
+    from plr_jax.geometry.workspace import Workspace
 
 _LEAVES = ("best", "plane", "continuous", "smooth", "cone")
+_PROVEN_TOLERANCE = ("plane", "cone")  # leaves of which --tolerance limits the proven error, not a sampled one
+_ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _ERROR_POINTS = 20_000
+_NUM_DIRECTIONS = 16  # points around a contact, at which the distance on each side of the walls is measured
+_CONTACT_RADIUS = 1e-5  # radius of these points, as a share of the map's width
+# Shares of the largest proven error. Contacts are reported if half of their jump is between these shares. The proven
+# error of a cone that fits one side of a contact is the whole jump.
+_BINDING = 0.4, 1.001
+_MOST_NAMED = 3  # largest number of contacts whose coordinates are printed
 _SPECK = 4  # pixels; smaller obstacles and free components are reported as specks
 
 
@@ -66,8 +75,9 @@ def build(
         str,
         typer.Option(
             help="Function in each cell: 'plane'; 'continuous', without jumps between connected cells; 'smooth', "
-            "without jumps of the gradient either; 'cone', the distance to the next corner. 'best' tries all and "
-            "keeps the one with the smallest proven error.",
+            "without jumps of the gradient either; 'cone', the distance to the next corner. 'best' builds only cones "
+            "if --max-bytes is the only limit of size and has ample room for all corners. Otherwise it builds all "
+            "these kinds, without cones if the corners need far more room, and keeps the smallest proven error.",
             **choices(_LEAVES),
         ),
     ] = "best",
@@ -86,9 +96,13 @@ def build(
     polygons: PolygonsOption = None,
     radius: RadiusOption = None,
 ) -> None:
-    """Compress the exact distance to the nearest goal in a MAP into a small file with a proven error bound."""
+    """Compress the exact distance to the nearest goal in a MAP into a small file with a proven error bound.
+
+    In pictures, y points up, from the lower edge of the picture.
+    """
     from plr_jax.plr.container import MOST_LABEL_BYTES, frame_size
     from plr_jax.plr.growth import BudgetTooSmall
+    from plr_jax.scenes._pictures import PICTURE_ENDINGS
 
     began = time.perf_counter()
     output = output or Path(f"{Path(map).stem}.plr")
@@ -109,7 +123,11 @@ def build(
             f"{len(label.encode()):,}, of {len(goals)} goals: give fewer goals, or fewer digits."
         )
     if (free := named.free_pixels()) is not None:
-        typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices{_specks(free, drop_specks or 0)}")
+        width, height = workspace.bounds.width
+        is_in_pixels = Path(map).suffix.lower() in PICTURE_ENDINGS and resolution is None
+        size = f"{width:g} x {height:g} {'pixels' if is_in_pixels else 'workspace units'}"
+        specks = _specks(free, drop_specks or 0)
+        typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices, {size}{specks}")
     with progress("computing visibility between corners"):
         oracle = oracle_of(workspace, goals)
 
@@ -141,7 +159,7 @@ def build(
 
     # 3. Report the error at points of another seed than the samples to which leaves were fitted.
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
-    _print_errors(plr, oracle, workspace.sample_free(_ERROR_POINTS, seed + 1))
+    _print_errors(plr, oracle, workspace, seed + 1, tolerance)
     if radius:
         # A total error needs a second oracle, among polygons around the grown obstacles, which may close passages.
         typer.echo("        proven for polygons inside the grown obstacles; the disc's own distances are not smaller")
@@ -158,10 +176,26 @@ def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
     )
 
 
-def _print_errors(plr: "PLR", oracle: "DistanceFn", points: Float[np.ndarray, "n 2"]) -> None:
+def _print_errors(
+    plr: "PLR", oracle: "DistanceFn", workspace: "Workspace", seed: int, tolerance: float | None
+) -> None:
+    points, largest = workspace.sample_free(_ERROR_POINTS, seed), plr.max_error
+    assert largest is not None
     with progress("measuring the error"):
         report = plr_jax.metrics.error_map(plr.numpy(), oracle, points)
-    typer.echo(f"leaf    {plr.leaf.name}: no error above {plr.max_error:.3g}, proven")
+        contacts, errors = _binding_contacts(workspace, oracle, largest)
+    typer.echo(f"leaf    {plr.leaf.name}: no error above {largest:.3g}, proven")
+    if (
+        tolerance is not None
+        and (largest if plr.leaf.name in _PROVEN_TOLERANCE else report.max) > _ROUNDED * tolerance
+    ):
+        typer.echo(f"        --tolerance {tolerance:g} was not reached")
+    if len(contacts):
+        named = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in contacts[:_MOST_NAMED])
+        where = f"the point {named}" if len(contacts) == 1 else f"{len(contacts):,} points, such as {named}"
+        typer.echo(f"        walls touch in {where}, where the distance jumps by up to {2 * errors.max():.3g}:")
+        typer.echo("        no error below half of that can be proven there. Thicken the wall there;")
+        typer.echo("        --leaf-bounds proves smaller errors elsewhere")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     share = 100 * report.mean / report.max_distance
     typer.echo(f"        mean is {share:.2g} % of the largest distance, {report.max_distance:.4g}")
@@ -169,3 +203,28 @@ def _print_errors(plr: "PLR", oracle: "DistanceFn", points: Float[np.ndarray, "n
         typer.echo(f"        {report.num_unreachable:,} of the points cannot reach the goal")
     if report.num_unanswered:
         typer.echo(f"        {report.num_unanswered:,} reachable points got no answer")
+
+
+def _binding_contacts(
+    workspace: "Workspace", oracle: "DistanceFn", max_error: float
+) -> tuple[Float[np.ndarray, "contacts 2"], Float[np.ndarray, "contacts"]]:
+    """Return the points where walls touch and a jump of the distance explains the proven error; largest jumps first.
+
+    The leaf at a contact covers both sides of the walls. Its proven error is at least half of the jump between them,
+    which is the second array.
+    """
+    boundary = workspace.boundary
+    contacts = boundary.vertices[boundary.contacts]
+    if not len(contacts):
+        return contacts, np.empty(0)
+    radius = _CONTACT_RADIUS * workspace.bounds.width.max()
+    angles = 2 * np.pi * (np.arange(_NUM_DIRECTIONS) + 0.5) / _NUM_DIRECTIONS
+    around = contacts[:, None] + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    distance = np.ma.filled(oracle(around.reshape(-1, 2)), np.inf).reshape(len(contacts), -1)
+    is_finite = np.isfinite(distance)
+    largest = np.where(is_finite, distance, -np.inf).max(axis=1)
+    error = (largest - np.where(is_finite, distance, np.inf).min(axis=1)) / 2 - radius  # at least this error
+    least, most = (share * max_error for share in _BINDING)
+    order = np.argsort(-error, kind="stable")
+    order = order[((error > 0) & (error >= least) & (error <= most))[order]]
+    return contacts[order], error[order]

@@ -177,7 +177,7 @@ MapOption = Annotated[
     str | None,
     typer.Option(
         metavar="MAP",
-        help="Map whose obstacles are drawn, with options of its reader: 'scan.png --resolution=0.05'.",
+        help="Map of walls (not of costs) that are drawn, with options of its reader: 'scan.png --resolution=0.05'.",
         show_default="the map FILE was built from",
     ),
 ]

@@ -130,9 +130,10 @@ def solve_eikonal(
     goals = np.atleast_2d(goal)
     at = (domain.wrapped(goals) - domain.lo) / domain.width
     is_fine = np.asarray((np.abs(at - 0.5) <= 0.5 + _BESIDE).all(axis=1))  # False for NaN
-    if is_fine.all():
-        is_fine = as_booleans("is_free", space.is_free(goals), len(goals))
-    _require_goals(goal, is_fine, "goal must be a free configuration of the space")
+    must = "goal must be a free configuration of the space"
+    _require_goals(goal, is_fine, must, f": it lies outside the domain {domain}")
+    is_free = as_booleans("is_free", space.is_free(goals), len(goals))
+    _require_goals(goal, is_free, must, ": it is in an obstacle, or too close to one")
     # Of equal goals, the first counts.
     at, first = np.unique(np.clip(at, 0.0, 1.0), axis=0, return_index=True)
     at, first = at[np.argsort(first)], np.sort(first)

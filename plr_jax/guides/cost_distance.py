@@ -42,7 +42,8 @@ distance apart in our experiments, and up to 100 % near sources and beside much 
 ```python
 result = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)
 reached = result.nearest >= 0
-print(((result.upper - result.lower)[reached] / result.distance[reached]).mean())
+gap = result.upper[reached] - result.lower[reached]
+print((gap / result.distance[reached]).mean())
 ```
 
 # A file of kilobytes

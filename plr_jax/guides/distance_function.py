@@ -66,13 +66,13 @@ the largest error in a cell. Leaves:
 - `"continuous"`: no jumps from cell to cell, unless a wall is between them; in up to 6 dimensions.
 - `"smooth"`: as `"continuous"`, and the gradient hardly jumps; in 1 or 2 dimensions.
 - `"plane"`: the leaf of the paper, for any dimension; the function may jump between cells.
-- `"best"`: chooses one of these leaves; in case of doubt, it builds several PLRs and keeps the one with the smallest
-  error.
+- `"best"`: cones if the budget has ample room for all corners; else it builds several PLRs and keeps the best.
 
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
-existing PLR. `plr.lower` is a distance function that is never above the true distance, so A* with this heuristic
-stays optimal. It jumps between leaves, so it is not consistent: A* must reopen nodes.
+existing PLR. Where walls touch only at a point, no error below half of the jump between their sides can be proven:
+thicken the wall there. `plr.lower` is a distance function that is never above the true distance, so A* with this
+heuristic stays optimal. It jumps between leaves, so it is not consistent: A* must reopen nodes.
 
 Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` warning.
 

@@ -180,8 +180,12 @@ def construct(
           the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). Needs a
           distance function in the plane that answers for whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
-          certified, else the geometric mean of the mean and the largest error at random points. A distance function
-          that does not answer for whole cells gets ``"continuous"`` leaves, in more than 6 dimensions ``"plane"``.
+          certified, else the geometric mean of the mean and the largest error at random points. It builds only cones
+          if all corners take at most half of ``max_bytes``, at 7 bytes each, and neither ``max_leaves``,
+          ``max_depth`` nor rules are given; no cones if the corners take more than 4 times ``max_bytes``. The other
+          models are, if certified, all that suit the domain; else ``"continuous"``, and ``"smooth"`` beside cones. A
+          distance function that does not answer for whole cells gets ``"continuous"`` leaves, in more than 6
+          dimensions ``"plane"``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.

@@ -108,7 +108,7 @@ def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
         with picture:
             _require_limits(picture, num_bytes)
             if not (numbers and picture.mode in _NUMBER_MODES):
-                _require_plain(picture)
+                _require_plain(picture, numbers)
             try:
                 ImageOps.exif_transpose(picture, in_place=True)
             except Exception as error:
@@ -133,7 +133,7 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
         )
 
 
-def _require_plain(picture: Any) -> None:
+def _require_plain(picture: Any, numbers: bool) -> None:
     """Reject pixels whose lightness or opacity Pillow does not decode reliably."""
     raw = str(picture.tile[0][3]) if picture.tile else ""
     tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # gray of more than 8 bits
@@ -143,7 +143,7 @@ def _require_plain(picture: Any) -> None:
     if picture.mode == "F" or not is_plain:
         raise ValueError(
             "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels: "
-            "save it in 8 bits."
+            f"save it in 8 bits{'' if numbers else ' for a map of walls; scenes.read_cost_map reads costs'}."
         )
     if picture.mode == "RGB" and "16" in raw and "transparency" in picture.info:
         raise ValueError("expected a transparent color of 8 bits, got 16 bits: save it with an alpha channel.")
@@ -250,7 +250,9 @@ def read_cost_map(
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
     factors themselves: costs per unit of length. A cell is blocked where the factor is ``inf``, NaN or the no-data
     value of GDAL. A GeoTIFF (OGC standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs, a
-    pixel is a square of side 1, and the outer corner of the lower left pixel is at ``(0, 0)``.
+    pixel is a square of side 1, and the outer corner of the lower left pixel is at ``(0, 0)``: the first row of the
+    file has the highest y. For pixels of another size, give the array of pixels, its last row first, to
+    ``RasterCost(values, bounds)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are

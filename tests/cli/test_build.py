@@ -50,12 +50,27 @@ def test_specks_are_counted_in_pixels_before_the_map_is_inflated(name, path, tmp
     command += ["--resolution", 0.05] if name == "scan.png" else []
     for radius, upper in ((), 20), (("--radius", 0.3), 19.7):
         said = done(*command, *radius)
-        assert re.search(
-            r"map     [0-9]+ vertices, 4 specks of at most 4 pixels \(--drop-specks 4 drops them\)\n", said
-        )
+        specks = r"4 specks of at most 4 pixels \(--drop-specks 4 drops them\)"
+        assert re.search(rf"map     [0-9]+ vertices, [0-9.]+ x [0-9.]+ workspace units, {specks}\n", said)
         np.testing.assert_allclose(load(path).domain.hi, upper)
-    assert "vertices, 1 speck of at most 4" in done(*command, "--drop-specks", 2)  # the one of 4 pixels
-    assert re.search("map     [0-9]+ vertices\n", done(*command, "--drop-specks", 4))
+    assert "units, 1 speck of at most 4" in done(*command, "--drop-specks", 2)  # the one of 4 pixels
+    assert re.search("map     [0-9]+ vertices, 20 x 20 workspace units\n", done(*command, "--drop-specks", 4))
+    if name == "scan.png":
+        assert "vertices, 400 x 400 pixels\n" in done(*command[:-2], "--drop-specks", 4)
+
+
+def test_build_reports_where_a_contact_of_walls_limits_the_proof(path, tmp_path):
+    gray = np.full((6, 8), 255, np.uint8)
+    gray[2, :4] = gray[3, 4:7] = 0  # walls that touch only in the point (4, 3)
+    command = ["build", tmp_path / "scan.png", "--goal", "1,1", "-o", path, "--leaf", "cone", "--tolerance", 0.01]
+    Image.fromarray(gray).save(tmp_path / "scan.png")
+    said, note = done(*command), "walls touch in the point (4, 3), where the distance jumps by up to "
+    assert "--tolerance 0.01 was not reached" in said
+    assert load(path).max_error >= float(said.split(note)[1].split(":")[0]) / 2 > 3
+    gray[2, 4] = 0  # thicker
+    Image.fromarray(gray).save(tmp_path / "scan.png")
+    said = done(*command)
+    assert load(path).max_error < 0.0101 and "touch" not in said and "not reached" not in said
 
 
 def test_build_is_construct(path, tmp_path, monkeypatch):
