@@ -20,7 +20,10 @@ from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, check_memory
 from plr_jax.plr.tree import leaf_order
 
-MAX_ASPECT_BITS = 2  # the longest side of a box is at most 2**2 times its shortest, in fractions of the domain
+# The longest side of a box is at most 2**2 times its shortest, in fractions of the domain. Without a proof, it may be
+# 2**4 times as long if its largest error makes a tenth of the box's cost, as only long boxes beside walls have small
+# errors. Measured: largest errors on floor plans fall to a tenth, in as much time; with proofs, these become wider.
+MAX_ASPECT_BITS, _MAX_ASPECT_BITS_OF_PEAKS, _PEAKED = 2, 4, 0.1
 # Weight of a box's largest error (its peak) beside the integral of its error, in volumes of an average leaf.
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
 # One more leaf is expected to divide a box's peak by this factor at most. Measured: without this assumption, a
@@ -46,11 +49,13 @@ class BoxLevel:
         """Return each box's cost as a leaf: the integral of its error plus ``share`` times its largest error."""
         return self.boxes.integral + share * self.boxes.peak
 
-    def is_open(self, limits: Limits) -> Bool[np.ndarray, "2 boxes"]:
+    def is_open(self, limits: Limits, share: float) -> Bool[np.ndarray, "2 boxes"]:
         """Return along which axes boxes may be halved, but have not been halved yet."""
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
-        return shallow & (depth - depth.min(axis=0) < MAX_ASPECT_BITS) & (self.child[:, 0] == UNKNOWN)
+        is_peaked = (limits.proof is Proof.NONE) & (share * self.boxes.peak > _PEAKED * self.boxes.integral)
+        most = np.where(is_peaked, _MAX_ASPECT_BITS_OF_PEAKS, MAX_ASPECT_BITS)
+        return shallow & (depth - depth.min(axis=0) < most) & (self.child[:, 0] == UNKNOWN)
 
     def append(self, boxes: Any, key: UInt64[np.ndarray, "new"]) -> None:
         self.boxes = self.boxes.append(boxes)
@@ -69,7 +74,7 @@ class TreeCosts(NamedTuple):
         """Compute the costs of a level from those of the next level, ``below``, if there is one."""
         best = level.costs(share) + price
         halved = cost_if_halved(share * level.boxes.peak, price)
-        least = np.where(level.is_open(limits).any(axis=0), np.minimum(best, halved), best)
+        least = np.where(level.is_open(limits, share).any(axis=0), np.minimum(best, halved), best)
         if below is None:
             return TreeCosts(best, least)
         for lower, upper in level.child:
@@ -104,7 +109,9 @@ def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits, m
     # cost, no tree that contains them beats the computed ones.
     most = np.full(len(levels[0].key), np.inf)
     for depth, level in enumerate(levels):  # including the levels that are added meanwhile
-        axis, parent = np.nonzero(level.is_open(limits) & (np.minimum(costs[depth].best, most) > costs[depth].least))
+        axis, parent = np.nonzero(
+            level.is_open(limits, share) & (np.minimum(costs[depth].best, most) > costs[depth].least)
+        )
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
             if margin < np.inf:
@@ -233,7 +240,8 @@ class PriceSearch:
         """Return whether no leaf with an error may be halved."""
         leaves = zip(self.levels, tree.leaves, strict=False)
         return not any(
-            (level.is_open(self._limits).any(axis=0) & (level.costs(share) > 0))[of].any() for level, of in leaves
+            (level.is_open(self._limits, share).any(axis=0) & (level.costs(share) > 0))[of].any()
+            for level, of in leaves
         )
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
