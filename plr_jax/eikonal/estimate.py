@@ -111,7 +111,7 @@ class GridEstimate:
         return goal
 
     def which_reached(self, x: Points) -> Int[np.ndarray, "n"]:
-        """Return the index as :meth:`which` does, but -1 where the estimate is ``inf``."""
+        """Return the index of each point's goal as :meth:`which` does, but -1 where the estimate is ``inf``."""
         return np.where(np.isfinite(self(x)), self.which(x), -1)
 
     @cached_property

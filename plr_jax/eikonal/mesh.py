@@ -87,7 +87,7 @@ class Mesh:
 
     @cached_property
     def _coarse(self) -> tuple[Int[np.ndarray, "dim"], Int[np.ndarray, "..."]]:
-        """Splits along each axis of a grid, and for each of its boxes, the smallest tree node that contains it."""
+        """A grid to locate points: its halvings along each axis, and each box's smallest tree node around it."""
         depth = np.zeros(self.dim, np.int64)
         while (depth < self._finest).any() and 2 ** (depth.sum() + 1) <= _COARSE * len(self.state):
             depth[np.argmax(self._finest - depth)] += 1

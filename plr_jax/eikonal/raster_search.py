@@ -63,7 +63,7 @@ class PathTree:
     ends: Points  # where paths reach the sources
 
     def path(self, center: Float[np.ndarray, "2"]) -> Points:
-        """Return the turns of the path from a node at a center, and its ends; nothing if no source can be reached."""
+        """Return the path from a cell's center to its nearest source, with both ends and all turns; empty if none."""
         (rows, columns), first_source = self.shape, len(self.next_node) - len(self.ends)
         num_corners, vertices = first_source - rows * columns, []
         row, column = (center / self.side).astype(int)[::-1]

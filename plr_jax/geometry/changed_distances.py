@@ -27,7 +27,7 @@ class TriangleSources:
         return TriangleSources(self.triangle[rows], self.source[rows], self.change[rows], self.is_doubted[rows])
 
     def of_triangles(self, is_wanted: Bool[np.ndarray, "triangles"]) -> "TriangleSources":
-        """Select the pairs of some triangles, sorted by triangle."""
+        """Select the pairs of a triangle and a source of some triangles, sorted by triangle."""
         rows = np.flatnonzero(is_wanted[self.triangle])
         return self[rows[np.argsort(self.triangle[rows], kind="stable")]]
 

@@ -148,7 +148,7 @@ class TurnPoints:
         return length
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
-        """Return the first corner of each point's shortest path with turns (-1: none), and its length."""
+        """Return the first corner of each point's shortest path that turns (-1: none), and the path's length."""
         way, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
         )

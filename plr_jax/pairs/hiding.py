@@ -1,8 +1,8 @@
-"""Fast tests of whether obstacles hide points from each other: walls near a listed corner, and occluders.
+"""Fast tests of whether obstacles hide points from each other: walls between leaves and corners, and occluders.
 
-Near walls of a leaf and a corner that it lists (to which paths may go first) may lie between them. They are few, as
-most of the leaf sees the corner. They are found for runs of neighbor leaves first, then for ever shorter runs: a wall
-that is not between a large box and a corner is not between a part of the box and the corner.
+The near walls of a leaf and a corner that it lists (to which paths may go first) are those that may lie between them.
+They are few, as most of the leaf sees the corner. They are found for runs of neighbor leaves first, then for ever
+shorter runs: a wall that is not between a large box and a corner is not between a part of the box and the corner.
 
 Occluders are long chords of obstacles: a segment that crosses one is blocked. They are chosen greedily to block most
 of some random segments, as long as each saves more time than its test takes. A few dozen replace most wall tests.

@@ -189,7 +189,7 @@ class PairPLR(FileBacked):
     def _answered(
         self, compiled: Callable[..., Any], few: Callable[..., Any], x: ArrayLike, y: ArrayLike
     ) -> tuple[Array, ...]:
-        """Answer by a compiled function of tables and points, or few pairs of points without compiling."""
+        """Call ``compiled`` with the lookup tables and points or, for few pairs, ``few``, which compiles nothing."""
         x, y = self._from_middle("x", x), self._from_middle("y", y)
         batch = _broadcast("x and y", x, y)
         if not is_on_one_host(x, y, self.file):

@@ -44,14 +44,14 @@ class Stats:
     Args:
         num_nodes: Joint configurations stored: nodes of the searches, or samples of a sampling-based planner.
         num_expansions: Search nodes expanded; for LaCAM, attempted steps of the whole team.
-        num_children_scored: Next joint configurations (children) scored, including those of the first robots only;
-            for LaCAM, motions of single robots.
+        num_children_scored: Next joint configurations (children) scored, including partial ones, in which only the
+            first robots have moved; for LaCAM, motions of single robots.
         num_children_valid: Children found free of collision; for LaCAM, steps of the whole team found.
         seconds: Wall-clock seconds of each phase of the planner, by name.
         history: Seconds since the start, and cost, of each new best path.
         found_by: Search that found the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
-        num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, with everything stored beside
-            them. It exceeds the memory limit if that limit ruled out lattices.
+        num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, plus what its searches had
+            stored. It exceeds the memory limit if that limit ruled out lattices.
     """
 
     num_nodes: int

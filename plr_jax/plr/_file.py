@@ -124,7 +124,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
 def planes_of_leaves(
     contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-    """Return intercepts and slopes of the leaves' (mean) planes; a leaf of value ``inf`` has intercept ``inf``."""
+    """Return intercepts and slopes of leaves, of mean planes if curved; the value ``inf`` has intercept ``inf``."""
     is_inf = np.isinf(coefficients[:, 0])
     lo, hi = contents.tree.leaves.boxes(contents.domain)
     center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))

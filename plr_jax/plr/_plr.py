@@ -445,7 +445,7 @@ class PLR(FileBacked):
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Constant term of each leaf's (mean) plane ``slope @ x + intercept``; ``inf`` where the value is ``inf``."""
+        """Constant term of each leaf's plane ``slope @ x + intercept``, as :attr:`slope`; ``inf`` if its value is."""
         return self._planes[0]
 
     def __repr__(self) -> str:

@@ -38,7 +38,7 @@ class Folding:
 
     @cached_property
     def box(self) -> Box:
-        """Box of all folded points, which a PLR's leaves partition."""
+        """Box of the images of all points of the domain; a PLR's leaves partition it."""
         lo, hi = self._range_before_mirroring
         largest = np.maximum(np.abs(lo), np.abs(hi))
         is_reversed = np.any(np.array(self.mirrors).reshape(-1, self.domain.dim), axis=0)

@@ -147,7 +147,7 @@ class TiedPartition:
         return nodal_space(self.tree, self.faces[self.tied], self.unreachable)
 
     def may_be_tied(self) -> Bool[np.ndarray, "faces"]:
-        """Return whether each face lies between two reachable leaves."""
+        """Return whether each face lies between two reachable leaves, whose values may be made equal there (tied)."""
         return ~(self.unreachable[self.faces.lower] | self.unreachable[self.faces.upper])
 
 

@@ -103,7 +103,7 @@ class Lattice:
         return found
 
     def by_shape(self, box: Int[np.ndarray, "some"]) -> Iterator[tuple[Shape, Int[np.ndarray, "alike"], Any, Any]]:
-        """Yield each shape, the indices in ``box`` of its boxes, their first samples, and offsets to all samples."""
+        """Yield each shape, the places in ``box`` of its boxes, the indices of first samples, offsets to all."""
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
         for number in np.unique(of_shape):
@@ -134,9 +134,9 @@ class BoxFits:
     """The cone of least error for every box of a lattice, with its largest error and the integral of its error.
 
     Attributes:
-        negligible: Error up to which errors count as 0.
+        negligible: Largest error up to which a box counts as exact.
         source: Apex of each box's cone, a corner or the goal; -1 if no sample has a path.
-        integral: Integral of the error over the box, as a share of the domain.
+        integral: Integral of the error over the box, divided by the area of the domain.
         is_mixed: Whether the samples of a box use several sources.
         is_estimated: Whether errors come from only some of the samples of a box.
     """
@@ -187,7 +187,7 @@ def option_errors(
 
 
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
-    """Find each box's best source among the best of its halves; errors up to ``negligible`` count as 0."""
+    """Find each box's best source among the best of its halves; largest errors <= ``negligible`` count as 0."""
     num = lattice.num_boxes
     source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
     integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)
@@ -259,7 +259,7 @@ _BEYOND, _LARGEST_STEP = 0.1, 8.0  # an extrapolated price aims beyond the limit
 def _largest_tree(
     lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float
 ) -> SampledTree:
-    """Return the largest tree within the limits that is best at some price; about ``num_leaves`` are expected."""
+    """Try prices per leaf; return the largest best tree within the limits, expected to have about ``num_leaves``."""
     least_share = (LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN) / num_leaves
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     limits.require_room(files.num_bytes(fits.source[:1], limits))

@@ -94,7 +94,7 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
 
 
 def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources, by_side: bool = False) -> ConeBoxes:
-    """Find each box's cone of least proven error integral, of up to 4 tried; errors <= ``negligible`` count as 0."""
+    """Find each box's cone of least proven error integral, of up to 4 tried; 0 if the largest is ``negligible``."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
