@@ -195,7 +195,7 @@ def _print_errors(
         where = f"the point {named}" if len(contacts) == 1 else f"{len(contacts):,} points, such as {named}"
         typer.echo(f"        walls touch in {where}, where the distance jumps by up to {2 * errors.max():.3g}:")
         typer.echo("        no error below half of that can be proven there. Thicken the wall there;")
-        typer.echo("        --leaf-bounds proves smaller errors elsewhere")
+        typer.echo("        the bounds that --leaf-bounds stores are smaller elsewhere")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     share = 100 * report.mean / report.max_distance
     typer.echo(f"        mean is {share:.2g} % of the largest distance, {report.max_distance:.4g}")

@@ -130,9 +130,9 @@ class PairPLR(FileBacked):
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
         """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
 
-        Queries then take about half the time on small maps, a fifth on large ones. The result takes 4 bytes per goal
-        and corner. It works under ``jax.jit`` and ``jax.vmap``, for example in the ``reset`` of an environment that
-        draws its goal. Answers differ from unprepared ones by rounding. They have no gradient in the goals, which
+        Large batches then take about half the time on small maps, a fifth on large ones. The result takes 4 bytes per
+        goal and corner. It works under ``jax.jit`` and ``jax.vmap``, for example in the ``reset`` of an environment
+        that draws its goal. Answers differ from unprepared ones by rounding. They have no gradient in goals, which
         have 32 bits. With ``outside="clamp"``, a goal outside the domain stays outside: ``inf``. Pairs of other maps
         must not use these goals. ``ValueError`` as for a call.
         """

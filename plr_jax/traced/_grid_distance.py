@@ -113,7 +113,7 @@ def grid_distance(
     to integer cell positions, column first. Integer points are corners of cells, and give a ``UserWarning``.
 
     If the agent moves between neighboring cells, use ``moves=4`` or ``moves=8``: the distance is the number (length)
-    of steps, and is computed tens of times faster. If the agent stands on cell centers, compute ``field.cells`` once,
+    of steps, and is computed several times faster. If the agent stands on cell centers, compute ``field.cells`` once,
     store it and index ``cells[row, column]``: this is faster than ``field(x)`` in each step.
 
     Args:

@@ -213,7 +213,7 @@ def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, mon
     assert plr.max_error <= before.max_error * (1 + 1e-6)
     sources = (each.stored.sources.points[each.stored.source[leaf_of(each, x)]] for each in plrs)
     hidden, hidden_before = (1 - maze.workspace.is_visible(x, source).mean() for source in sources)
-    assert hidden < 0.001 < hidden_before and mean_error(plr, maze, x) < 1.5 * mean_error(before, maze, x)
+    assert hidden < min(0.001, 0.4 * hidden_before) and mean_error(plr, maze, x) < 1.5 * mean_error(before, maze, x)
 
 
 # Sources and ranks of cones in files: on the lattice of a map, as parents of one another, read as written.
