@@ -37,8 +37,7 @@ _LEAVES_PER_BYTE = 2  # no file has more leaves per byte
 _BYTES_A_CELL = 4_000  # least memory that construction takes for each cell
 # Splits along each axis of leaves that are cut off from the goal beside leaves that are not.
 _CUT_OFF_SPLITS = 6
-# Estimates: samples in a leaf, in which the grid has few nodes; the power of its volume that raises its priority.
-_LEAF_SAMPLES, _VOLUME_POWER = 64, 0.25
+_LEAF_SAMPLES = 64  # samples in a leaf of an estimate, in which the grid has few nodes
 _LEAST_COST = 1e-30  # least cost that 32 bits resolve
 _BESIDE = 1e-6  # share of the domain's width by which a goal may lie outside: a space may count such goals as free
 
@@ -131,7 +130,7 @@ def solve_eikonal(
     at = (domain.wrapped(goals) - domain.lo) / domain.width
     is_fine = np.asarray((np.abs(at - 0.5) <= 0.5 + _BESIDE).all(axis=1))  # False for NaN
     must = "goal must be a free configuration of the space"
-    _require_goals(goal, is_fine, must, f": it lies outside the domain {domain}")
+    _require_goals(goal, is_fine, must, f": it does not lie in the domain {domain}")
     is_free = as_booleans("is_free", space.is_free(goals), len(goals))
     _require_goals(goal, is_free, must, ": it is in an obstacle, or too close to one")
     # Of equal goals, the first counts.
@@ -192,15 +191,15 @@ def _require_goals(
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
     """Return each leaf's priority to be split: its error, and more if it is large and cut off from the goal.
 
-    The error is the geometric mean of largest and root mean square error, times a power of the volume. Mean errors
-    of the PLR are then smaller than with largest errors alone, and largest errors hardly larger.
+    The error is the geometric mean of the largest error and the error's L2 norm over the leaf. Mean errors of the PLR
+    are then smaller than with largest errors alone, and largest errors hardly larger.
 
     A leaf without a path to the goal borrows the function of an adjacent leaf, for points that rounding places in it.
     If it contains free points, it must be small, since these should answer ``inf``.
     """
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()
-    error = np.sqrt(largest_error(fit) * np.sqrt(mean_square))
-    error *= 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1))
+    norm = np.sqrt(np.ldexp(mean_square, -fit.cells.depth.sum(axis=1)))  # the volume is 2**-(sum of halvings)
+    error = np.sqrt(largest_error(fit) * norm)
     inside = (np.abs(fit.pattern.u) < 1).all(axis=1)  # samples on faces may see the other side of a wall
     is_large = (fit.cells.depth < _CUT_OFF_SPLITS).any(axis=1)
     lost = np.flatnonzero(is_large & ~fit.reachable[:, inside].any(axis=1))

@@ -326,7 +326,7 @@ def of_bounds(answer):
             {"goal": (1.5, 1.5)},
             r"goal must be a free configuration.*1\.5\] is not: it is in an obstacle, or too close",
         ),
-        ({"goal": (9.0, 1.5)}, r"goal must be a free configuration.* is not: it lies outside the domain Box\(\["),
+        ({"goal": (9.0, 1.5)}, r"goal must be a free configuration.* is not: it does not lie in the domain Box\(\["),
         ({"goal": (0.3,)}, "goal must have 2 coordinates, like the space, or be rows of these, got 1"),
         ({"goal": [(0.3, 0.4, 0.0)] * 2}, r"or be rows of these, got shape \(2, 3\)"),
         ({"goal": np.zeros((0, 2))}, r"got shape \(0, 2\)"),
