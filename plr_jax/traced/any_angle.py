@@ -24,9 +24,7 @@ Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
 
 MOST_CORNERS = 2**12  # most corners of a map; the distances between so many take 64 MB
-MAX_LATTICE = (
-    2**8
-)  # by default, tables have room for all corners of cells if there are at most so many, else for half
+MAX_LATTICE = 2**8  # tables have room for all corners of cells if there are at most so many, else for half
 
 
 def margin(shape: Shape, dtype: Any) -> float:
