@@ -26,7 +26,6 @@ from plr_jax.geometry.corners import (
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.triangulation import TriangleLists
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
@@ -46,8 +45,8 @@ class VisibilityGraph:
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, two finite numbers in closed free space, else ``ValueError``.
-        shared: For internal use: corners and what they see, shared by oracles of a workspace; None: computed.
-        goal_view: For internal use: what the goal sees, if it is known; the goal is then not checked.
+        shared: For internal use: corners and what they see; None: computed from the workspace.
+        goal_view: For internal use: what the goal sees; None: checked and computed from the goal.
 
     Attributes:
         distances: Distance of each vertex of ``graph`` to the goal, ``inf`` if it cannot be reached.
@@ -144,7 +143,7 @@ class VisibilityGraph:
 
     @cached_property
     def sources(self) -> Sources:
-        """The goal and the corners, as numbered in ``graph``: shortest paths go straight to one of them first."""
+        """The goal and corners, as numbered in ``graph``: each shortest path first goes straight to one of them."""
         return _sources(self.graph, self.distances, self._parents)
 
     @cached_property
@@ -153,11 +152,11 @@ class VisibilityGraph:
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
-        """Return a box's free convex pieces, and the goal or corners to which paths from each may go first."""
+        """Return what :meth:`sources_of_boxes` returns for one box."""
         return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """Return boxes' free convex pieces, and the goal or corners to which paths from each may go first."""
+        """Return the free convex pieces of boxes, and for each the ``sources`` to which paths may go first."""
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
@@ -170,25 +169,28 @@ class VisibilityGraph:
 
     @property
     def family(self) -> CornerVisibility:
-        """The corners and what they see: the same object for oracles made of one another by :meth:`with_goal`."""
+        """The corners and what they see, one object that all oracles made by :meth:`with_goal` share."""
         return self._corners
 
     def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
-        """Return a sample of free space in each box, and the corners that it sees; these serve any goal."""
+        """Return, for oracles of any goal, a free sample point in each box, and the corners that the point sees."""
         return FamilySamples.of(self._corners, self.workspace.triangulation, lo, hi)
 
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance, and the index in ``sources`` of the first vertex of its path; or inf, -1."""
+        """Return each sample's distance and the index in ``sources`` of its path's first vertex; no path: inf, -1."""
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
     def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
-        """Return boxes' free convex pieces, and the corners that paths from each to any goal may turn at first."""
+        """Return the free convex pieces of boxes, and for each the corners at which paths to any goal turn first."""
         return FamilyCells.of(self._corners, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
         self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices, near: Indices
     ) -> CellSources:
-        """Return the sources of cells for members of the family, see :func:`cells_of_goals`."""
+        """Return what :meth:`sources_of_boxes` returns, for ``box[i]`` of ``shared`` and ``members[member[i]]``.
+
+        ``near[i]`` is the index of a source near the first turn of paths from the box, or -1.
+        """
         goals = [FamilyGoal(each.sources, each._turns, each._goal_table) for each in members]
         return cells_of_goals(shared, self._corners.corners, goals, box, member, near)
 
@@ -208,9 +210,8 @@ class VisibilityGraph:
         """Return the length of the shortest path between points ``(n, 2)``, pair by pair, ``(n,)``, for any goal.
 
         Lengths are bitwise the same if ``x`` and ``y`` are swapped; ``inf`` without a path, or if a point is not free
-        or not finite. Distances between corners are computed when needed. Up to 16 million of them are cached for all
-        oracles that :meth:`with_goal` makes of one another. With more than 4,096 corners, ask for many pairs in one
-        call.
+        or not finite. Distances between corners are computed when needed; up to 16 million are cached, for all
+        oracles made by :meth:`with_goal`. With more than 4,096 corners, ask for many pairs in one call.
         """
         return self._pairs(self._points("x", x), self._points("y", y))
 
@@ -250,7 +251,7 @@ class VisibilityGraph:
         return as_points(name, self.workspace.bounds.settled(x), 2)
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Return each point's distance and the first graph vertex on its path: 0, the goal, if there is no turn."""
+        """Return each point's distance, and the vertex of ``graph`` to which its shortest path goes first."""
         if len(x) > FEW:
             return self._first_turns_of_batch(x)
         distance, turn = np.full(len(x), np.inf), np.full(len(x), -1)
@@ -262,7 +263,7 @@ class VisibilityGraph:
         return distance, turn
 
     def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
-        """Return one point's distance and first graph vertex, to the bit as :meth:`_first_turns_of_batch` does."""
+        """Return what :meth:`_first_turns_of_batch` returns, to the bit, for one point and where it lies."""
         if self._goal_sight.sees(0, place):
             goal_x, goal_y = self.goal.tolist()
             dx, dy = x - goal_x, y - goal_y
@@ -296,34 +297,24 @@ class VisibilityGraph:
         return distance, turn
 
 
-@dataclass(frozen=True, eq=False)
-class NearestSources:
-    """The goals and corners that paths to the nearest of several goals of one workspace may go to first."""
-
-    graphs: tuple[VisibilityGraph, ...]
-
-    @cached_property
-    def _sight_and_lists(self) -> tuple[Sight, TriangleLists]:
-        """The sight of all goals (vertices ``0`` to ``count - 1``), then corners; what each triangle may see."""
-        first, count = self.graphs[0], len(self.graphs)
-        # Oracles that were not made of one another may number corners in different ways.
-        graphs = [each if each.family is first.family else first.with_goal(each.goal) for each in self.graphs]
-        corners, tables = first.family, [each._goal_table for each in graphs]
-        edges = [np.array([number, count - 1]) + each._goal_edges for number, each in enumerate(graphs)]
-        points = corners.corners.with_goal(*(each.goal for each in graphs)).points
-        graph = Graph(points, np.concatenate([*edges, count + corners.edges]))
-        distances, parents = dijkstra(graph, np.arange(count))
-        vertices = corners.corners.with_goal(*(table.points[0] for table in tables))
-        turns = find_turn_points(vertices, distances, parents, count)
-        table, triangulation = joined_tables([*tables, corners.table]), first.workspace.triangulation
-        _, first_equal, place = np.unique(points[:count], axis=0, return_index=True, return_inverse=True)
-        sources = replace(_sources(graph, distances, parents), goals=first_equal[place])
-        sight = goal_sight(sources, turns, table, triangulation, count)
-        return sight, lists_of_goal(_turn_regions(first, turns, count), count)
-
-    def cell_sources(self, domain: Box) -> CellSources:
-        """Return a box's free convex pieces, and the goals or corners that paths from each may go to first."""
-        return CellSources.of_boxes(*self._sight_and_lists, domain.lo[None], domain.hi[None])
+def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> CellSources:
+    """Return a box's free convex pieces, and for each the goals or corners to which shortest paths may go first."""
+    first, count = graphs[0], len(graphs)
+    # Oracles that were not made of one another may number corners in different ways.
+    graphs = [each if each.family is first.family else first.with_goal(each.goal) for each in graphs]
+    corners, tables = first.family, [each._goal_table for each in graphs]
+    edges = [np.array([number, count - 1]) + each._goal_edges for number, each in enumerate(graphs)]
+    points = corners.corners.with_goal(*(each.goal for each in graphs)).points
+    graph = Graph(points, np.concatenate([*edges, count + corners.edges]))
+    distances, parents = dijkstra(graph, np.arange(count))
+    vertices = corners.corners.with_goal(*(table.points[0] for table in tables))
+    turns = find_turn_points(vertices, distances, parents, count)
+    table, triangulation = joined_tables([*tables, corners.table]), first.workspace.triangulation
+    _, first_equal, place = np.unique(points[:count], axis=0, return_index=True, return_inverse=True)
+    sources = replace(_sources(graph, distances, parents), goals=first_equal[place])
+    sight = goal_sight(sources, turns, table, triangulation, count)
+    lists = lists_of_goal(_turn_regions(first, turns, count), count)
+    return CellSources.of_boxes(sight, lists, domain.lo[None], domain.hi[None])
 
 
 def _turn_regions(oracle: VisibilityGraph, turns: TurnPoints, num_goals: int) -> TurnRegions:
