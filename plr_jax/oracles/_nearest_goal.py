@@ -60,7 +60,7 @@ class NearestGoal:
         return np.where(np.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """Return the nearest goal's shortest path from a point ``(dim,)``; ``ValueError`` if its function has no paths."""
+        """Return a point's path ``(m, dim)`` to the nearest goal; ``ValueError`` if its function offers no paths."""
         nearest: Any = self.distance_fns[self.which(as_point("The start", x, self.dim)[None])[0]]
         if not hasattr(type(nearest), "shortest_path"):
             raise ValueError(
