@@ -238,14 +238,12 @@ class VisibilityGraph:
         leg = np.where(np.isfinite(distance)[:, None], self.graph.vertices[turn] - x, np.nan)
         length = np.linalg.norm(leg, axis=1)
         # From a point at a corner, the path starts towards the next vertex.
-        while (here := (length <= self.workspace.tolerance) & (turn > 0) & np.isfinite(distance)).any():
+        while (here := (length <= self.workspace.tolerance) & (turn > 0)).any():
             turn[here] = self._parents[turn[here]]
             leg[here] = self.graph.vertices[turn[here]] - x[here]
             length[here] = np.linalg.norm(leg[here], axis=1)
         away = (length > self.workspace.tolerance)[:, None]
-        result = np.divide(leg, length[:, None], out=np.zeros_like(leg), where=away)
-        result[~np.isfinite(distance)] = np.nan
-        return result
+        return np.divide(leg, length[:, None], out=np.where(np.isnan(leg), np.nan, 0.0), where=away)
 
     def _points(self, name: str, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
         return as_points(name, self.workspace.bounds.settled(x), 2)

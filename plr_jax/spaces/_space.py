@@ -18,8 +18,8 @@ Configurations = Float[np.ndarray, "n dof"]
 class CellState(IntEnum):
     """The state of a box of configurations, as far as it is proven.
 
-    BLOCKED: no path passes through the interior of the box. FREE: every configuration of the closed box is free; a
-    path may cross at any of them into an adjacent FREE box. MIXED: neither BLOCKED nor FREE is proven.
+    BLOCKED: no path passes through the interior of the box. FREE: every configuration of the closed box is free, and
+    a path may cross to an adjacent FREE box anywhere. MIXED: neither BLOCKED nor FREE is proven.
     """
 
     BLOCKED = 0
@@ -32,9 +32,9 @@ class MotionCost:
     """The cost of motions ``dq``: the sum of ``weight * |dq[axes]|`` over groups of axes, called blocks.
 
     Blocks are pairs ``(axes, weight)``. Length in the plane is ``(((0, 1), 1.0),)``; length plus weighted rotation of
-    a rigid body is ``(((0, 1), 1.0), ((2,), rotation_weight))``. This is a norm, the same at every configuration. So
-    an unobstructed straight motion is optimal, and a motion costs the same in reverse: time cannot be an axis.
-    ``ValueError`` unless every axis is in exactly one block, and weights are positive and finite.
+    a rigid body is ``(((0, 1), 1.0), ((2,), rotation_weight))``. The cost is a norm: an unobstructed straight motion
+    is optimal, and a motion costs the same in reverse, so time cannot be an axis. ``ValueError`` unless every axis is
+    in exactly one block, and weights are positive and finite.
     """
 
     blocks: tuple[tuple[tuple[int, ...], float], ...]
@@ -99,7 +99,7 @@ class FreeTest(Protocol):
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Cost of motions, with one axis per axis of the domain."""
+        """Cost of a motion as a function of its change along each axis of the domain."""
         ...
 
     def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, "n"]:
@@ -139,7 +139,7 @@ class SeesBoxes(Protocol):
     """
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, "n"]:
-        """Return, by box, whether straight motions to ``q`` from all its free configurations are proven free."""
+        """Return whether straight motions from all free configurations of a box to ``q`` are proven free, ``(n,)``."""
         ...
 
 
@@ -177,7 +177,7 @@ def precision_of(numbers: ArrayLike) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
-    """A wrapper of a configuration space that checks the answers of its ``is_free``; a base of other wrappers."""
+    """A wrapper of a configuration space that checks the answers of the space's ``is_free``."""
 
     space: FreeTest
 
