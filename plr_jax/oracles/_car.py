@@ -43,8 +43,6 @@ def wrap_angle(angle: Batch) -> Batch:
 
 @dataclass(frozen=True, eq=False, init=False)
 class _Car(ABC):
-    """A car with a goal and a turning radius; subclasses say which words may be shortest paths."""
-
     goal: Pose
     radius: float
     is_lower_bound: ClassVar[bool] = True
@@ -162,14 +160,11 @@ def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
     distance = np.sqrt(square)
     angle = np.where(distance > _ROUNDING * np.abs(heading), np.arctan2(y, x), 0.0)  # any angle for equal circles
     rest = heading - angle
-
     yield Word("LSL", (angle, distance, rest))
     yield Word("LSL", (angle + np.pi, -distance, rest - np.pi))
-
     half = np.arcsin(distance / 4)
     yield Word("LRL", (angle + half, 2 * half, rest + half))
     yield Word("LRL", (angle + np.pi - half, -2 * half, rest - np.pi - half))
-
     tangent = np.sqrt(square - 4)  # length of the inner tangent of two circles
     lean, straight = np.arctan(tangent / 2), _nan_if_negative(tangent - 2)
     yield Word("LRSL", (angle + lean, q, straight, rest + q - lean))
@@ -187,25 +182,20 @@ def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
     distance, tangent = np.sqrt(4 + square), np.sqrt(square)
     angle, lean = np.arctan2(x, 2 - y), np.arctan(tangent / 2)
     rest = angle - heading
-
     yield Word("LSR", (angle - lean, tangent, rest - lean))
     yield Word("LSR", (angle + lean, -tangent, rest + lean))
-
     turn = 2 * np.arcsin(np.sqrt(-square / (8 * (2 + distance))))
     yield Word("LRLR", (angle + turn, turn, -turn, rest - turn))
     yield Word("LRLR", (angle - turn, -turn, turn, rest + turn))
-
     turn = 2 * np.arcsin(np.sqrt(square / 32))
     aside = np.arctan2(np.sin(turn), 2 - np.cos(turn))
     yield Word("LRLR", (angle - aside, turn, turn, rest - aside))
     yield Word("LRLR", (angle + aside, -turn, -turn, rest + aside))
-
     straight = _nan_if_negative(square) / (distance + 2)  # equals distance - 2, without cancellation
     yield Word("LRSR", (angle, q, straight, rest - q))
     yield Word("LRSR", (angle, -q, -straight, rest + q))
     yield Word("LSLR", (angle - q, straight, q, rest))
     yield Word("LSLR", (angle + q, -straight, -q, rest))
-
     straight = _nan_if_negative(tangent - 4)
     yield Word("LRSLR", (angle - q + lean, q, straight, q, rest - q + lean))
     yield Word("LRSLR", (angle + q - lean, -q, -straight, -q, rest + q - lean))
@@ -245,11 +235,9 @@ class Dubins(_Car):
         distance = np.sqrt(x * x + y * y)
         angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # any angle for equal circles
         yield Word("LSL", _lsl_segments(angle, distance, _forward_turn(heading, _SLACK)))
-
         # Half of the middle turn. There are two such turns, and the shorter one is never on a shortest path.
         half = np.pi - np.arcsin(distance / 4)
         yield Word("LRL", (_forward_turn(angle + half), 2 * half, _forward_turn(heading - angle + half)))
-
         x, y = to_right
         square = x * x + y * (y - 4)  # squared distance of the circles, minus 4
         tangent = np.sqrt(np.where(np.abs(square) > 4 * _SLACK, square, 0.0))

@@ -26,7 +26,7 @@ _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the short
 
 
 class _CellGraph(ABC):
-    """A graph of the free cells of a grid; a cell's index counts also a layer of blocked cells around the grid."""
+    """A graph of the free cells of a grid, numbered in the grid with one layer of blocked cells around it."""
 
     goal: Float[np.ndarray, "dim"] | None
     dim: ClassVar[int]
@@ -339,11 +339,10 @@ class GridField:
 
     @cached_property
     def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:
-        """Four arrays for interpolation: the first three have a layer of copied cells around the grid.
+        """Distances with NaN, and with 0, for cells without a value; 1 for cells with a value, else 0; and a mask.
 
-        They are the distances with NaN for cells without a value; the distances with 0 for these cells; and 1 for
-        cells with a value, else 0. The fourth marks boxes between neighboring centers in which cells with a value
-        touch only at an edge or a corner, so that distances must not be interpolated; None if there is no such box.
+        The mask, or None, marks boxes between neighboring centers in which cells with a value touch only at an edge
+        or a corner: there, distances are not interpolated. The other arrays have a layer of copied cells around them.
         """
         padded = np.where(np.isfinite(self.values), self.values, np.nan)
         for axis, is_periodic in enumerate(self.bounds.periodic[::-1]):

@@ -183,7 +183,7 @@ class PairDistances:
 
     def _by_corners(self, x: Points, y: Points) -> Distances:
         # The length of a path through the most promising corners limits which corners are tried.
-        at_x, at_y = self._lists(x), self._lists(y)
+        at_x, at_y = self._visible_corners(x), self._visible_corners(y)
         least_x, least_y = self._lower_bounds(at_x, y), self._lower_bounds(at_y, x)
         promising = least_x == _run_minima(least_x, at_x.first)[at_x.point]
         most = self._shortest(at_x.filter(promising), at_y) * (1 + _SLACK)
@@ -209,8 +209,7 @@ class PairDistances:
                 length[entries] = _run_minima(onward, first)
         return _run_minima(at_x.distance + length, at_x.first)
 
-    def _lists(self, x: Points) -> _CornerLists:
-        """Return the corners that each point sees and at which a path from it may turn."""
+    def _visible_corners(self, x: Points) -> _CornerLists:
         _, index, number = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._lists_of_triangles

@@ -125,10 +125,10 @@ class PlanarArm:
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
         for begin in range(0, len(center), _BOXES):
             part = slice(begin, begin + _BOXES)
-            state[part][self._sweeps_free(center[part], half[part])] = CellState.FREE
+            state[part][self._boxes_are_free(center[part], half[part])] = CellState.FREE
         rows = np.flatnonzero(state == CellState.MIXED)
         rows = rows[~self.is_free(center[rows])]
-        state[rows[self._is_blocked(center[rows], half[rows])]] = CellState.BLOCKED
+        state[rows[self._boxes_are_blocked(center[rows], half[rows])]] = CellState.BLOCKED
         return state
 
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
@@ -136,7 +136,7 @@ class PlanarArm:
         free = np.ones(len(q0), dtype=bool)
         owner, center, half = np.arange(len(q0)), q0 + change / 2, change / 2
         for _ in range(_MOST_BISECTIONS):
-            unsure = ~self._sweeps_free(center, np.abs(half))
+            unsure = ~self._boxes_are_free(center, np.abs(half))
             owner, center, half = owner[unsure], center[unsure], half[unsure]
             free[owner[~self.is_free(center)]] = False
             left = free[owner]
@@ -145,8 +145,7 @@ class PlanarArm:
         free[owner] = False
         return free
 
-    def _sweeps_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
-        """Return whether the arm is surely free at all angles of each box."""
+    def _boxes_are_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
         ends, reaches = self.forward(center), half @ self._max_reach
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
@@ -163,8 +162,7 @@ class PlanarArm:
                 free[rows] = ~near_walls(self.workspace, hulls, self.width / 2 - self.workspace.tolerance / 2)
         return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
-    def _is_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
-        """Return whether the arm surely hits obstacles, the outside or itself at all angles of each box."""
+    def _boxes_are_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
         ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
         hit = np.zeros(len(center), dtype=bool)
         for i in range(self.dof):

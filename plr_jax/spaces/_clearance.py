@@ -194,12 +194,11 @@ class ClearanceSpace:
             raise ValueError(
                 f"lipschitz must bound how fast the clearance changes, but the clearance is {got}: they differ by "
                 f"{difference[i]:.6g}, where {format_numbers(self.lipschitz)} allows {allowed[i]:.6g}. "
-                + _least_constants(self.lipschitz, change[i], difference[i])
+                + _advice(self.lipschitz, change[i], difference[i])
             )
 
 
-def _least_constants(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
-    """Return advice on which Lipschitz constants allow the clearance's difference over a change of configuration."""
+def _advice(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "No constant explains it: the clearance must be a function of the configuration."

@@ -45,10 +45,7 @@ class CostMap(Protocol):
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return bounds of the factor over boxes, lower ones above 0 and upper ones below ``inf``, each ``(n,)``.
-
-        Corners of the boxes are ``(n, dof)``; boxes may extend beyond the domain along periodic axes.
-        """
+        """Return positive lower and finite upper bounds of the factor over boxes, also of boxes across a period."""
         ...
 
 

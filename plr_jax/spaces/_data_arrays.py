@@ -60,6 +60,5 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
 
 
 def _is_geographic(attributes: dict[str, Any]) -> bool:
-    """Return whether a coordinate reference system, stored by the CF conventions, has longitudes and latitudes."""
-    name, text = (str(attributes.get(key, "")) for key in ("grid_mapping_name", "crs_wkt"))
+    name, text = (str(attributes.get(key, "")) for key in ("grid_mapping_name", "crs_wkt"))  # the CF conventions
     return name == "latitude_longitude" or text.startswith("GEOG")

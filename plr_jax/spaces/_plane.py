@@ -48,7 +48,6 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
 
 
 def segment_distances(a: Links, b: Links) -> Float[np.ndarray, "n"]:
-    """Return the distance of each segment of ``a`` to the segment of ``b`` in the same row."""
     of_a, of_b = a[:, 1] - a[:, 0], b[:, 1] - b[:, 0]
     pairs = [(a, of_a, b[:, 0]), (a, of_a, b[:, 1]), (b, of_b, a[:, 0]), (b, of_b, a[:, 1])]
     distances = [distance_to_segment(*(segment[:, 0] - end).T, *change.T) for segment, change, end in pairs]
@@ -75,8 +74,6 @@ _SLIVER = 0.01
 
 @dataclass(frozen=True)
 class BodySpace:
-    """A base class for configuration spaces of one robot in a workspace."""
-
     workspace: Workspace
     robot: Robot
 

@@ -70,13 +70,12 @@ class RigidBodySpace(BodySpace):
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))
         for begin in range(0, len(unsure), size):
             part = unsure[begin : begin + size]
-            state[part[self._sweeps_free(center[part], half[part])]] = CellState.FREE
+            state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
         unsure = unsure[state[unsure] == CellState.MIXED]
-        state[unsure[self._is_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
+        state[unsure[self._boxes_are_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
         return state
 
-    def _sweeps_free(self, center: Boxes, half: Boxes) -> Booleans:
-        """Return whether the body is surely free at all configurations of each box."""
+    def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
@@ -94,8 +93,7 @@ class RigidBodySpace(BodySpace):
         free[narrow] = ~near_walls(self.workspace, hulls, self.robot.rounding)
         return free
 
-    def _is_blocked(self, center: Boxes, half: Boxes) -> Booleans:
-        """Return whether the body surely hits obstacles or the outside at all configurations of each box."""
+    def _boxes_are_blocked(self, center: Boxes, half: Boxes) -> Booleans:
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
         center, half = center[rows], half[rows]

@@ -139,7 +139,7 @@ class SeesBoxes(Protocol):
     """
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, "n"]:
-        """Return whether straight motions from all free configurations of a box to ``q`` are proven free, ``(n,)``."""
+        """Return, by row, whether straight motions to ``q`` from all free configurations of a box are proven free."""
         ...
 
 
