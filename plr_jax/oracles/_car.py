@@ -155,7 +155,7 @@ class ReedsShepp(_Car):
 
 
 def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    """Yield words from a left to a left turn, whose circles have centers that differ by ``(x, y)``."""
+    """Yield words that end at ``heading``, from a left to a left turn with centers ``(x, y)`` turning radii apart."""
     q, square = _QUARTER, x * x + y * y
     distance = np.sqrt(square)
     angle = np.where(distance > _ROUNDING * np.abs(heading), np.arctan2(y, x), 0.0)  # any angle for equal circles
@@ -174,7 +174,7 @@ def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
 
 
 def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    """Yield words from a left to a right turn, whose circles have centers that differ by ``(x, y - 2)``."""
+    """Yield words that end at ``heading``, from a left to a right turn with centers ``(x, y - 2)`` radii apart."""
     q, square = _QUARTER, x * x + y * (y - 4)
     # Set differences to 0 that are within the rounding error of their terms.
     square = np.where(np.abs(square) < _ROUNDING * (x * x + y * y + 4 * np.abs(y)), 0.0, square)

@@ -53,12 +53,10 @@ class _CornerLists:
 
 @dataclass(frozen=True, eq=False)
 class PairDistances:
-    """Exact distances between any two points of a workspace; results are cached but not pickled."""
-
     workspace: Workspace
     visibility: CornerVisibility
 
-    def __reduce__(self):
+    def __reduce__(self):  # without the cached properties
         return PairDistances, (self.workspace, self.visibility)
 
     @cached_property
@@ -71,7 +69,7 @@ class PairDistances:
 
     @cached_property
     def _graph(self) -> Graph:
-        """The corners, joined by the straight segments after and before which a shortest path can turn."""
+        """The corners; an edge joins two if a shortest path can go straight between them and turn at both."""
         corners, edges = self.visibility.corners, self.visibility.edges
         start, end = edges.T
         return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
@@ -92,7 +90,7 @@ class PairDistances:
 
     @cached_property
     def _lists_of_triangles(self) -> tuple[Int[np.ndarray, "runs_plus_one"], Int[np.ndarray, "entries"]]:
-        """Lists of corners at which paths may turn first: one per triangle; last, for its vertices, all corners."""
+        """Lists of the corners at which paths may turn first: per triangle, and last all, for points at vertices."""
         triangulation, corners, views = self.workspace.triangulation, self.visibility.corners, self.visibility.views
         opens, closes = corners.walls
         visits = [triangles_within(triangulation, views, *cone) for cone in ((opens, -closes), (-opens, closes))]

@@ -56,7 +56,6 @@ class VisibilityGraph:
     goal: Float[np.ndarray, "2"]
     distances: Float[np.ndarray, "vertices"]
     _parents: Int[np.ndarray, "vertices"]
-    _corners: CornerVisibility
     _goal_table: VisibilityTable
     _turns: TurnPoints
     _goal_edges: Int[np.ndarray, "edges 2"]
@@ -87,8 +86,7 @@ class VisibilityGraph:
         corner, place = np.setdiff1d(goal_view[1], [-1]), goal_view[0].points[0]
         corner = corner[corners.table.sees(corner, np.tile(place, (len(corner), 1)))]
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
-        set_fields(self, workspace=workspace, goal=goal, _corners=corners, _pairs=shared)
-        set_fields(self, _goal_table=goal_view[0], _goal_edges=edges)
+        set_fields(self, workspace=workspace, goal=goal, _pairs=shared, _goal_table=goal_view[0], _goal_edges=edges)
         distances, parents = dijkstra(self.graph, 0)
         turns = find_turn_points(corners.corners.with_goal(place), distances, parents)
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
@@ -117,7 +115,7 @@ class VisibilityGraph:
             workspace.use_triangulation(triangulation)
         view = viewpoints_at(workspace.triangulation, goal[None])
         old_view = self._goal_table, self._goal_edges[:, 1] - 1
-        corners, goal_view = changed_visibility(self._corners, old_view, view, workspace, change)
+        corners, goal_view = changed_visibility(self.family, old_view, view, workspace, change)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
     def __getstate__(self) -> dict[str, Any]:  # pickle without cached properties
@@ -130,8 +128,8 @@ class VisibilityGraph:
     @cached_property
     def graph(self) -> Graph:
         """Goal (vertex 0) and corners; edges join visible pairs if a shortest path can turn at one of the ends."""
-        edges = np.concatenate([self._goal_edges, 1 + self._corners.edges])
-        return Graph(np.concatenate([self.goal[None], self._corners.corners.points]), edges)
+        edges = np.concatenate([self._goal_edges, 1 + self.family.edges])
+        return Graph(np.concatenate([self.goal[None], self.family.corners.points]), edges)
 
     @cached_property
     def regions(self) -> TurnRegions:
@@ -148,7 +146,7 @@ class VisibilityGraph:
 
     @cached_property
     def sight(self) -> Sight:
-        table = joined_tables([self._goal_table, self._corners.table])
+        table = joined_tables([self._goal_table, self.family.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
@@ -156,7 +154,7 @@ class VisibilityGraph:
         return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """Return the free convex pieces of boxes, and for each the ``sources`` to which paths may go first."""
+        """Return the free convex pieces of boxes, and for each the ``sources`` where shortest paths may go first."""
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
@@ -170,19 +168,19 @@ class VisibilityGraph:
     @property
     def family(self) -> CornerVisibility:
         """The corners and what they see, one object that all oracles made by :meth:`with_goal` share."""
-        return self._corners
+        return self._pairs.visibility
 
     def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
         """Return, for oracles of any goal, a free sample point in each box, and the corners that the point sees."""
-        return FamilySamples.of(self._corners, self.workspace.triangulation, lo, hi)
+        return FamilySamples.of(self.family, self.workspace.triangulation, lo, hi)
 
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance and the index in ``sources`` of its path's first vertex; no path: inf, -1."""
+        """Return each sample's distance or ``inf``, and the index in ``sources`` of its path's first vertex or -1."""
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
     def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
-        """Return the free convex pieces of boxes, and for each the corners at which paths to any goal turn first."""
-        return FamilyCells.of(self._corners, self.workspace.triangulation, lo, hi)
+        """Return the free convex pieces of boxes, and for each the corners where paths to any goal may turn first."""
+        return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
         self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices, near: Indices
@@ -192,7 +190,7 @@ class VisibilityGraph:
         ``near[i]`` is the index of a source near the first turn of paths from the box, or -1.
         """
         goals = [FamilyGoal(each.sources, each._turns, each._goal_table) for each in members]
-        return cells_of_goals(shared, self._corners.corners, goals, box, member, near)
+        return cells_of_goals(shared, self.family.corners, goals, box, member, near)
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the length of the shortest path from each point ``(n, 2)`` to the goal, ``(n,)`` in workspace units.
@@ -261,7 +259,7 @@ class VisibilityGraph:
         return distance, turn
 
     def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
-        """Return what :meth:`_first_turns_of_batch` returns, to the bit, for one point and where it lies."""
+        """Return what :meth:`_first_turns_of_batch` returns, to the bit, for one point in a known place."""
         if self._goal_sight.sees(0, place):
             goal_x, goal_y = self.goal.tolist()
             dx, dy = x - goal_x, y - goal_y
@@ -279,7 +277,7 @@ class VisibilityGraph:
     def _first_turns_of_batch(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
-        mesh, sees = self.workspace.triangulation, self._corners.table.sees
+        mesh, sees = self.workspace.triangulation, self.family.table.sees
         # Test what the goal sees at rounded points, and again at the few points that are moved into free space.
         grid = mesh.on_grid(x[free])
         direct = self._goal_table.sees(np.zeros(len(free), int), grid)

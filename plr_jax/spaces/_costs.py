@@ -28,7 +28,7 @@ def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], 
 
 
 # A box has pulls only if they say more than the bounds of the cost map: ``least`` must exceed this share of ``most``,
-# and the pulls must save less than ``least`` by more than this share of ``most``.
+# and the cost that pulls save must be below ``least`` by more than this share of ``most``.
 _LEAST_SHARE, _LEAST_MARGIN = 0.25, 0.02
 
 
@@ -172,7 +172,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
 
 
 def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the factor of the motion cost at configurations, and the pulls of :func:`cost_bounds` or None."""
+    """Return the factor of the motion cost at configurations, and the two vectors of :func:`cost_bounds`, or None."""
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
         return (lower + upper) / 2, pulls
@@ -189,5 +189,5 @@ def motion_rates(motion: MotionCost, cost_map: CostMap, q: Vectors, change: Vect
 
 
 def pulled(pulls: Pulls | None, change: Vectors) -> Rates | float:
-    """Return the share of the pulls in the cost of motions: the larger scalar product with the two pull vectors."""
+    """Return the cost that its direction adds to each motion: its larger scalar product with two vectors, or 0."""
     return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)

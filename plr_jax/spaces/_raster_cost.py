@@ -380,7 +380,10 @@ class SparseTable:
         return least, most
 
     def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
-        """Return the smallest and largest entry of each block, from ``counts[i]`` windows along each axis."""
+        """Return each block's smallest and largest entry, from the windows of one size that cover the block.
+
+        ``counts`` are the numbers of windows along each axis, and ``level`` is the index of their size.
+        """
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, rest = ragged_indices(totals)
