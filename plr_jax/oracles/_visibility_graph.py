@@ -369,13 +369,11 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     # 4. List all triangles once: old ones first, then new ones without an equal old one.
     size = np.int64(len(change.new.vertices))
     keys = []
-    for corners in (new.origin, change.vertex[old.origin]):
+    for corners in (change.vertex[old.origin], new.origin):
         a, b, c = np.sort(corners.reshape(-1, 3), axis=1).astype(np.int64).T
         keys.append(np.where(a < 0, -1, (a * size + b) * size + c))
-    same = index_of(*keys)  # the new triangle that equals each old one, or -1
-    kept, num_old = np.flatnonzero(same >= 0), len(same)
-    number = np.full(len(keys[0]), -1)
-    number[same[kept]] = kept
+    number, num_old = index_of(*keys), len(keys[0])  # the old triangle that equals each new one, or -1
+    is_gone = ~np.isin(np.arange(num_old), number)
     number[number < 0] = num_old + np.arange(np.count_nonzero(number < 0))
     triangles = np.concatenate([old.triangles, new.triangles[number >= num_old]])
     pairs_after = replace(pairs_after, triangle=number[pairs_after.triangle])
@@ -395,7 +393,7 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     has_pairs = least <= most
     shift[has_pairs & ~(most - least <= rounding)] = np.nan
     shift[has_pairs & ~np.isnan(shift)] = least[has_pairs & ~np.isnan(shift)]
-    shift[:num_old][same < 0] = shift[num_old:] = np.nan
+    shift[:num_old][is_gone] = shift[num_old:] = np.nan
     shift[np.abs(shift) <= rounding] = 0.0
     was_cut_off = np.arange(len(triangles)) < num_old
     was_cut_off[pairs_before.triangle] = False

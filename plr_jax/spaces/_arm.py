@@ -37,7 +37,6 @@ class PlanarArm:
     smaller boxes. An argument out of its range raises ``ValueError``.
 
     Args:
-        workspace: The Workspace.
         lengths: Lengths of the links, ``(joints,)``, in workspace units, positive; one joint per link.
         base: Position of the first joint, ``(2,)``, with a clearance of at least half the width.
         width: Width of the links, at least 0: a link covers all points within half of it of a segment.

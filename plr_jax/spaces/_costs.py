@@ -137,7 +137,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
     """Return lower and upper bounds of the cost factor over boxes, and for a ``DirectionalCost`` *pulls*, else None.
 
     A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of
-    ``dq`` with two vectors per box, the pulls, ``(2, n, dof)``. Invalid answers of the cost map raise ``ValueError``.
+    ``dq`` with two vectors per box, the pulls, ``(2, n, dof)``.
     """
     bounds = cost_map.bounds(lo, hi)
     if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:

@@ -48,15 +48,12 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
 
 
 def segment_distances(a: Links, b: Links) -> Float[np.ndarray, "n"]:
-    of_a, of_b = a[:, 1] - a[:, 0], b[:, 1] - b[:, 0]
-    pairs = [(a, of_a, b[:, 0]), (a, of_a, b[:, 1]), (b, of_b, a[:, 0]), (b, of_b, a[:, 1])]
-    distances = [distance_to_segment(*(segment[:, 0] - end).T, *change.T) for segment, change, end in pairs]
-    crosses = _are_on_two_sides(a, of_a, b) & _are_on_two_sides(b, of_b, a)
+    distances, crosses = [], np.ones(len(a), dtype=bool)
+    for segments, others in ((a, b), (b, a)):
+        along, from_ends = segments[:, 1] - segments[:, 0], segments[:, :1] - others
+        distances += [distance_to_segment(*from_end.T, *along.T) for from_end in from_ends.transpose(1, 0, 2)]
+        crosses &= cross_product(along[:, None], from_ends).prod(axis=1) < 0  # the ends are on opposite sides
     return np.where(crosses, 0.0, np.min(distances, axis=0))
-
-
-def _are_on_two_sides(segments: Links, change: Positions, others: Links) -> Booleans:
-    return cross_product(change[:, None], others - segments[:, :1]).prod(axis=1) < 0
 
 
 def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
@@ -123,7 +120,6 @@ class PlaneSpace(BodySpace):
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Length of a motion."""
         return MotionCost((((0, 1), 1.0),))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:

@@ -360,8 +360,7 @@ class SparseTable:
     """A table to look up the smallest and largest entry of any block of an array.
 
     For every position and power of two, the table stores the extremes of the window of this side that begins at the
-    position, as float32 rounded outward. Two windows per axis cover a block of about equal sides; an elongated block
-    needs more. See Bender and Farach-Colton, "The LCA problem revisited", 2000.
+    position, as float32 rounded outward: Bender and Farach-Colton, "The LCA problem revisited", 2000.
     """
 
     values: Raster
@@ -380,10 +379,7 @@ class SparseTable:
         return least, most
 
     def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
-        """Return each block's smallest and largest entry, from the windows of one size that cover the block.
-
-        ``counts`` are the numbers of windows along each axis, and ``level`` is the index of their size.
-        """
+        """Return each block's extremes, from windows of the size of a level, ``counts`` of them along each axis."""
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, rest = ragged_indices(totals)
@@ -397,7 +393,7 @@ class SparseTable:
 
     @cached_property
     def _levels(self) -> list[tuple[Int[np.ndarray, "rank"], Window, Window]]:
-        """For each level, a size of windows: their sides, and the smallest and largest entry of every window."""
+        """For each level, a size of windows: the window's sides, and the smallest and largest entry of each."""
         shape = np.array(self.values.shape)
         side, least, most = np.ones_like(shape), _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
         levels, entries = [(side, self.values, self.values)], 0

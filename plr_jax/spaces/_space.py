@@ -88,7 +88,7 @@ class MotionCost:
 class FreeTest(Protocol):
     """The minimal configuration space: which configurations are free, and what motions cost.
 
-    It suffices for estimates of distances; proven bounds need a :class:`ConfigurationSpace`. All methods raise
+    It suffices for estimates of distances; proven bounds need a :class:`ConfigurationSpace`. Methods raise
     ``ValueError`` if arrays have a wrong shape or different lengths.
     """
 
@@ -116,10 +116,7 @@ class ConfigurationSpace(FreeTest, Protocol):
     """
 
     def classify(self, lo: ArrayLike, hi: ArrayLike, /) -> Int8[np.ndarray, "n"]:
-        """Return the :class:`CellState` of boxes, ``(n,)``, given their lower and upper corners, ``(n, dof)``.
-
-        A box is MIXED unless FREE or BLOCKED is proven. Boxes may leave the domain.
-        """
+        """Return the :class:`CellState`, ``(n,)``, of boxes with corners ``(n, dof)``, which may leave the domain."""
         ...
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, "n"]:

@@ -66,12 +66,10 @@ class VoxelSpace:
 
     @property
     def domain(self) -> Box:
-        """The box that the voxels fill."""
         return self.grid.bounds
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Length of a motion."""
         return MotionCost(((tuple(range(self.grid.dim)), 1.0),))
 
     @property
