@@ -32,7 +32,7 @@ class _CellGraph(ABC):
     dim: ClassVar[int]
     """Number of coordinates of a point."""
     _padded: Bool[np.ndarray, "..."]  # whether each cell is free
-    _steps: Any  # legal steps between neighbors
+    _steps: Any  # free steps between neighbors
     _to_goal: Distances  # distance of each cell to the goal
 
     def with_goal(self, goal: ArrayLike) -> Self:
@@ -210,7 +210,7 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, "voxels"]]:
-        """Changes of a voxel's three indices, one per step; and for each voxel a bit per step, 1 if it is legal."""
+        """Changes of a voxel's three indices, one per step; and for each voxel a bit per step, set if it is free."""
         steps = np.array(list(product((-1, 0, 1), repeat=3)))
         num_axes = np.count_nonzero(steps, axis=1)
         steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]

@@ -75,7 +75,7 @@ class PairDistances:
         return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
 
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, "corners"]]:
-        """Return the distances from some corners to all corners, and cache up to ``_at_once`` such rows."""
+        """Return the distances from each of some corners to all corners; those of up to ``_at_once`` are cached."""
         rows = self.__dict__.setdefault("_rows", {})
         if missing := [corner for corner in corners if corner not in rows]:
             if len(rows) + len(missing) > self._at_once:

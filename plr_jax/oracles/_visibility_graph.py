@@ -154,7 +154,7 @@ class VisibilityGraph:
         return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """Return the free convex pieces of boxes, and for each the ``sources`` where shortest paths may go first."""
+        """Return each box's free convex pieces, and for each piece the ``sources`` to which paths may go first."""
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
@@ -179,7 +179,7 @@ class VisibilityGraph:
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
     def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
-        """Return the free convex pieces of boxes, and for each the corners where paths to any goal may turn first."""
+        """Return each box's free convex pieces, and for each piece the corners at which paths may turn first."""
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
@@ -294,7 +294,7 @@ class VisibilityGraph:
 
 
 def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> CellSources:
-    """Return a box's free convex pieces, and for each the goals or corners to which shortest paths may go first."""
+    """Return a box's free convex pieces, and for each piece the goals or corners to which paths may go first."""
     first, count = graphs[0], len(graphs)
     # Oracles that were not made of one another may number corners in different ways.
     graphs = [each if each.family is first.family else first.with_goal(each.goal) for each in graphs]
