@@ -53,7 +53,8 @@ class CostMap(Protocol):
 class DirectionalCost(CostMap, Protocol):
     """A cost of motions that depends on their direction, such as going uphill or against the wind.
 
-    A motion ``dq`` at ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive in every direction. As a
+    A motion ``dq`` at ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive in every direction. Over a box,
+    :meth:`pulls` returns vectors ``a`` and ``b``, and bounds of the rest of the cost per unit of length. As a
     :class:`CostMap`, it returns the cost per unit of length in the most expensive direction; its lower bound holds in
     the cheapest direction. It needs a space whose ``motion_cost`` is the Euclidean length over all axes.
 
