@@ -9,6 +9,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.spaces._space import CellState
 
 BOUNDS = ((0.0, 0.0), (4.0, 3.0))
+CENTERS, RADII = np.array([[2, 2, 1.5], [1, 1, 2.4], [3.2, 1, 0.8]]), np.array([0.6, 0.3, 0.4])
 
 
 def rectangle(x0, y0, x1, y1):
@@ -25,6 +26,11 @@ def random_workspace(seed):
     for center in rng.uniform(0, (4, 3), (3, 2)):
         obstacles.append(center + rng.uniform(0.1, 0.5, 1) * [[1, 0], [-0.6, 0.8], [-0.6, -0.8]])
     return Workspace(BOUNDS, obstacles)
+
+
+def of_drone(q):
+    """Clearance of a ball of radius 0.2 among spheres."""
+    return np.min(np.linalg.norm(q[:, None] - CENTERS, axis=2) - RADII, axis=1) - 0.2
 
 
 def random_boxes(rng, domain, n, deepest=7):

@@ -1,17 +1,16 @@
 """Shortest paths of cars without obstacles: Dubins (forward only) and Reeds-Shepp (forward and backward).
 
-Shortest paths are *words*: sequences of sharpest turns and straight lines. Lengths are in turning radii, so that the
-length of a turn is its angle. A word from the goal to a pose, in opposite gears and read backward, leads from the
-pose to the goal. Words are computed for the pose mirrored front to back, which swaps the gears, so the sine and
-cosine of each pose are not needed to rotate the plane. A turn follows a circle on the left or right of the car. Words
-are computed from the heading at the end, and from the vectors between the circles at the beginning and at the end.
+A shortest path is a sequence of sharpest turns and straight lines, called a *word*, such as LSR for left, straight,
+right. Lengths are in turning radii, so the length of a turn is its angle. A word is computed from the heading at its
+end, and from the vector between the centers of two circles: of its first turn and of its last.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
-from typing import ClassVar, NamedTuple, TypeAlias
+from itertools import chain
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -28,10 +27,10 @@ _MIRRORED = str.maketrans("LR", "RL")
 
 
 class Word(NamedTuple):
-    """Paths of one type to many poses: letters and lengths, negative where the car reverses, NaN for no path."""
+    """Paths to many poses with the same letters; lengths are negative where the car reverses, NaN for no path."""
 
     letters: str  # L and R for turns, S for straight
-    segments: tuple[Batch | float, ...]
+    segments: tuple[Any, ...]  # lengths, each an array with one number per pose, or one number for all
 
     @property
     def length(self) -> Batch:
@@ -44,8 +43,6 @@ def wrap_angle(angle: Batch) -> Batch:
 
 @dataclass(frozen=True, eq=False, init=False)
 class _Car(ABC):
-    """A car with a goal and a turning radius; subclasses list the types of paths among which a shortest path is."""
-
     goal: Pose
     radius: float
     is_lower_bound: ClassVar[bool] = True
@@ -95,14 +92,16 @@ class _Car(ABC):
     @staticmethod
     @abstractmethod
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
-        """Yield words (path types) that start with a left turn; one of them, or a mirror image, is a shortest path.
+        """Yield the words from the pose (0, 0), heading along x, that start with a left turn.
 
-        ``to_left`` and ``to_right`` lead from the left circle at the beginning to the left and the right circle at
-        the end; ``to_right`` has 2 added to its ``y``. ``heading`` is that at the end.
+        The words end at poses with the given headings. ``to_left`` and ``to_right`` are the coordinates, in turning
+        radii, of the centers of the left and right turning circle at the end. The first is relative to the center of
+        the left turning circle at the start, (0, 1), the second to (0, -1).
         """
 
     def _words(self, x: Float[np.ndarray, "n 3"]) -> Iterator[Word]:
-        """Yield words (paths of one type) that, read backward, lead from the poses to the goal."""
+        # Mirror poses front to back, in the frame of the goal. This swaps gears, so that a word from the goal to the
+        # mirrored pose, with its segments in reverse order, leads from the pose to the goal.
         cosine, sine = np.cos(self.goal[2]), np.sin(self.goal[2])
         dx, dy = ((x[:, axis] - self.goal[axis]) / self.radius for axis in range(2))
         along, across = -cosine * dx - sine * dy, cosine * dy - sine * dx
@@ -118,7 +117,7 @@ class _Car(ABC):
                 yield Word(letters if side > 0 else letters.translate(_MIRRORED), segments)
 
     def _reflection(self, direction: float) -> Symmetry:
-        """Return the symmetry that reflects positions in a line through the goal and negates relative headings."""
+        """Return the reflection of poses in the line through the goal in a direction, an angle to the x axis."""
         cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
         return Symmetry.about(self.goal, np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]]))
 
@@ -143,48 +142,39 @@ class ReedsShepp(_Car):
 
     @property
     def symmetries(self) -> tuple[Symmetry, Symmetry]:
-        """Reflections in the lines through the goal along and across its heading; both negate relative headings."""
+        """Reflections of poses in two lines through the goal: along its heading, and at a right angle to it."""
         return self._reflection(self.goal[2]), self._reflection(self.goal[2] + _QUARTER)
 
     @staticmethod
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
-        """Yield the words of Reeds and Shepp, but with first and last turns that go the shorter way, in either gear.
-
-        Each is a valid path. Their rule for the gears allows it if it is shortest.
-        """
-        yield from _words_to_left(*to_left, heading)
-        yield from _words_to_right(*to_right, heading)
-
-
-def _word(letters: str, first: Batch, *middle_and_last: Batch | float) -> Word:
-    *middle, last = middle_and_last
-    return Word(letters, (wrap_angle(first), *middle, wrap_angle(np.asarray(last))))
+        # Reeds and Shepp prescribe the gear of each turn. Here the first and last turns go the shorter way, in either
+        # gear: each word is a valid path, and the prescribed gears are the shorter way where the word is shortest.
+        words = chain(_words_to_left(*to_left, heading), _words_to_right(*to_right, heading))
+        for letters, (first, *middle, last) in words:
+            yield Word(letters, (wrap_angle(first), *middle, wrap_angle(last)))
 
 
 def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    """Yield words from a left to a left turn; ``(x, y)`` leads from the first turn's circle to the last one's."""
+    """Yield words that end at ``heading``, from a left to a left turn with centers ``(x, y)`` turning radii apart."""
     q, square = _QUARTER, x * x + y * y
     distance = np.sqrt(square)
     angle = np.where(distance > _ROUNDING * np.abs(heading), np.arctan2(y, x), 0.0)  # any angle for equal circles
     rest = heading - angle
-
-    yield _word("LSL", angle, distance, rest)
-    yield _word("LSL", angle + np.pi, -distance, rest - np.pi)
-
+    yield Word("LSL", (angle, distance, rest))
+    yield Word("LSL", (angle + np.pi, -distance, rest - np.pi))
     half = np.arcsin(distance / 4)
-    yield _word("LRL", angle + half, 2 * half, rest + half)
-    yield _word("LRL", angle + np.pi - half, -2 * half, rest - np.pi - half)
-
+    yield Word("LRL", (angle + half, 2 * half, rest + half))
+    yield Word("LRL", (angle + np.pi - half, -2 * half, rest - np.pi - half))
     tangent = np.sqrt(square - 4)  # length of the inner tangent of two circles
     lean, straight = np.arctan(tangent / 2), _nan_if_negative(tangent - 2)
-    yield _word("LRSL", angle + lean, q, straight, rest + q - lean)
-    yield _word("LRSL", angle + np.pi - lean, -q, -straight, rest + q + lean)
-    yield _word("LSRL", angle + q - lean, straight, q, rest + lean)
-    yield _word("LSRL", angle + q + lean, -straight, -q, rest + np.pi - lean)
+    yield Word("LRSL", (angle + lean, q, straight, rest + q - lean))
+    yield Word("LRSL", (angle + np.pi - lean, -q, -straight, rest + q + lean))
+    yield Word("LSRL", (angle + q - lean, straight, q, rest + lean))
+    yield Word("LSRL", (angle + q + lean, -straight, -q, rest + np.pi - lean))
 
 
 def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    """Yield words from a left to a right turn; ``(x, y - 2)`` leads from the first turn's circle to the last's."""
+    """Yield words that end at ``heading``, from a left to a right turn with centers ``(x, y - 2)`` radii apart."""
     q, square = _QUARTER, x * x + y * (y - 4)
     # Set differences to 0 that are within the rounding error of their terms.
     square = np.where(np.abs(square) < _ROUNDING * (x * x + y * y + 4 * np.abs(y)), 0.0, square)
@@ -192,28 +182,23 @@ def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
     distance, tangent = np.sqrt(4 + square), np.sqrt(square)
     angle, lean = np.arctan2(x, 2 - y), np.arctan(tangent / 2)
     rest = angle - heading
-
-    yield _word("LSR", angle - lean, tangent, rest - lean)
-    yield _word("LSR", angle + lean, -tangent, rest + lean)
-
+    yield Word("LSR", (angle - lean, tangent, rest - lean))
+    yield Word("LSR", (angle + lean, -tangent, rest + lean))
     turn = 2 * np.arcsin(np.sqrt(-square / (8 * (2 + distance))))
-    yield _word("LRLR", angle + turn, turn, -turn, rest - turn)
-    yield _word("LRLR", angle - turn, -turn, turn, rest + turn)
-
+    yield Word("LRLR", (angle + turn, turn, -turn, rest - turn))
+    yield Word("LRLR", (angle - turn, -turn, turn, rest + turn))
     turn = 2 * np.arcsin(np.sqrt(square / 32))
     aside = np.arctan2(np.sin(turn), 2 - np.cos(turn))
-    yield _word("LRLR", angle - aside, turn, turn, rest - aside)
-    yield _word("LRLR", angle + aside, -turn, -turn, rest + aside)
-
+    yield Word("LRLR", (angle - aside, turn, turn, rest - aside))
+    yield Word("LRLR", (angle + aside, -turn, -turn, rest + aside))
     straight = _nan_if_negative(square) / (distance + 2)  # equals distance - 2, without cancellation
-    yield _word("LRSR", angle, q, straight, rest - q)
-    yield _word("LRSR", angle, -q, -straight, rest + q)
-    yield _word("LSLR", angle - q, straight, q, rest)
-    yield _word("LSLR", angle + q, -straight, -q, rest)
-
+    yield Word("LRSR", (angle, q, straight, rest - q))
+    yield Word("LRSR", (angle, -q, -straight, rest + q))
+    yield Word("LSLR", (angle - q, straight, q, rest))
+    yield Word("LSLR", (angle + q, -straight, -q, rest))
     straight = _nan_if_negative(tangent - 4)
-    yield _word("LRSLR", angle - q + lean, q, straight, q, rest - q + lean)
-    yield _word("LRSLR", angle + q - lean, -q, -straight, -q, rest + q - lean)
+    yield Word("LRSLR", (angle - q + lean, q, straight, q, rest - q + lean))
+    yield Word("LRSLR", (angle + q - lean, -q, -straight, -q, rest + q - lean))
 
 
 def _nan_if_negative(length: Batch) -> Batch:
@@ -250,11 +235,9 @@ class Dubins(_Car):
         distance = np.sqrt(x * x + y * y)
         angle = np.where(distance > _SLACK, np.arctan2(y, x), 0.0)  # any angle for equal circles
         yield Word("LSL", _lsl_segments(angle, distance, _forward_turn(heading, _SLACK)))
-
         # Half of the middle turn. There are two such turns, and the shorter one is never on a shortest path.
         half = np.pi - np.arcsin(distance / 4)
         yield Word("LRL", (_forward_turn(angle + half), 2 * half, _forward_turn(heading - angle + half)))
-
         x, y = to_right
         square = x * x + y * (y - 4)  # squared distance of the circles, minus 4
         tangent = np.sqrt(np.where(np.abs(square) > 4 * _SLACK, square, 0.0))
@@ -263,7 +246,7 @@ class Dubins(_Car):
 
 
 def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
-    """Return the segments of LSL, whose turns sum to ``turn``; a turn of nearly a full circle becomes none."""
+    """Return the three lengths of an LSL path whose turns sum to ``turn``; nearly a full circle counts as none."""
     slack = _SLACK / np.maximum(distance, _SLACK)
     first = _forward_turn(angle, slack)
     first = np.where(first <= turn + slack, np.minimum(first, turn), first)
@@ -272,5 +255,5 @@ def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Ba
 
 
 def _forward_turn(angle: Batch, slack: Batch | float = 0.0) -> Batch:
-    """Return an angle as a forward turn in [0, 2 pi); angles less than ``slack`` below a full circle become 0."""
+    """Reduce an angle to [0, 2 pi), and to 0 if it is less than ``slack`` below a full circle."""
     return np.maximum(angle - _CIRCLE * np.floor((angle + slack) / _CIRCLE), 0.0)

@@ -1,5 +1,6 @@
 """Distances on grids: shortest paths over cells or voxels, and interpolated fields from other libraries."""
 
+import math
 from abc import ABC, abstractmethod
 from copy import copy
 from dataclasses import dataclass
@@ -18,20 +19,21 @@ from plr_jax.geometry.masks import Mask, as_mask
 from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets
 
 Grid: TypeAlias = Float[np.ndarray, "..."]
-Cells: TypeAlias = Int[np.ndarray, "steps"]
 _DISTANCES = 2**22  # distances of cells in memory at a time
-_OUTSIDE = -1
 _POINTS = 8192  # points interpolated at a time, so that their arrays stay in the cache
 _AXES = {6: 1, 18: 2, 26: 3}  # number of axes along which a step may lead at once, by number of neighbors
 _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the shortest step
 
 
 class _CellGraph(ABC):
-    """A graph of free cells, joined by legal steps, and the distance of every cell to a goal."""
+    """A graph of the free cells of a grid, numbered in the grid with one layer of blocked cells around it."""
 
     goal: Float[np.ndarray, "dim"] | None
     dim: ClassVar[int]
     """Number of coordinates of a point."""
+    _padded: Bool[np.ndarray, "..."]  # whether each cell is free
+    _steps: Any  # free steps between neighbors
+    _to_goal: Distances  # distance of each cell to the goal
 
     def with_goal(self, goal: ArrayLike) -> Self:
         """Return the graph with another goal in a free cell, ``(dim,)`` (else ``ValueError``), sharing the edges."""
@@ -51,43 +53,13 @@ class _CellGraph(ABC):
 
     def _set_goal(self, goal: ArrayLike) -> None:
         goal = as_finite_point("The goal", goal, self.dim)
-        if not self._is_free[self._cells_of("The goal", goal[None])[0]]:
+        if not self._padded.ravel()[self._cells_of("The goal", goal[None])[0]]:
             raise ValueError(f"The goal must be in a free cell, got {goal.tolist()}.")
         set_fields(self, goal=goal)
 
-    @property
-    @abstractmethod
-    def _is_free(self) -> Bool[np.ndarray, "cells"]:
-        """Whether each cell is free, with False at the index that stands for points outside the grid."""
-
-    @property
-    @abstractmethod
-    def _steps(self) -> Any:
-        """The legal steps between cells, computed once for all goals."""
-
-    @property
-    @abstractmethod
-    def _to_goal(self) -> Distances:
-        """Distance of each cell to the goal, with ``inf`` at the index that stands for points outside the grid."""
-
     @abstractmethod
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """Return the cell index of each point, after a check of the shape; errors call the points ``name``."""
-
-
-def legal_steps(free: Mask, connectivity: int) -> tuple[Cells, Cells, Bool[np.ndarray, "steps"]]:
-    """Return start and end cells (row-major) of all legal steps, each in one direction, and which are diagonal."""
-    rows, columns = np.nonzero(free)
-    legal = np.pad(free, 1)
-    begin, end, is_diagonal = [], [], []
-    for down, right in [(0, 1), (1, 0)] + [(1, 1), (1, -1)] * (connectivity == 8):
-        row, column = rows + 1, columns + 1
-        can = legal[row + down, column + right] & legal[row + down, column] & legal[row, column + right]
-        cell = (rows * free.shape[1] + columns)[can]
-        begin.append(cell)
-        end.append(cell + down * free.shape[1] + right)
-        is_diagonal.append(np.full(len(cell), down * right != 0))
-    return np.concatenate(begin), np.concatenate(end), np.concatenate(is_diagonal)
+        """Return the index of the cell that contains each point, 0 (a blocked cell) for a point outside the grid."""
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -138,43 +110,46 @@ class GridGraph(_CellGraph):
         if len(ends[0]) != len(ends[1]):
             raise ValueError(f"x and y must be equally many points, got {len(ends[0])} and {len(ends[1])}.")
         begin, end = sorted(ends, key=lambda cells: len(np.unique(cells)))
-        distances = np.full(len(begin), np.inf)
-        inside = np.flatnonzero((begin != _OUTSIDE) & (end != _OUTSIDE))
-        inside = inside[np.argsort(begin[inside], kind="stable")]
-        roots, first = np.unique(begin[inside], return_index=True)
-        at_once = max(_DISTANCES // self.free.size, 1)
-        for some in range(0, len(roots), at_once):
-            of_roots = self._search(roots[some : some + at_once])
-            last = first[some + at_once] if some + at_once < len(roots) else len(inside)
-            pairs = inside[first[some] : last]
-            distances[pairs] = of_roots[np.searchsorted(roots, begin[pairs]) - some, end[pairs]]
+        roots, root = np.unique(begin, return_inverse=True)
+        distances, at_once = np.empty(len(begin)), max(_DISTANCES // self.free.size, 1)
+        for first in range(0, len(roots), at_once):
+            pairs = np.flatnonzero((root >= first) & (root < first + at_once))
+            distances[pairs] = self._search(roots[first : first + at_once])[root[pairs] - first, end[pairs]]
         return distances
 
     @cached_property
     def _to_goal(self) -> Distances:
         if self.goal is None:
             raise ValueError("The grid must have a goal: use GridGraph(free, goal), or with_goal(goal).")
-        return np.append(self._search(self._cells_of("The goal", self.goal[None]))[0], np.inf)
+        return self._search(self._cells_of("The goal", self.goal[None]))[0]
 
     @cached_property
     def _steps(self) -> csr_array:
-        begin, end, is_diagonal = legal_steps(self.free, self.connectivity)
-        return csr_array((np.where(is_diagonal, np.sqrt(2), 1), (begin, end)), shape=2 * (self.free.size,))
+        free, columns = self._padded, self._padded.shape[1]
+        row, column = np.nonzero(free)
+        begins, ends, lengths = [], [], []
+        for down, right in [(0, 1), (1, 0)] + [(1, 1), (1, -1)] * (self.connectivity == 8):
+            can = free[row + down, column + right] & free[row + down, column] & free[row, column + right]
+            begins.append((row * columns + column)[can])
+            ends.append(begins[-1] + down * columns + right)
+            lengths.append(np.full(len(ends[-1]), math.hypot(down, right)))
+        between = np.concatenate(begins), np.concatenate(ends)
+        return csr_array((np.concatenate(lengths), between), shape=2 * (free.size,))
 
     def _search(self, roots: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k cells"]:
         distances = csgraph.dijkstra(self._steps, directed=False, indices=roots, unweighted=self.connectivity == 4)
-        distances[:, ~self.free.ravel()] = np.inf  # also of blocked cells from themselves
+        distances[:, ~self._padded.ravel()] = np.inf  # also of blocked cells from themselves
         return distances
 
     @cached_property
-    def _is_free(self) -> Bool[np.ndarray, "cells"]:
-        return np.append(self.free, False)
+    def _padded(self) -> Bool[np.ndarray, "rows columns"]:
+        return np.pad(self.free, 1)
 
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
         x, (rows, columns) = as_points(name, x, 2), self.free.shape
         inside = np.logical_and.reduce((x >= 0) & (x < (columns, rows)), axis=1)
-        column, row = np.floor(np.where(inside[:, None], x, 0)).astype(np.intp).T
-        return np.where(inside, row * columns + column, _OUTSIDE)
+        column, row = np.floor(np.where(inside[:, None], x, -1)).astype(np.intp).T
+        return (row + 1) * (columns + 2) + column + 1
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -222,7 +197,6 @@ class VoxelGraph(_CellGraph):
         return self._to_goal.reshape(self.grid.padded.shape)
 
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """Return the flat index of each point's padded voxel, 0 (a blocked one) for points outside."""
         x = as_points(name, self.bounds.settled(x), 3)
         inside = self.bounds.contains(x)
         x = np.where(inside[:, None], x, self.bounds.lo)
@@ -231,12 +205,12 @@ class VoxelGraph(_CellGraph):
         return np.where(inside, np.ravel_multi_index(tuple(number), self.grid.padded.shape), 0)
 
     @property
-    def _is_free(self) -> Bool[np.ndarray, "cells"]:
-        return self.grid.padded.ravel()
+    def _padded(self) -> Bool[np.ndarray, "x y z"]:
+        return self.grid.padded
 
     @cached_property
     def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, "voxels"]]:
-        """Steps as changes of a voxel's 3 indices, and for each padded voxel a bit per step: whether it is legal."""
+        """Changes of a voxel's three indices, one per step; and for each voxel a bit per step, set if it is free."""
         steps = np.array(list(product((-1, 0, 1), repeat=3)))
         num_axes = np.count_nonzero(steps, axis=1)
         steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]
@@ -250,7 +224,8 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _to_goal(self) -> Distances:
-        """Distance of every padded voxel to the goal, by buckets narrower than the shortest step (Dial, 1969)."""
+        # Dial, "Algorithm 360: Shortest-path forest with topological ordering" (1969): as buckets are narrower than
+        # the shortest step, no step stays in its bucket.
         steps, legal = self._steps
         bits = np.arange(len(steps), dtype=np.uint32)
         jumps = np.sum(steps * self.grid.padded.strides, axis=1)
@@ -364,21 +339,19 @@ class GridField:
 
     @cached_property
     def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:
-        """Values (NaN if unknown, then 0), whether known, padded by a cell; boxes not to interpolate in, or None.
+        """Distances with NaN, and with 0, for cells without a value; 1 for cells with a value, else 0; and a mask.
 
-        In these boxes between centers, cells with a value touch at an edge or a corner only.
+        The mask, or None, marks boxes between neighboring centers in which cells with a value touch only at an edge
+        or a corner: there, distances are not interpolated. The other arrays have a layer of copied cells around them.
         """
-        is_known = np.isfinite(self.values)
-        values = np.where(is_known, self.values, 0.0)
+        padded = np.where(np.isfinite(self.values), self.values, np.nan)
         for axis, is_periodic in enumerate(self.bounds.periodic[::-1]):
-            width = [(int(each == axis),) * 2 for each in range(values.ndim)]
-            mode = "wrap" if is_periodic else "edge"
-            values, is_known = np.pad(values, width, mode), np.pad(is_known, width, mode)
-        parted = None
-        if values.ndim > 1 and not is_known.all():
-            sets = np.zeros(np.array(values.shape) - 1, np.intp)
-            for bit, corner in enumerate(product((0, 1), repeat=values.ndim)):
-                around = tuple(slice(end, n - 1 + end) for end, n in zip(corner, values.shape, strict=True))
+            padded = padded.take(np.arange(-1, padded.shape[axis] + 1), axis, mode="wrap" if is_periodic else "clip")
+        is_known, parted = ~np.isnan(padded), None
+        if padded.ndim > 1 and not is_known.all():
+            sets = np.zeros(np.array(padded.shape) - 1, np.intp)
+            for bit, corner in enumerate(product((0, 1), repeat=padded.ndim)):
+                around = tuple(slice(end, n - 1 + end) for end, n in zip(corner, padded.shape, strict=True))
                 sets |= is_known[around].astype(np.intp) << bit
-            parted = disconnected_sets(values.ndim)[sets]
-        return np.where(is_known, values, np.nan), values, is_known.astype(float), parted
+            parted = disconnected_sets(padded.ndim)[sets]
+        return padded, np.where(is_known, padded, 0.0), is_known.astype(float), parted

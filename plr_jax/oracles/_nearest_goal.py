@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_point, as_points, as_values, set_fields, shortened
 from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn, Distances
-from plr_jax.oracles._visibility_graph import NearestSources, VisibilityGraph
+from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sources
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -42,7 +43,7 @@ class NearestGoal:
         if len(graphs) == len(fns) and len({id(graph.workspace) for graph in graphs}) == 1:
             # Only with these attributes, the object is a NearestFn.
             goals = np.stack([graph.goal for graph in graphs])
-            set_fields(self, goals=goals, cell_sources=NearestSources(graphs).cell_sources)
+            set_fields(self, goals=goals, cell_sources=partial(nearest_cell_sources, graphs))
 
     @property
     def is_lower_bound(self) -> bool:
@@ -59,7 +60,7 @@ class NearestGoal:
         return np.where(np.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
-        """Return the path from a point ``(dim,)`` by the nearest goal's ``shortest_path``, else ``ValueError``."""
+        """Return a point's path ``(m, dim)`` to the nearest goal; ``ValueError`` if its function offers no paths."""
         nearest: Any = self.distance_fns[self.which(as_point("The start", x, self.dim)[None])[0]]
         if not hasattr(type(nearest), "shortest_path"):
             raise ValueError(

@@ -1,8 +1,7 @@
-"""Exact distances between pairs of points: straight, or through corners that the points see.
+"""Exact distances between pairs of points in the plane: straight, or through the first and the last turn.
 
 A shortest path that is not straight turns first at a corner that its start sees, and last at a corner that its end
-sees. So its length is the minimum over both lists of corners of two straight segments and the distance between the
-corners.
+sees. Its length is the minimum, over pairs of such corners, of two straight segments and the corners' distance.
 """
 
 import math
@@ -54,12 +53,10 @@ class _CornerLists:
 
 @dataclass(frozen=True, eq=False)
 class PairDistances:
-    """Exact distances between any two points of a workspace; results are cached but not pickled."""
-
     workspace: Workspace
     visibility: CornerVisibility
 
-    def __reduce__(self):
+    def __reduce__(self):  # without the cached properties
         return PairDistances, (self.workspace, self.visibility)
 
     @cached_property
@@ -72,13 +69,13 @@ class PairDistances:
 
     @cached_property
     def _graph(self) -> Graph:
-        """The graph of corners, with only the edges that a shortest path can pass in full: tangent at both ends."""
+        """The corners; an edge joins two if a shortest path can go straight between them and turn at both."""
         corners, edges = self.visibility.corners, self.visibility.edges
         start, end = edges.T
         return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
 
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, "corners"]]:
-        """Return distances from some corners to all corners; those from up to ``_at_once`` corners are cached."""
+        """Return the distances from each of some corners to all corners; those of up to ``_at_once`` are cached."""
         rows = self.__dict__.setdefault("_rows", {})
         if missing := [corner for corner in corners if corner not in rows]:
             if len(rows) + len(missing) > self._at_once:
@@ -92,8 +89,8 @@ class PairDistances:
         return max(1, _DISTANCES // max(1, len(self._graph.vertices)))
 
     @cached_property
-    def _regions(self) -> tuple[Int[np.ndarray, "runs_plus_one"], Int[np.ndarray, "entries"]]:
-        """Corners at which paths from each triangle may turn first; one more list, for vertices, has all corners."""
+    def _lists_of_triangles(self) -> tuple[Int[np.ndarray, "runs_plus_one"], Int[np.ndarray, "entries"]]:
+        """Lists of the corners at which paths may turn first: per triangle, and last all, for points at vertices."""
         triangulation, corners, views = self.workspace.triangulation, self.visibility.corners, self.visibility.views
         opens, closes = corners.walls
         visits = [triangles_within(triangulation, views, *cone) for cone in ((opens, -closes), (-opens, closes))]
@@ -128,7 +125,7 @@ class PairDistances:
         return distance
 
     def _distance(self, x: list[float], y: list[float]) -> float:
-        """Return the distance of one pair, to the bit as :meth:`_distances`; NaN if an end cannot be located."""
+        """Return what :meth:`_distances` returns, to the bit, for one pair; NaN if a point is in no triangle."""
         if y < x:
             x, y = y, x
         start, end = self.locator.place(*x), self.locator.place(*y)
@@ -141,7 +138,7 @@ class PairDistances:
         return math.sqrt(dx * dx + dy * dy) if is_visible else self._around(x, start, y, end)
 
     def _around(self, x: list[float], start: Place, y: list[float], end: Place) -> float:
-        """Return the length of the shortest path with turns between two points, given with their places."""
+        """Return the length of the shortest path with turns between two points, whose triangles are known."""
         (first, to_first), (last, to_last) = self._turns_at(x, start), self._turns_at(y, end)
         if not len(first) or not len(last):
             return math.inf
@@ -164,7 +161,7 @@ class PairDistances:
         return shortest
 
     def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some"]]:
-        corner = place.take(*self._regions)
+        corner = place.take(*self._lists_of_triangles)
         dx, dy = (self.visibility.corners.points[corner] - x).T
         return corner, np.sqrt(dx * dx + dy * dy)
 
@@ -183,8 +180,8 @@ class PairDistances:
         return _SLACK * float(self._landmarks[np.isfinite(self._landmarks)].max())
 
     def _by_corners(self, x: Points, y: Points) -> Distances:
-        """Return lengths of shortest paths with turns; the length of a good path limits which corners are tried."""
-        at_x, at_y = self._lists(x), self._lists(y)
+        # The length of a path through the most promising corners limits which corners are tried.
+        at_x, at_y = self._visible_corners(x), self._visible_corners(y)
         least_x, least_y = self._lower_bounds(at_x, y), self._lower_bounds(at_y, x)
         promising = least_x == _run_minima(least_x, at_x.first)[at_x.point]
         most = self._shortest(at_x.filter(promising), at_y) * (1 + _SLACK)
@@ -195,7 +192,7 @@ class PairDistances:
         return lists.distance + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
-        """Return, for each pair, the length of the shortest path through one corner of each of its two lists."""
+        """Return the length of each pair's shortest path through a corner of ``at_x`` and a corner of ``at_y``."""
         corners, row = np.unique(at_x.corner, return_inverse=True)
         length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):
@@ -210,11 +207,10 @@ class PairDistances:
                 length[entries] = _run_minima(onward, first)
         return _run_minima(at_x.distance + length, at_x.first)
 
-    def _lists(self, x: Points) -> _CornerLists:
-        """Return the corners that each point sees and at which a path from it may turn."""
+    def _visible_corners(self, x: Points) -> _CornerLists:
         _, index, number = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
         points = x[index]
-        (counts, runs), (begins, listed) = self._candidates(points), self._regions
+        (counts, runs), (begins, listed) = self._candidates(points), self._lists_of_triangles
         places = self.workspace.triangulation.place(points)
         point, corner = np.repeat(np.arange(len(points)), counts), listed[take_ragged(begins, runs)[0]]
         kept = self.visibility.corners.is_tangent_to(corner, places.x[point])
@@ -223,8 +219,8 @@ class PairDistances:
         return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(kept).take(number)
 
     def _candidates(self, x: Points) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
-        """Return how many corners may see each point, and the indices of the lists in ``_regions`` that hold them."""
-        begins, mesh = self._regions[0], self.workspace.triangulation
+        """Return the number of corners that may see each point, and which ``_lists_of_triangles`` hold them."""
+        begins, mesh = self._lists_of_triangles[0], self.workspace.triangulation
         held, first, triangle = triangles_at(mesh, mesh.place(x))
         num_runs, in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
         num_runs[held], in_triangle[held] = np.diff(first), True

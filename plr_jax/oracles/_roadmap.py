@@ -55,15 +55,6 @@ class Metric:
         return np.where(self.domain.periodic, around, self.weights * x)
 
 
-def metric_of(domain: Box, weights: ArrayLike | None) -> Metric:
-    if weights is None:
-        return Metric(domain, np.ones(domain.dim))
-    weights = as_finite_point("weights", weights, domain.dim)
-    if (weights <= 0).any():
-        raise ValueError(f"weights must be positive, one per axis, got {weights.tolist()}.")
-    return Metric(domain, weights)
-
-
 IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, "n"]]
 IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, "n"]]
 
@@ -81,7 +72,7 @@ def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
 
 
 def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
-    """Draw free configurations uniformly from the domain; also return an estimate of the weighted free volume."""
+    """Draw free configurations uniformly; also return the estimated volume of free space, in weighted units."""
     domain = metric.domain
     rng = np.random.default_rng(seed)
     batch = max(num_samples, 1000)
@@ -102,31 +93,19 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
 def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
     pairs = tree.query_pairs(radius, output_type="ndarray")
     visible = np.zeros(len(pairs), dtype=bool)
-    with tqdm(total=len(pairs), desc="Roadmap edges", unit="edge", delay=3, disable=None) as progress:
-        for i in range(0, len(pairs), _EDGES_A_STEP):
-            start, end = pairs[i : i + _EDGES_A_STEP].T
-            visible[i : i + _EDGES_A_STEP] = is_visible(vertices[start], vertices[end])
-            progress.update(len(start))
+    begins = range(0, len(pairs), _EDGES_A_STEP)
+    for i in tqdm(begins, "Roadmap edges", unit=" edges", unit_scale=_EDGES_A_STEP, delay=3, disable=None):
+        start, end = pairs[i : i + _EDGES_A_STEP].T
+        visible[i : i + _EDGES_A_STEP] = is_visible(vertices[start], vertices[end])
     return pairs[visible].astype(np.int32)
 
 
 def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
-    """Ask a user's test about configurations in the domain, wrapped, and check its answers; others are not free."""
+    """Ask the user's test about the configurations in the domain, and check the answers; others are not free."""
     inside = domain.contains(x)
     if inside.any():
         inside[inside] = as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
     return inside
-
-
-def checked_is_visible(
-    metric: Metric, is_free: IsFree, is_visible: IsVisible | None, resolution: float | None
-) -> IsVisible:
-    """Wrap the user's test of motions, checking its answers, or return a test that samples motions."""
-    if is_visible is None and resolution is not None:
-        return partial(_is_visible_sampled, metric, is_free, as_finite("resolution", resolution, positive=True))
-    if is_visible is None or resolution is not None:
-        raise ValueError("Give is_visible, an exact test of motions, or resolution, the step of a sampled test.")
-    return partial(_is_visible, metric.domain, is_visible)
 
 
 def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Bool[np.ndarray, "n"]:
@@ -160,25 +139,23 @@ class Roadmap:
 
     The vertices are free configurations, drawn uniformly, and the goal. Two vertices within the PRM* radius that see
     each other are joined by a straight edge (Karaman and Frazzoli, "Sampling-based algorithms for optimal motion
-    planning", IJRR 2011, section 3.3). A query joins a point to all vertices that it sees within the radius, and
-    takes the shortest path through one of them. A path of that length exists, so the answer is never below the true
-    distance, as far as the edge test can be trusted. It approaches the true distance as samples are added. Lengths
-    are Euclidean norms of differences times the ``weights``; edges go the short way around periodic axes.
+    planning", IJRR 2011, section 3.3). A query takes the shortest path through one of the vertices that the point
+    sees within the radius. If the edge test is right, the answer is never below the true distance; it approaches the
+    true distance as samples are added. Lengths are Euclidean norms of differences times the ``weights``; edges go the
+    short way around periodic axes.
 
     Args:
         domain: The box of configurations, or its corners ``(lo, hi)``. Outside it nothing is free. Along periodic
             axes, such as angles, points are wrapped into it.
-        is_free: Batched collision test, from configurations ``(n, dim)`` to booleans ``(n,)``. It is called with
-            points of the domain only, in batches of any size. Its answer for a point must not depend on the rest of
-            the batch.
+        is_free: Collision test, from configurations ``(n, dim)`` in the domain to booleans ``(n,)``, for any ``n``.
+            The answer for a point must not depend on the other points.
         goal: A free configuration, ``(dim,)``.
         num_samples: Number of free configurations to draw, at least 1.
         seed: Seed of the samples. With the same seed, more samples extend the sequence.
         is_visible: Exact test of straight motions, from free starts and ends ``(n, dim)`` to booleans ``(n,)``.
-            Around periodic axes a motion may leave the domain: its end is the image nearest to its start. Give either
-            this or ``resolution``.
-        resolution: Without an exact test: the largest step, in weighted units, between points of a straight motion
-            that are tested with ``is_free``. Thinner obstacles can be passed through.
+            Around periodic axes a motion may leave the domain: its end is the image nearest to its start.
+        resolution: Instead of ``is_visible``: the largest step, in weighted units, between points of a straight
+            motion that are tested with ``is_free``. Thinner obstacles can be passed through.
         weights: Weight of a unit along each axis, ``(dim,)``, positive, such as the length that one radian counts.
             None: 1 each.
 
@@ -216,8 +193,17 @@ class Roadmap:
         require_integer("num_samples", num_samples, 1)
         domain = Box.of(domain, "The domain")
         is_free = partial(_is_free, domain, is_free)  # unlike a closure, it can be pickled if the test can
-        metric = metric_of(domain, weights)
-        is_visible = checked_is_visible(metric, is_free, is_visible, resolution)
+        weights = np.ones(domain.dim) if weights is None else as_finite_point("weights", weights, domain.dim)
+        if (weights <= 0).any():
+            raise ValueError(f"weights must be positive, one per axis, got {weights.tolist()}.")
+        metric = Metric(domain, weights)
+        if (is_visible is None) == (resolution is None):
+            raise ValueError("Give is_visible, an exact test of motions, or resolution, the step of a sampled test.")
+        if is_visible is None:
+            step = as_finite("resolution", resolution, positive=True)
+            is_visible = partial(_is_visible_sampled, metric, is_free, step)
+        else:
+            is_visible = partial(_is_visible, domain, is_visible)
         goal = _free_goal(domain, is_free, goal)
         samples, free_volume = sample_free(metric, is_free, num_samples, seed)
         vertices = np.concatenate([goal[None], samples])
@@ -278,17 +264,16 @@ class Roadmap:
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the distance of each point ``(n, dim)`` to the goal along the roadmap, ``(n,)``, in weighted units.
 
-        A point without a free straight motion to a vertex within the radius tries 2, 4, ... times the radius. The
-        distance is ``inf`` for points outside the domain, with a NaN, or not free; for points that see no vertex; and
-        if no visible vertex is connected to the goal.
+        A point that sees no vertex within the radius tries 2, 4, ... times the radius. The distance is ``inf`` for
+        points that are not free, outside the domain or have a NaN, and if no visible vertex leads to the goal.
         """
         return self._first_vertices(self.domain.wrapped(as_points("x", self.domain.settled(x), self.domain.dim)))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
         """Return the path from a point ``(dim,)`` to the goal whose length a call returns, as vertices ``(m, dim)``.
 
-        They have no repetitions: one vertex if the point is the goal, none if the distance is ``inf``. Along periodic
-        axes they are wrapped, and the path goes the short way.
+        There is one vertex if the point is the goal, none if the distance is ``inf``. Along periodic axes, vertices
+        are wrapped into the domain, and the path goes the short way.
         """
         x = self.domain.wrapped(as_point("The start", self.domain.settled(x), self.domain.dim)[None])
         distance, first = self._first_vertices(x)
@@ -308,7 +293,7 @@ class Roadmap:
         return answer, first
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Return each point's distance through the best vertex seen between two radii, and that vertex or -1."""
+        """Return each point's distance through the best vertex seen between two radii, and this vertex (-1: none)."""
         places, vertices = self._metric.tree_coordinates(x), self.graph.vertices
         distances = np.append(self.distances, np.inf)
         count = self._tree.query_ball_point(places, outer, return_length=True)
@@ -316,23 +301,20 @@ class Roadmap:
         distance, first = np.empty(len(x)), np.empty(len(x), int)
         # The tree's bound is exclusive; if fewer vertices are near, the tree fills up with infinite distances.
         limit = np.nextafter(outer, np.inf)
-        with tqdm(
-            total=len(x), desc="Roadmap queries", unit=" points", delay=3, leave=False, disable=None
-        ) as progress:
-            for begin in range(0, len(x), step):
-                rows = slice(begin, begin + step)
-                some, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
-                length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
-                through = length + distances[vertex]
-                through[(length <= inner) | np.isinf(length)] = np.nan
-                way, shortest = first_visible(
-                    through,
-                    lambda point, way, x=some, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
-                    at_once=1,
-                )
-                vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)
-                distance[rows], first[rows] = shortest[:, 0], vertex[np.arange(len(vertex)), way[:, 0]]
-                progress.update(len(some))
+        begins = range(0, len(x), step)
+        for begin in tqdm(begins, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
+            rows = slice(begin, begin + step)
+            some, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
+            length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
+            through = length + distances[vertex]
+            through[(length <= inner) | np.isinf(length)] = np.nan
+            way, shortest = first_visible(
+                through,
+                lambda point, way, x=some, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
+                at_once=1,
+            )
+            vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)
+            distance[rows], first[rows] = shortest[:, 0], vertex[np.arange(len(vertex)), way[:, 0]]
         return distance, first
 
 

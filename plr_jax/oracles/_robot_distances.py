@@ -2,7 +2,6 @@
 
 import numpy as np
 import shapely
-import shapely.ops
 from jaxtyping import Float
 
 from plr_jax._problem import Problem
@@ -15,8 +14,8 @@ _SLACK = 4  # multiple of the tolerance by which robots are shrunk
 def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[VisibilityGraph]:
     """Return, for each robot, the exact distance to its goal among the obstacles, without the other robots.
 
-    It is a distance function of positions ``(n, 2)``, never above the robot's own shortest path, ``inf`` where its
-    center cannot be. Robots of equal size share the visibility of corners.
+    Each distance function takes positions ``(n, 2)``. Distances are at most the length of the robot's own shortest
+    path, and ``inf`` where the robot's center cannot be. Robots of equal size share the visibility of corners.
 
     Args:
         problem: The robots, their workspace and their goals.
@@ -39,9 +38,8 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
 
 
 def _snapped(goal: Float[np.ndarray, "2"], workspace: Workspace) -> Float[np.ndarray, "2"]:
-    """Move a goal that rounding left just outside free space into it, as for a robot that touches a wall."""
+    """Return the goal, moved to the nearest free point if it is outside free space by a rounding error only."""
     if workspace.is_free_to_tolerance(goal[None])[0]:
         return goal
-    nearest = shapely.get_coordinates(shapely.ops.nearest_points(workspace.free_space, shapely.Point(goal))[0])[0]
-    close = np.linalg.norm(nearest - goal) <= 1e3 * workspace.tolerance
-    return nearest if close else goal
+    nearest = shapely.get_coordinates(shapely.shortest_line(workspace.free_space, shapely.Point(goal)))[0]
+    return nearest if np.linalg.norm(nearest - goal) <= 1e3 * workspace.tolerance else goal

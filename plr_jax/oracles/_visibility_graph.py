@@ -26,7 +26,6 @@ from plr_jax.geometry.corners import (
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
 from plr_jax.geometry.single_points import FEW, Place, PointSight
-from plr_jax.geometry.triangulation import TriangleLists
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
@@ -46,8 +45,8 @@ class VisibilityGraph:
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, two finite numbers in closed free space, else ``ValueError``.
-        shared: For internal use: corners and what they see, shared by oracles of a workspace; None: computed.
-        goal_view: For internal use: what the goal sees, if it is known; the goal is then not checked.
+        shared: For internal use: corners and what they see; None: computed from the workspace.
+        goal_view: For internal use: what the goal sees; None: checked and computed from the goal.
 
     Attributes:
         distances: Distance of each vertex of ``graph`` to the goal, ``inf`` if it cannot be reached.
@@ -57,7 +56,6 @@ class VisibilityGraph:
     goal: Float[np.ndarray, "2"]
     distances: Float[np.ndarray, "vertices"]
     _parents: Int[np.ndarray, "vertices"]
-    _corners: CornerVisibility
     _goal_table: VisibilityTable
     _turns: TurnPoints
     _goal_edges: Int[np.ndarray, "edges 2"]
@@ -88,8 +86,7 @@ class VisibilityGraph:
         corner, place = np.setdiff1d(goal_view[1], [-1]), goal_view[0].points[0]
         corner = corner[corners.table.sees(corner, np.tile(place, (len(corner), 1)))]
         edges = np.stack([np.zeros_like(corner), 1 + corner], axis=1)
-        set_fields(self, workspace=workspace, goal=goal, _corners=corners, _pairs=shared)
-        set_fields(self, _goal_table=goal_view[0], _goal_edges=edges)
+        set_fields(self, workspace=workspace, goal=goal, _pairs=shared, _goal_table=goal_view[0], _goal_edges=edges)
         distances, parents = dijkstra(self.graph, 0)
         turns = find_turn_points(corners.corners.with_goal(place), distances, parents)
         set_fields(self, distances=distances, _parents=parents, _turns=turns)
@@ -118,7 +115,7 @@ class VisibilityGraph:
             workspace.use_triangulation(triangulation)
         view = viewpoints_at(workspace.triangulation, goal[None])
         old_view = self._goal_table, self._goal_edges[:, 1] - 1
-        corners, goal_view = changed_visibility(self._corners, old_view, view, workspace, change)
+        corners, goal_view = changed_visibility(self.family, old_view, view, workspace, change)
         return VisibilityGraph(workspace, goal, shared=PairDistances(workspace, corners), goal_view=goal_view)
 
     def __getstate__(self) -> dict[str, Any]:  # pickle without cached properties
@@ -131,8 +128,8 @@ class VisibilityGraph:
     @cached_property
     def graph(self) -> Graph:
         """Goal (vertex 0) and corners; edges join visible pairs if a shortest path can turn at one of the ends."""
-        edges = np.concatenate([self._goal_edges, 1 + self._corners.edges])
-        return Graph(np.concatenate([self.goal[None], self._corners.corners.points]), edges)
+        edges = np.concatenate([self._goal_edges, 1 + self.family.edges])
+        return Graph(np.concatenate([self.goal[None], self.family.corners.points]), edges)
 
     @cached_property
     def regions(self) -> TurnRegions:
@@ -144,20 +141,20 @@ class VisibilityGraph:
 
     @cached_property
     def sources(self) -> Sources:
-        """The goal and the corners, as numbered in ``graph``: shortest paths go straight to one of them first."""
+        """The goal and corners, as numbered in ``graph``: each shortest path first goes straight to one of them."""
         return _sources(self.graph, self.distances, self._parents)
 
     @cached_property
     def sight(self) -> Sight:
-        table = joined_tables([self._goal_table, self._corners.table])
+        table = joined_tables([self._goal_table, self.family.table])
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
-        """Return a box's free convex pieces, and the goal or corners to which paths from each may go first."""
+        """Return what :meth:`sources_of_boxes` returns for one box."""
         return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """Return boxes' free convex pieces, and the goal or corners to which paths from each may go first."""
+        """Return each box's free convex pieces, and for each piece the ``sources`` to which paths may go first."""
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
@@ -170,27 +167,30 @@ class VisibilityGraph:
 
     @property
     def family(self) -> CornerVisibility:
-        """The corners and what they see: the same object for oracles made of one another by :meth:`with_goal`."""
-        return self._corners
+        """The corners and what they see, one object that all oracles made by :meth:`with_goal` share."""
+        return self._pairs.visibility
 
     def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
-        """Return a sample of free space in each box, and the corners that it sees; these serve any goal."""
-        return FamilySamples.of(self._corners, self.workspace.triangulation, lo, hi)
+        """Return, for oracles of any goal, a free sample point in each box, and the corners that the point sees."""
+        return FamilySamples.of(self.family, self.workspace.triangulation, lo, hi)
 
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance, and the index in ``sources`` of the first vertex of its path; or inf, -1."""
+        """Return each sample's distance or ``inf``, and the index in ``sources`` of its path's first vertex or -1."""
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
     def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
-        """Return boxes' free convex pieces, and the corners that paths from each to any goal may turn at first."""
-        return FamilyCells.of(self._corners, self.workspace.triangulation, lo, hi)
+        """Return each box's free convex pieces, and for each piece the corners at which paths may turn first."""
+        return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
         self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices, near: Indices
     ) -> CellSources:
-        """Return the sources of cells for members of the family, see :func:`cells_of_goals`."""
+        """Return what :meth:`sources_of_boxes` returns, for ``box[i]`` of ``shared`` and ``members[member[i]]``.
+
+        ``near[i]`` is the index of a source near the first turn of paths from the box, or -1.
+        """
         goals = [FamilyGoal(each.sources, each._turns, each._goal_table) for each in members]
-        return cells_of_goals(shared, self._corners.corners, goals, box, member, near)
+        return cells_of_goals(shared, self.family.corners, goals, box, member, near)
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the length of the shortest path from each point ``(n, 2)`` to the goal, ``(n,)`` in workspace units.
@@ -208,9 +208,8 @@ class VisibilityGraph:
         """Return the length of the shortest path between points ``(n, 2)``, pair by pair, ``(n,)``, for any goal.
 
         Lengths are bitwise the same if ``x`` and ``y`` are swapped; ``inf`` without a path, or if a point is not free
-        or not finite. Distances between corners are computed when needed. Up to 16 million of them are cached for all
-        oracles that :meth:`with_goal` makes of one another. With more than 4,096 corners, ask for many pairs in one
-        call.
+        or not finite. Distances between corners are computed when needed; up to 16 million are cached, for all
+        oracles made by :meth:`with_goal`. With more than 4,096 corners, ask for many pairs in one call.
         """
         return self._pairs(self._points("x", x), self._points("y", y))
 
@@ -237,20 +236,18 @@ class VisibilityGraph:
         leg = np.where(np.isfinite(distance)[:, None], self.graph.vertices[turn] - x, np.nan)
         length = np.linalg.norm(leg, axis=1)
         # From a point at a corner, the path starts towards the next vertex.
-        while (here := (length <= self.workspace.tolerance) & (turn > 0) & np.isfinite(distance)).any():
+        while (here := (length <= self.workspace.tolerance) & (turn > 0)).any():
             turn[here] = self._parents[turn[here]]
             leg[here] = self.graph.vertices[turn[here]] - x[here]
             length[here] = np.linalg.norm(leg[here], axis=1)
         away = (length > self.workspace.tolerance)[:, None]
-        result = np.divide(leg, length[:, None], out=np.zeros_like(leg), where=away)
-        result[~np.isfinite(distance)] = np.nan
-        return result
+        return np.divide(leg, length[:, None], out=np.where(np.isnan(leg), np.nan, 0.0), where=away)
 
     def _points(self, name: str, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
         return as_points(name, self.workspace.bounds.settled(x), 2)
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Return each point's distance and the first graph vertex on its path: 0, the goal, if there is no turn."""
+        """Return each point's distance, and the vertex of ``graph`` to which its shortest path goes first."""
         if len(x) > FEW:
             return self._first_turns_of_batch(x)
         distance, turn = np.full(len(x), np.inf), np.full(len(x), -1)
@@ -262,7 +259,7 @@ class VisibilityGraph:
         return distance, turn
 
     def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
-        """Return one point's distance and first graph vertex, to the bit as :meth:`_first_turns_of_batch` does."""
+        """Return what :meth:`_first_turns_of_batch` returns, to the bit, for one point in a known place."""
         if self._goal_sight.sees(0, place):
             goal_x, goal_y = self.goal.tolist()
             dx, dy = x - goal_x, y - goal_y
@@ -280,7 +277,7 @@ class VisibilityGraph:
     def _first_turns_of_batch(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
-        mesh, sees = self.workspace.triangulation, self._corners.table.sees
+        mesh, sees = self.workspace.triangulation, self.family.table.sees
         # Test what the goal sees at rounded points, and again at the few points that are moved into free space.
         grid = mesh.on_grid(x[free])
         direct = self._goal_table.sees(np.zeros(len(free), int), grid)
@@ -296,34 +293,24 @@ class VisibilityGraph:
         return distance, turn
 
 
-@dataclass(frozen=True, eq=False)
-class NearestSources:
-    """The goals and corners that paths to the nearest of several goals of one workspace may go to first."""
-
-    graphs: tuple[VisibilityGraph, ...]
-
-    @cached_property
-    def _sight_and_lists(self) -> tuple[Sight, TriangleLists]:
-        """The sight of all goals (vertices ``0`` to ``count - 1``), then corners; what each triangle may see."""
-        first, count = self.graphs[0], len(self.graphs)
-        # Oracles that were not made of one another may number corners in different ways.
-        graphs = [each if each.family is first.family else first.with_goal(each.goal) for each in self.graphs]
-        corners, tables = first.family, [each._goal_table for each in graphs]
-        edges = [np.array([number, count - 1]) + each._goal_edges for number, each in enumerate(graphs)]
-        points = corners.corners.with_goal(*(each.goal for each in graphs)).points
-        graph = Graph(points, np.concatenate([*edges, count + corners.edges]))
-        distances, parents = dijkstra(graph, np.arange(count))
-        vertices = corners.corners.with_goal(*(table.points[0] for table in tables))
-        turns = find_turn_points(vertices, distances, parents, count)
-        table, triangulation = joined_tables([*tables, corners.table]), first.workspace.triangulation
-        _, first_equal, place = np.unique(points[:count], axis=0, return_index=True, return_inverse=True)
-        sources = replace(_sources(graph, distances, parents), goals=first_equal[place])
-        sight = goal_sight(sources, turns, table, triangulation, count)
-        return sight, lists_of_goal(_turn_regions(first, turns, count), count)
-
-    def cell_sources(self, domain: Box) -> CellSources:
-        """Return a box's free convex pieces, and the goals or corners that paths from each may go to first."""
-        return CellSources.of_boxes(*self._sight_and_lists, domain.lo[None], domain.hi[None])
+def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> CellSources:
+    """Return a box's free convex pieces, and for each piece the goals or corners to which paths may go first."""
+    first, count = graphs[0], len(graphs)
+    # Oracles that were not made of one another may number corners in different ways.
+    graphs = [each if each.family is first.family else first.with_goal(each.goal) for each in graphs]
+    corners, tables = first.family, [each._goal_table for each in graphs]
+    edges = [np.array([number, count - 1]) + each._goal_edges for number, each in enumerate(graphs)]
+    points = corners.corners.with_goal(*(each.goal for each in graphs)).points
+    graph = Graph(points, np.concatenate([*edges, count + corners.edges]))
+    distances, parents = dijkstra(graph, np.arange(count))
+    vertices = corners.corners.with_goal(*(table.points[0] for table in tables))
+    turns = find_turn_points(vertices, distances, parents, count)
+    table, triangulation = joined_tables([*tables, corners.table]), first.workspace.triangulation
+    _, first_equal, place = np.unique(points[:count], axis=0, return_index=True, return_inverse=True)
+    sources = replace(_sources(graph, distances, parents), goals=first_equal[place])
+    sight = goal_sight(sources, turns, table, triangulation, count)
+    lists = lists_of_goal(_turn_regions(first, turns, count), count)
+    return CellSources.of_boxes(sight, lists, domain.lo[None], domain.hi[None])
 
 
 def _turn_regions(oracle: VisibilityGraph, turns: TurnPoints, num_goals: int) -> TurnRegions:
@@ -382,13 +369,11 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     # 4. List all triangles once: old ones first, then new ones without an equal old one.
     size = np.int64(len(change.new.vertices))
     keys = []
-    for corners in (new.origin, change.vertex[old.origin]):
+    for corners in (change.vertex[old.origin], new.origin):
         a, b, c = np.sort(corners.reshape(-1, 3), axis=1).astype(np.int64).T
         keys.append(np.where(a < 0, -1, (a * size + b) * size + c))
-    same = index_of(*keys)  # the new triangle that equals each old one, or -1
-    kept, num_old = np.flatnonzero(same >= 0), len(same)
-    number = np.full(len(keys[0]), -1)
-    number[same[kept]] = kept
+    number, num_old = index_of(*keys), len(keys[0])  # the old triangle that equals each new one, or -1
+    is_gone = ~np.isin(np.arange(num_old), number)
     number[number < 0] = num_old + np.arange(np.count_nonzero(number < 0))
     triangles = np.concatenate([old.triangles, new.triangles[number >= num_old]])
     pairs_after = replace(pairs_after, triangle=number[pairs_after.triangle])
@@ -408,7 +393,7 @@ def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> Chang
     has_pairs = least <= most
     shift[has_pairs & ~(most - least <= rounding)] = np.nan
     shift[has_pairs & ~np.isnan(shift)] = least[has_pairs & ~np.isnan(shift)]
-    shift[:num_old][same < 0] = shift[num_old:] = np.nan
+    shift[:num_old][is_gone] = shift[num_old:] = np.nan
     shift[np.abs(shift) <= rounding] = 0.0
     was_cut_off = np.arange(len(triangles)) < num_old
     was_cut_off[pairs_before.triangle] = False

@@ -31,13 +31,12 @@ Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
 class PlanarArm:
     """Joint angles of an arm in a workspace; a motion costs its length in joint space, in radians.
 
-    The first angle is that of the first link to the x axis; each other angle is measured from the previous link.
-    Angles are counterclockwise and modulo a full turn. A configuration is free if all links avoid obstacles and the
-    outside of the bounds, up to ``workspace.tolerance``, and on request one another. Classification of boxes is
-    conservative, and tighter for smaller boxes. An argument out of its range raises ``ValueError``.
+    The first angle is measured from the x axis, each other angle from the previous link. Angles are counterclockwise
+    and modulo a full turn. A configuration is free if all links avoid obstacles and the outside of the bounds, up to
+    ``workspace.tolerance``, and on request one another. Classification of boxes is conservative, and tighter for
+    smaller boxes. An argument out of its range raises ``ValueError``.
 
     Args:
-        workspace: The Workspace.
         lengths: Lengths of the links, ``(joints,)``, in workspace units, positive; one joint per link.
         base: Position of the first joint, ``(2,)``, with a clearance of at least half the width.
         width: Width of the links, at least 0: a link covers all points within half of it of a segment.
@@ -125,18 +124,18 @@ class PlanarArm:
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
         for begin in range(0, len(center), _BOXES):
             part = slice(begin, begin + _BOXES)
-            state[part][self._sweeps_free(center[part], half[part])] = CellState.FREE
+            state[part][self._boxes_are_free(center[part], half[part])] = CellState.FREE
         rows = np.flatnonzero(state == CellState.MIXED)
         rows = rows[~self.is_free(center[rows])]
-        state[rows[self._is_blocked(center[rows], half[rows])]] = CellState.BLOCKED
+        state[rows[self._boxes_are_blocked(center[rows], half[rows])]] = CellState.BLOCKED
         return state
 
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
-        """Bisect motions until each interval is proven free; False where the middle of an interval is not free."""
+        """Bisect motions until each part is proven free; False if the middle of a part is not free."""
         free = np.ones(len(q0), dtype=bool)
         owner, center, half = np.arange(len(q0)), q0 + change / 2, change / 2
         for _ in range(_MOST_BISECTIONS):
-            unsure = ~self._sweeps_free(center, np.abs(half))
+            unsure = ~self._boxes_are_free(center, np.abs(half))
             owner, center, half = owner[unsure], center[unsure], half[unsure]
             free[owner[~self.is_free(center)]] = False
             left = free[owner]
@@ -145,8 +144,7 @@ class PlanarArm:
         free[owner] = False
         return free
 
-    def _sweeps_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
-        """Return whether the arm is certainly free at all angles of each box."""
+    def _boxes_are_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
         ends, reaches = self.forward(center), half @ self._max_reach
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
@@ -163,8 +161,7 @@ class PlanarArm:
                 free[rows] = ~near_walls(self.workspace, hulls, self.width / 2 - self.workspace.tolerance / 2)
         return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
-    def _is_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
-        """Return whether the arm certainly hits obstacles, the outside or itself at all angles of each box."""
+    def _boxes_are_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
         ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
         hit = np.zeros(len(center), dtype=bool)
         for i in range(self.dof):
@@ -180,13 +177,13 @@ class PlanarArm:
 
     @cached_property
     def _max_reach(self) -> Float[np.ndarray, "joints joints_plus_one"]:
-        """Largest distance from each joint to the base and the links' ends; 0 if the joint does not move them."""
+        """Largest distance from each joint to the base and the end of each link; 0 if the joint does not move it."""
         along = np.append(0.0, np.cumsum(self.lengths))
         return np.maximum(0.0, along - along[:-1, None])
 
     @cached_property
     def _link_pairs(self) -> list[tuple[int, int]]:
-        """Indices of links that must not overlap one another: none, or all that are not neighbors."""
+        """Pairs of links, by index, that must not overlap: none, or all pairs of links that are not neighbors."""
         return [(i, k) for i, k in combinations(range(self.dof), 2) if k > i + 1 and self.self_collision]
 
     def _link_distances(self, ends: Ends) -> Float[np.ndarray, "n pairs"]:
@@ -194,6 +191,6 @@ class PlanarArm:
         return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
     def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
-        """Bound, for each pair of links, how far one moves relative to the other within boxes of angles."""
+        """Bound how far one link of each pair moves relative to the other within boxes of joint angles."""
         moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]
         return np.reshape(moves, (len(self._link_pairs), len(half))).T

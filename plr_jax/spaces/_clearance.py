@@ -30,12 +30,13 @@ class ClearanceSpace:
 
     Within a box, the clearance differs from the one at the center by at most the sum over axes of ``lipschitz`` times
     the half width. So one evaluation can prove a box free or blocked. Proofs hold only if the constants are right. If
-    clearances contradict them, an error names constants that would fit; the absence of an error proves nothing.
+    clearances contradict the constants, an error names constants that would fit.
 
     Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
     joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
-    largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of the answers' precision
-    are allowed for; lower a clearance that has larger errors by these. Invalid arguments raise ``ValueError``.
+    largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of the precision, float32
+    or float64, that ``clearance`` returns are allowed for. If it has larger errors, subtract their bound from its
+    answers. Invalid arguments raise ``ValueError``.
 
     Args:
         domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
@@ -95,9 +96,8 @@ class ClearanceSpace:
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Return whether straight motions are proven free all the way; periodic axes take the short way.
 
-        A motion is not proven free if its clearance drops below about a thousandth of the change that the constants
-        allow along it, as when it slides along an obstacle. Clearances that contradict ``lipschitz`` raise
-        ``ValueError``.
+        A motion along which the constants ``lipschitz`` allow the clearance to change by ``c`` is proven free only if
+        the clearance stays above about ``c / 1000``. Clearances that contradict ``lipschitz`` raise ``ValueError``.
         """
         q0, q1 = as_motions(q0, q1, self.domain.dim)
         free = self.domain.contains(q0) & self.domain.contains(q1)
@@ -136,7 +136,7 @@ class ClearanceSpace:
         return np.where(clearance + reach < -rounding, CellState.BLOCKED, state).astype(np.int8)
 
     def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, "n"]:
-        """Bisect motions until each interval is proven free; False if one is blocked or too short to be proven."""
+        """Bisect motions until each part is proven free; False if a part is blocked, or still unproven when short."""
         before, after = self._clearances(q0), self._clearances(q0 + change)
         self._require_consistent(q0, before, q0 + change, after)
         free = (before >= 0) & (after >= 0)
@@ -194,12 +194,11 @@ class ClearanceSpace:
             raise ValueError(
                 f"lipschitz must bound how fast the clearance changes, but the clearance is {got}: they differ by "
                 f"{difference[i]:.6g}, where {format_numbers(self.lipschitz)} allows {allowed[i]:.6g}. "
-                + _least_constants(self.lipschitz, change[i], difference[i])
+                + _advice(self.lipschitz, change[i], difference[i])
             )
 
 
-def _least_constants(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
-    """Return advice: which Lipschitz constants allow a difference of clearances over a change of configuration."""
+def _advice(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "No constant explains it: the clearance must be a function of the configuration."

@@ -19,7 +19,7 @@ Rates: TypeAlias = Float[np.ndarray, "n"]
 
 
 def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
-    """Raise ``ValueError`` with the first row of ``got`` and ``at`` that is not ``fine``, if there is one."""
+    """Raise ``ValueError`` if some rows are not ``fine``, with the first bad row of ``got`` and ``at``."""
     if not fine.all():
         i = int(fine.argmin())
         what = " and ".join(str(column[i].tolist()) for column in got)
@@ -27,8 +27,8 @@ def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], 
         raise ValueError(f"{expected}, got {what} {where}.")
 
 
-# Pulls are used over a box only if they say more than the bounds of the cost map: ``least`` must exceed this share of
-# ``most``, and subtracting the longest pull from ``least`` must leave at least this margin of ``most``.
+# A box has pulls only if they say more than the bounds of the cost map: ``least`` must exceed this share of ``most``,
+# and the cost that pulls save must be below ``least`` by more than this share of ``most``.
 _LEAST_SHARE, _LEAST_MARGIN = 0.25, 0.02
 
 
@@ -36,16 +36,16 @@ _LEAST_SHARE, _LEAST_MARGIN = 0.25, 0.02
 class CostMap(Protocol):
     """A positive factor of the motion cost at each configuration, with bounds over boxes.
 
-    A motion at ``q`` costs ``cost_map(q)`` times the space's ``motion_cost``. If that is a length, the factor is a
-    cost per unit of length. For travel times, use the reciprocal of the speed.
+    A motion at ``q`` costs ``cost_map(q)`` times the space's ``motion_cost``. If the motion cost is a length, the
+    factor is a cost per unit of length. For travel times, use the reciprocal of the speed.
     """
 
     def __call__(self, q: ArrayLike, /) -> Rates:
-        """Return the factor, ``(n,)``, at configurations ``(n, dof)``."""
+        """Return the factor of the motion cost, ``(n,)``, at configurations ``(n, dof)``."""
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return positive lower and finite upper bounds of the factor over boxes; these may cross periodic axes."""
+        """Return positive lower and finite upper bounds of the factor over boxes, also of boxes across a period."""
         ...
 
 
@@ -53,7 +53,8 @@ class CostMap(Protocol):
 class DirectionalCost(CostMap, Protocol):
     """A cost of motions that depends on their direction, such as going uphill or against the wind.
 
-    A motion ``dq`` at ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive in every direction. As a
+    A motion ``dq`` at ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive in every direction. Over a box,
+    :meth:`pulls` returns vectors ``a`` and ``b``, and bounds of the rest of the cost per unit of length. As a
     :class:`CostMap`, it returns the cost per unit of length in the most expensive direction; its lower bound holds in
     the cheapest direction. It needs a space whose ``motion_cost`` is the Euclidean length over all axes.
 
@@ -74,17 +75,16 @@ class DirectionalCost(CostMap, Protocol):
                     return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
         In a steady current ``w``, a vehicle of speed 1 needs the time ``(sqrt((w . v)^2 + a |v|^2) - w . v) / a`` for
-        a motion ``v``, where ``a = 1 - |w|^2`` (Zermelo). The root lies between ``sqrt(a) |v|`` and ``|v|``. So both
-        pulls are ``-w / a``, ``least`` is ``1 / sqrt(a)`` and ``most`` is ``1 / a``.
+        a motion ``v``, where ``a = 1 - |w|^2`` (Zermelo). The root lies between ``sqrt(a) |v|`` and ``|v|``. So
+        ``pulls`` returns ``-w / a`` twice, ``1 / sqrt(a)`` and ``1 / a``, each for every box.
     """
 
     def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
         """Return, for each box, vectors ``a`` and ``b``, ``(n, dof)``, and numbers ``least`` and ``most``, ``(n,)``.
 
         Every motion ``dq`` in the box costs ``max(a . dq, b . dq)`` plus between ``least`` and ``most`` times
-        ``|dq|``. Where costs vary too much, the bounds of the cost map are used instead: where ``least`` is at most a
-        quarter of ``most``, or exceeds the norm of the shortest vector on the segment from ``a`` to ``b`` by at most
-        2 % of ``most``.
+        ``|dq|``. :meth:`bounds` are used instead over a box if ``least <= most / 4`` or ``least - d <= most / 50``,
+        where ``d`` is the distance of the origin from the segment between ``a`` and ``b``.
         """
         ...
 
@@ -93,12 +93,12 @@ class DirectionalCost(CostMap, Protocol):
 class LipschitzCost:
     """A cost map from a function with a known Lipschitz constant.
 
-    Proven results hold only if the constant is right. Answers may be rounded, for example to the float32 of JAX; an
-    error of 16 units in the last place is allowed for. The reciprocal of a speed that is at least ``v`` and has
+    Proven results hold only if the constant is right. Rounding errors of up to 16 units in the last place of the
+    answers, in float32 or float64, are allowed for. The reciprocal of a speed that is at least ``v`` and has
     Lipschitz constant ``c`` has the Lipschitz constant ``c / v**2``.
 
     Args:
-        cost_fn: The factor at configurations ``(n, dof)``, positive; a cost per unit of length.
+        cost_fn: Function from configurations ``(n, dof)`` to the positive factor of the motion cost, ``(n,)``.
         lipschitz: Largest change of the factor per unit of Euclidean distance between configurations, at least 0.
         least: Positive lower bound of the factor everywhere, for boxes so large that the constant says nothing.
     """
@@ -114,11 +114,11 @@ class LipschitzCost:
         set_fields(self, lipschitz=lipschitz, least=least)
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor, ``(n,)``; ``ValueError`` if it is not finite, or more than rounding below ``least``."""
+        """Return the factor of the motion cost, ``(n,)``; ``ValueError`` if it is below ``least`` or not finite."""
         return self._factors(np.asarray(q, np.float64))[0]
 
     def _factors(self, q: Vectors) -> tuple[Rates, float]:
-        """Return the factors, and the relative rounding error of the function's answers."""
+        """Return the factors of the motion cost, and the relative rounding error of ``cost_fn``."""
         answer = self.cost_fn(q)
         factor, rounding = as_values("cost_fn", answer, len(q)), _ROUNDING * precision_of(answer)
         expected = f"cost_fn must return finite numbers of at least {self.least:g}"
@@ -126,7 +126,7 @@ class LipschitzCost:
         return np.maximum(factor, self.least), rounding
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
-        """Return lower and upper bounds of the factor over boxes, from its values at their centers."""
+        """Return lower and upper bounds of the factor of the motion cost over boxes, from its values at centers."""
         middle, rounding = self._factors((lo + hi) / 2)
         # Largest distance of a point of the box from its rounded center.
         radius = np.linalg.norm((hi - lo) / 2, axis=1) + rounding * np.linalg.norm((lo + hi) / 2, axis=1)
@@ -135,10 +135,10 @@ class LipschitzCost:
 
 
 def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Pulls | None]:
-    """Return lower and upper bounds of the cost factor over boxes, and *pulls*, ``(2, n, dof)``, or None.
+    """Return lower and upper bounds of the cost factor over boxes, and for a ``DirectionalCost`` *pulls*, else None.
 
     A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of
-    ``dq`` with one of the box's two pulls, if any. An invalid answer of the cost map raises ``ValueError``.
+    ``dq`` with two vectors per box, the pulls, ``(2, n, dof)``.
     """
     bounds = cost_map.bounds(lo, hi)
     if not isinstance(bounds, Sequence | np.ndarray) or len(bounds) != 2:
@@ -156,10 +156,10 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
         raise ValueError(f"A DirectionalCost's pulls must be {expected}, got {shortened(pulls)}.")
     expected = f"finite vectors of shape {lo.shape}"
     first, second = (as_numbers("Each of a DirectionalCost's pulls", vectors, expected) for vectors in pulls[:2])
-    least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])
     for vectors in (first, second):
         if vectors.shape != lo.shape or not np.isfinite(vectors).all():
             raise ValueError(f"Each of a DirectionalCost's pulls must be {expected}, got {shortened(vectors)}.")
+    least, most = (as_values("Each bound of a DirectionalCost's pulls", numbers, len(lo)) for numbers in pulls[2:])
     expected = "Bounds of a DirectionalCost's pulls must be finite with least nowhere above most"
     _require((least <= most) & np.isfinite(least) & np.isfinite(most), expected, [least, most], [lo, hi])
     # The pulls save at most this cost per unit of length: the distance from 0 to the segment between both vectors.
@@ -173,7 +173,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
 
 
 def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the cost factor at configurations and, for a ``DirectionalCost``, pulls as :func:`cost_bounds`."""
+    """Return the factor of the motion cost at configurations, and the two vectors of :func:`cost_bounds`, or None."""
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
         return (lower + upper) / 2, pulls
@@ -184,11 +184,11 @@ def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rate
 
 
 def motion_rates(motion: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
-    """Return the costs of motions ``change``, with the cost at ``q`` along each whole motion."""
+    """Return the costs of motions from ``q`` to ``q + change``, as if costs were everywhere as at ``q``."""
     factors, pulls = point_costs(motion, cost_map, q)
     return factors * motion.norm(change) + pulled(pulls, change)
 
 
 def pulled(pulls: Pulls | None, change: Vectors) -> Rates | float:
-    """Return the largest scalar product of each motion with one of its two pulls; 0 without pulls."""
+    """Return the cost that its direction adds to each motion: its larger scalar product with two vectors, or 0."""
     return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)

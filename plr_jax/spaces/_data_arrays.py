@@ -1,4 +1,4 @@
-"""Rasters of xarray: a ``DataArray`` of two dimensions, y and x, with coordinates of the centers of its cells."""
+"""Readers of xarray's ``DataArray`` as a raster: two dimensions, y and x, with coordinates of the cell centers."""
 
 import warnings
 from typing import Any
@@ -20,7 +20,7 @@ def is_data_array(raster: Any) -> bool:
 
 
 def raster_values(name: str, raster: Any) -> Float[np.ndarray, "..."]:
-    """Return a raster as 64-bit floats, ``inf`` where it is masked, NaN or no data."""
+    """Return a raster as float64, with ``inf`` for cells that are masked, NaN or without data."""
     values = np.array(as_numbers(name, with_inf_for_masked(raster), "a raster of numbers"))
     if is_data_array(raster):
         for key in NO_DATA:
@@ -30,7 +30,7 @@ def raster_values(name: str, raster: Any) -> Float[np.ndarray, "..."]:
 
 
 def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
-    """Return the box that the cells fill, and slices that put the cells with the lowest coordinates first."""
+    """Return the box that the cells fill, and slices that order the cells by ascending coordinates."""
     if len(raster.dims) != 2:
         raise ValueError(f'{name} must have the dimensions y and x, got {raster.dims}: use squeeze("band") for one.')
     if str(raster.dims[0]).lower() in _X_NAMES or str(raster.dims[1]).lower() in _Y_NAMES:
@@ -60,6 +60,5 @@ def data_array_box(name: str, raster: Any) -> tuple[Box, tuple[slice, slice]]:
 
 
 def _is_geographic(attributes: dict[str, Any]) -> bool:
-    """Return whether a coordinate reference system, stored by the CF conventions, has longitudes and latitudes."""
-    name, text = (str(attributes.get(key, "")) for key in ("grid_mapping_name", "crs_wkt"))
+    name, text = (str(attributes.get(key, "")) for key in ("grid_mapping_name", "crs_wkt"))  # the CF conventions
     return name == "latitude_longitude" or text.startswith("GEOG")

@@ -1,4 +1,4 @@
-"""The configuration space of a point or disc in the plane, and geometry that spaces in the plane share."""
+"""The configuration space of a point or disc in the plane, and tests against walls for other robots there."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -23,7 +23,7 @@ Booleans: TypeAlias = Bool[np.ndarray, "n"]
 
 
 def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "n"]) -> Booleans:
-    """Return whether each point's clearance (signed distance to obstacles and bounds) is at most its radius."""
+    """Return whether the clearance of each point, its signed distance to walls, is at most the point's radius."""
     # Most points are free with a negative radius: these need no distance.
     within = ~shapely.intersects_xy(workspace.free_space, *x.T) | (radius > 0)
     within[within] = workspace.clearance(x[within]) <= radius[within]
@@ -31,7 +31,7 @@ def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "
 
 
 def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Booleans:
-    """Return whether each segment certainly crosses a wall, however far its ends move, up to ``reaches``."""
+    """Return whether each segment surely crosses a wall even if each of its ends moves by up to its reach."""
     # Sufficient: ends stay on opposite sides of the wall's line, and the wall's ends are farther from the segment
     # than any point moves. The second end moves at least as far as the first.
     boundary = workspace.boundary
@@ -48,20 +48,16 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
 
 
 def segment_distances(a: Links, b: Links) -> Float[np.ndarray, "n"]:
-    """Return the distance of each segment of ``a`` from the one of ``b`` in the same row; 0 where they cross."""
-    of_a, of_b = a[:, 1] - a[:, 0], b[:, 1] - b[:, 0]
-    pairs = [(a, of_a, b[:, 0]), (a, of_a, b[:, 1]), (b, of_b, a[:, 0]), (b, of_b, a[:, 1])]
-    distances = [distance_to_segment(*(segment[:, 0] - end).T, *change.T) for segment, change, end in pairs]
-    crosses = _are_on_two_sides(a, of_a, b) & _are_on_two_sides(b, of_b, a)
+    distances, crosses = [], np.ones(len(a), dtype=bool)
+    for segments, others in ((a, b), (b, a)):
+        along, from_ends = segments[:, 1] - segments[:, 0], segments[:, :1] - others
+        distances += [distance_to_segment(*from_end.T, *along.T) for from_end in from_ends.transpose(1, 0, 2)]
+        crosses &= cross_product(along[:, None], from_ends).prod(axis=1) < 0  # the ends are on opposite sides
     return np.where(crosses, 0.0, np.min(distances, axis=0))
 
 
-def _are_on_two_sides(segments: Links, change: Positions, others: Links) -> Booleans:
-    return cross_product(change[:, None], others - segments[:, :1]).prod(axis=1) < 0
-
-
 def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
-    """Return whether Shapely shapes come within a distance of walls; for distance 0, whether they touch walls."""
+    """Return whether Shapely shapes are at most a distance from walls; for distance 0, whether they touch walls."""
     if distance > 0:
         return shapely.dwithin(workspace.walls, shapes, distance)
     near = np.zeros(len(shapes), dtype=bool)
@@ -69,14 +65,12 @@ def near_walls(workspace: Workspace, shapes: Any, distance: float) -> Booleans:
     return near
 
 
-# Share of the tolerance: free space thinner than this is a rounding error, since walls that close touch
+# Share of the tolerance: walls closer to one another than this touch, so free space between them is a rounding error
 _SLIVER = 0.01
 
 
 @dataclass(frozen=True)
 class BodySpace:
-    """The base class of configuration spaces of one robot in a workspace."""
-
     workspace: Workspace
     robot: Robot
 
@@ -106,8 +100,8 @@ class PlaneSpace(BodySpace):
 
     The robot is a PointRobot, the default, or a DiscRobot; another robot, or one that fits nowhere, raises
     ``ValueError``. A position is free if the robot overlaps neither obstacles nor the outside of the bounds, up to
-    ``workspace.tolerance``. Boxes are classified exactly, but for a disc near corners, blocked boxes within 0.5 % of
-    its radius of free space may be MIXED.
+    ``workspace.tolerance``. The state of boxes is exact for a point. For a disc, a blocked box near a corner may be
+    MIXED if its distance to free positions is below 0.5 % of the disc's radius.
     """
 
     robot: Robot = field(default_factory=PointRobot)
@@ -126,14 +120,13 @@ class PlaneSpace(BodySpace):
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Length of a motion."""
         return MotionCost((((0, 1), 1.0),))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
         """Tell whether boxes of positions are FREE, BLOCKED or MIXED; see :class:`CellState`.
 
-        A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED, since walls that
-        close touch. A box that touches a point where obstacles touch is not FREE, since no path passes there.
+        A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED. A box that touches a
+        point where obstacles touch is not FREE, since no path passes between these obstacles.
         """
         center, half = as_boxes(lo, hi, 2)
         # Shrink by half the tolerance: then a box that is nowhere nearer than the radius is free up to the tolerance.
@@ -173,7 +166,7 @@ class PlaneSpace(BodySpace):
         return sees & ~self._touch_contacts(shapely.points(q))
 
     def _touch_contacts(self, shapes: Any) -> Booleans:
-        """Return whether shapes touch points where obstacles touch and the robot may not pass between them."""
+        """Return whether shapes touch a point where obstacles touch and the robot may not pass between them."""
         touch = np.zeros(len(shapes), dtype=bool)
         if self.robot.circumscribed_radius == 0 and not self.workspace.squeeze:
             touch[self._contacts.query(shapes, predicate="dwithin", distance=self.workspace.tolerance)[0]] = True

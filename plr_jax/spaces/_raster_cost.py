@@ -1,7 +1,4 @@
-"""Cost maps given as rasters, also from ROS: one cost factor per cell.
-
-Bounds of the factor over boxes come from a sparse table of the smallest and largest factors of blocks of cells.
-"""
+"""Cost maps given as rasters, also from ROS: one factor of the motion cost per cell."""
 
 from dataclasses import dataclass
 from functools import cached_property, reduce
@@ -54,19 +51,18 @@ Entries = Int[np.ndarray, "n rank"]
 
 @dataclass(frozen=True, eq=False, init=False)
 class RasterCost:
-    """A cost map with one factor per cell of a raster, of one to four axes.
+    """A cost map with one factor of the motion cost per cell of a raster, of one to four axes.
 
-    The factor multiplies a motion's cost: where that is a length, the factor is a cost per unit of length, not a
-    speed. ``values[row, column]`` belongs to ``(x, y)`` with ``x`` in that column and ``y`` in that row; row 0 has
-    the lowest ``y``. In general the **last** array axis runs along the first coordinate, as in :class:`GridField`.
-    Pass ``values[::-1]`` for a picture, whose row 0 is at the top, and ``values.T`` for a table indexed ``[x, y,
-    ...]``.
+    Where the motion cost is a length, the factor is a cost per unit of length, not a speed. ``values[row, column]``
+    belongs to ``(x, y)`` with ``x`` in that column and ``y`` in that row; row 0 has the lowest ``y``. In general the
+    **last** array axis runs along the first coordinate, as in :class:`GridField`. Pass ``values[::-1]`` for a
+    picture, whose row 0 is at the top, and ``values.T`` for a table indexed ``[x, y, ...]``.
 
-    The cost map does not keep paths out of blocked cells; a space such as :meth:`space` does. In a blocked cell, the
-    factor is copied from the nearest unblocked cell, so that interpolation next to it stays finite. Outside the
-    bounds, the factor is taken from the nearest point inside; along periodic axes the raster repeats. If
-    configurations have more coordinates than the raster has axes, only the leading ones select the factor; it applies
-    to turns as well. Invalid arguments raise ``ValueError``.
+    The cost map does not keep paths out of blocked cells; a space such as :meth:`space` does. A blocked cell has the
+    factor of the nearest unblocked cell, so that interpolation beside it stays finite. Outside the bounds, the factor
+    is that of the nearest point inside; along periodic axes the raster repeats. If configurations have more
+    coordinates than the raster has axes, the leading ones select the factor, which applies to turns as well. Invalid
+    arguments raise ``ValueError``.
 
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where the cell is
@@ -75,8 +71,8 @@ class RasterCost:
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: outer cell borders, not cell centers. Leave
             it out for a ``DataArray``, whose coordinates count.
         interpolation: ``"bilinear"`` interpolates multilinearly between cell centers and is constant in the outer
-            half of border cells. ``"nearest"`` is constant in each cell; on a border the upper cell counts. Its
-            bounds are wider, because a box that touches a border counts the cells on both sides.
+            half of border cells. ``"nearest"`` is constant in each cell; on a border the upper cell counts, but
+            bounds count the cells on both sides.
     """
 
     values: Float[np.ndarray, "..."]
@@ -229,7 +225,7 @@ class RasterCost:
         return VoxelSpace(self.free.T, self.domain, radius)
 
     def __call__(self, q: ArrayLike) -> Rates:
-        """Return the factor, ``(n,)``, at configurations; NaN where it depends on a coordinate that is not finite."""
+        """Return the factor of the motion cost, ``(n,)``; NaN where one of the leading coordinates is not finite."""
         q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
         known = np.flatnonzero(np.isfinite(q).all(axis=1))
@@ -241,7 +237,7 @@ class RasterCost:
         return factors
 
     def bounds(self, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates]:
-        """Return lower and upper bounds of the factor over closed boxes, which may extend beyond the raster.
+        """Return bounds of the factor of the motion cost over closed boxes, which may extend beyond the raster.
 
         With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, they
         are exact if the box meets at most three intervals between cell centers along each axis; over larger boxes
@@ -259,20 +255,17 @@ class RasterCost:
         least[is_large], most[is_large] = self._table.extremes(*ends)
         for count in range(1, _MAX_PATCHES + 1):
             few = np.flatnonzero(~is_large & (patches == count))
-            step = max(1, _POINTS_PER_BATCH // (count + 1) ** self.dim)
+            corners = np.array(list(product(range(count + 1), repeat=self.dim)))
+            step = max(1, _POINTS_PER_BATCH // len(corners))
             for begin in range(0, len(few), step):
                 part = few[begin : begin + step]
-                # The factor is multilinear on each piece, so its extremes are at corners of pieces.
-                factors = self._patch_corner_factors(first[part], last[part], count)
+                # The factor is multilinear between lines of cell centers, so its extremes over a box are at corners
+                # of the pieces into which these lines cut the box.
+                lines = np.floor(first[part, None]) + np.arange(count + 1)[:, None]
+                coords = np.clip(lines, first[part, None], last[part, None])[:, corners, np.arange(self.dim)]
+                factors = self._interpolated(coords.reshape(-1, self.dim)).reshape(coords.shape[:2])
                 least[part], most[part] = factors.min(axis=1), factors.max(axis=1)
         return (1 - _FACTOR_ROUNDING) * least, (1 + _FACTOR_ROUNDING) * most
-
-    def _patch_corner_factors(self, first: Vectors, last: Vectors, count: int) -> Float[np.ndarray, "n breaks"]:
-        """Return the factor at all corners of the parts into which cell centers cut each box."""
-        lines = np.clip(np.floor(first)[:, None] + np.arange(count + 1)[:, None], first[:, None], last[:, None])
-        which = np.array(list(product(range(count + 1), repeat=self.dim)))
-        coords = lines[:, which, np.arange(self.dim)]
-        return self._interpolated(coords.reshape(-1, self.dim)).reshape(coords.shape[:2])
 
     def _interpolated(self, coords: Vectors) -> Rates:
         below = np.floor(coords).astype(np.intp)
@@ -296,7 +289,7 @@ class RasterCost:
         return points[:, : self.dim]
 
     def _cell_coordinates(self, q: Vectors) -> Vectors:
-        """Convert configurations to units of cells, from the first cell's center (``"nearest"``: from its border)."""
+        """Convert configurations to units of cells; whole numbers are cell centers, or borders for ``"nearest"``."""
         coords = (q - self.domain.lo) / self.domain.width * self._sizes
         return coords if self.interpolation == "nearest" else coords - 0.5
 
@@ -304,7 +297,7 @@ class RasterCost:
         return np.clip(coords, 0, self._sizes - 1)
 
     def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
-        """Convert boxes to units of cells, enlarge them by rounding errors, and move them to the first period."""
+        """Convert boxes to units of cells, enlarged by rounding errors, and shifted to begin in the first period."""
         first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
         reach = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
         first, last = first - reach, last + reach
@@ -321,7 +314,7 @@ class RasterCost:
 
     @property
     def _sides(self) -> Float[np.ndarray, "dim"]:
-        """Side lengths of a cell, in the order of the array's axes."""
+        """Side lengths of a cell along each axis of ``values``."""
         return (self.domain.width / self._sizes)[::-1]
 
     def _three_periods(self, cells: Bool[np.ndarray, "..."]) -> tuple[Bool[np.ndarray, "..."], tuple[slice, ...]]:
@@ -333,7 +326,7 @@ class RasterCost:
 
     @cached_property
     def _filled_factors(self) -> Float[np.ndarray, "..."]:
-        """Factors indexed in the order of coordinates; blocked cells copy the nearest unblocked cell."""
+        """Cost factors, indexed by x first, in which blocked cells have the factor of the nearest unblocked cell."""
         factors = self.values
         if not self.free.all():
             around, middle = self._three_periods(~self.free)
@@ -364,17 +357,16 @@ def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
 
 @dataclass(frozen=True, eq=False)
 class SparseTable:
-    """Extremes of an array's windows, to look up the smallest and largest entry of any block.
+    """A table to look up the smallest and largest entry of any block of an array.
 
-    For every position and power of two, it stores the extremes of the window of that side that begins there (at most
-    a whole axis), as float32 rounded outward. Two windows per axis cover a block about as wide along every axis; an
-    elongated block needs more. See Bender and Farach-Colton, "The LCA problem revisited", 2000.
+    For every position and power of two, the table stores the extremes of the window of this side that begins at the
+    position, as float32 rounded outward: Bender and Farach-Colton, "The LCA problem revisited", 2000.
     """
 
     values: Raster
 
     def extremes(self, first: Entries, last: Entries) -> Extremes:
-        """Return the smallest and largest entries of blocks, given by first and last indices, rounded outward."""
+        """Return the smallest and largest entry of each block, from its first to its last index, rounded outward."""
         least, most = np.empty(len(first)), np.empty(len(first))
         sides = np.array([side for side, _, _ in self._levels])
         level = np.count_nonzero((last - first + 1 >= sides[1:, None]).all(axis=2), axis=0)
@@ -387,7 +379,7 @@ class SparseTable:
         return least, most
 
     def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
-        """Return the smallest and largest entries of blocks covered by ``counts`` windows of one level per axis."""
+        """Return each block's extremes, from windows of the size of a level, ``counts`` of them along each axis."""
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, rest = ragged_indices(totals)
@@ -401,7 +393,7 @@ class SparseTable:
 
     @cached_property
     def _levels(self) -> list[tuple[Int[np.ndarray, "rank"], Window, Window]]:
-        """For each level: the sides of its windows, and their smallest and largest entries."""
+        """For each level, a size of windows: the window's sides, and the smallest and largest entry of each."""
         shape = np.array(self.values.shape)
         side, least, most = np.ones_like(shape), _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
         levels, entries = [(side, self.values, self.values)], 0
@@ -414,7 +406,7 @@ class SparseTable:
 
 
 def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -> Window:
-    """Lengthen windows by ``step`` along each axis: merge each with the window that begins ``step`` later."""
+    """Lengthen windows by ``step`` along each axis: merge each window with the one that begins ``step`` later."""
     for axis in np.flatnonzero(step):
         along = np.moveaxis(windows, axis, 0)
         windows = np.moveaxis(extreme(along[: -step[axis]], along[step[axis] :]), 0, axis)

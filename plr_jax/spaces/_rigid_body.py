@@ -1,4 +1,4 @@
-"""The configuration space of a rigid body in the plane, SE(2): its positions and headings."""
+"""The configuration space of a rigid body in the plane, SE(2): positions and headings."""
 
 import math
 from dataclasses import dataclass
@@ -70,13 +70,12 @@ class RigidBodySpace(BodySpace):
         size = max(1, _POINTS // (8 * len(self.robot.core) + 4))
         for begin in range(0, len(unsure), size):
             part = unsure[begin : begin + size]
-            state[part[self._sweeps_free(center[part], half[part])]] = CellState.FREE
+            state[part[self._boxes_are_free(center[part], half[part])]] = CellState.FREE
         unsure = unsure[state[unsure] == CellState.MIXED]
-        state[unsure[self._is_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
+        state[unsure[self._boxes_are_blocked(center[unsure], half[unsure])]] = CellState.BLOCKED
         return state
 
-    def _sweeps_free(self, center: Boxes, half: Boxes) -> Booleans:
-        """Return whether the body is certainly free at all configurations of each box."""
+    def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
@@ -94,8 +93,7 @@ class RigidBodySpace(BodySpace):
         free[narrow] = ~near_walls(self.workspace, hulls, self.robot.rounding)
         return free
 
-    def _is_blocked(self, center: Boxes, half: Boxes) -> Booleans:
-        """Return whether the body certainly hits obstacles or the outside at all configurations of each box."""
+    def _boxes_are_blocked(self, center: Boxes, half: Boxes) -> Booleans:
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
         center, half = center[rows], half[rows]
@@ -117,7 +115,7 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _deepest_point(self) -> tuple[Float[np.ndarray, "2"], float]:
-        """Approximate center of the largest disc in the core, and its distance to the boundary, 0 without an area."""
+        """A point deep inside the polygon ``robot.core``, and the point's distance to the polygon's sides."""
         core = self.robot.core
         if len(core) < 3:
             return core.mean(axis=0), 0.0
@@ -127,7 +125,7 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _probes(self) -> tuple[Float[np.ndarray, "probes 2"], Float[np.ndarray, "probes"]]:
-        """Points of the body, the reference point first, and for each the radius of a disc around it in the body."""
+        """Points of the body, and for each the radius of a disc around the point that the body covers."""
         core, rounding = self.robot.core, self.robot.rounding
         middle, _ = self._deepest_point
         rim = np.concatenate([core, (core + np.roll(core, -1, axis=0)) / 2])
@@ -138,12 +136,12 @@ class RigidBodySpace(BodySpace):
 
 
 def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
-    """Bound how far a point at distance ``radius`` from the reference point moves from each box's center."""
+    """Bound how far a body's point, ``radius`` from its reference point, moves within boxes of these half widths."""
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 
 
 def _placed(points: Points, q: Boxes, turn: Turns | float = 0.0) -> Float[np.ndarray, "n k 2"]:
-    """Return the positions of a body's points at configurations turned further by ``turn``."""
+    """Return the positions of a body's points at each configuration, with headings turned further by ``turn``."""
     c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
     x, y = points[..., 0], points[..., 1]
     return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)

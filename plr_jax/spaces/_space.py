@@ -18,8 +18,8 @@ Configurations = Float[np.ndarray, "n dof"]
 class CellState(IntEnum):
     """The state of a box of configurations, as far as it is proven.
 
-    BLOCKED: no path passes through the interior of the box. FREE: every configuration of the closed box is free; a
-    path may cross at any of them into an adjacent FREE box. MIXED: neither BLOCKED nor FREE is proven.
+    BLOCKED: no path passes through the interior of the box. FREE: every configuration of the closed box is free, and
+    a path may cross to an adjacent FREE box anywhere. MIXED: neither BLOCKED nor FREE is proven.
     """
 
     BLOCKED = 0
@@ -32,9 +32,9 @@ class MotionCost:
     """The cost of motions ``dq``: the sum of ``weight * |dq[axes]|`` over groups of axes, called blocks.
 
     Blocks are pairs ``(axes, weight)``. Length in the plane is ``(((0, 1), 1.0),)``; length plus weighted rotation of
-    a rigid body is ``(((0, 1), 1.0), ((2,), rotation_weight))``. This is a norm, the same at every configuration. So
-    an unobstructed straight motion is optimal, and a motion costs the same in reverse: time cannot be an axis.
-    ``ValueError`` unless every axis is in exactly one block, and weights are positive and finite.
+    a rigid body is ``(((0, 1), 1.0), ((2,), rotation_weight))``. The cost is a norm: an unobstructed straight motion
+    is optimal, and a motion costs the same in reverse, so time cannot be an axis. ``ValueError`` unless every axis is
+    in exactly one block, and weights are positive and finite.
     """
 
     blocks: tuple[tuple[tuple[int, ...], float], ...]
@@ -88,7 +88,7 @@ class MotionCost:
 class FreeTest(Protocol):
     """The minimal configuration space: which configurations are free, and what motions cost.
 
-    It suffices for estimates of distances; proven bounds need a :class:`ConfigurationSpace`. All methods raise
+    It suffices for estimates of distances; proven bounds need a :class:`ConfigurationSpace`. Methods raise
     ``ValueError`` if arrays have a wrong shape or different lengths.
     """
 
@@ -99,7 +99,7 @@ class FreeTest(Protocol):
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Cost of motions, with one axis per axis of the domain."""
+        """Cost of a motion as a function of its change along each axis of the domain."""
         ...
 
     def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, "n"]:
@@ -116,10 +116,7 @@ class ConfigurationSpace(FreeTest, Protocol):
     """
 
     def classify(self, lo: ArrayLike, hi: ArrayLike, /) -> Int8[np.ndarray, "n"]:
-        """Return the :class:`CellState` of boxes, ``(n,)``, given their lower and upper corners, ``(n, dof)``.
-
-        A box is MIXED unless FREE or BLOCKED is proven. Boxes may leave the domain.
-        """
+        """Return the :class:`CellState`, ``(n,)``, of boxes with corners ``(n, dof)``, which may leave the domain."""
         ...
 
     def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, "n"]:
@@ -139,7 +136,7 @@ class SeesBoxes(Protocol):
     """
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, "n"]:
-        """Return, by box, whether straight motions to ``q`` from all its free configurations are proven free."""
+        """Return, by row, whether straight motions to ``q`` from all free configurations of a box are proven free."""
         ...
 
 
@@ -177,7 +174,7 @@ def precision_of(numbers: ArrayLike) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
-    """A wrapper of a configuration space that checks the answers of its ``is_free``; a base of other wrappers."""
+    """A wrapper of a configuration space that checks the answers of the space's ``is_free``."""
 
     space: FreeTest
 

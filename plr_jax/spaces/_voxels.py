@@ -27,8 +27,8 @@ class VoxelSpace:
     overlaps neither blocked voxels nor the outside of the bounds; it may touch them. A point cannot pass between two
     blocked voxels that share only an edge or corner: free voxels are connected through faces, as in the plane.
 
-    For a point all answers are exact. A ball may come nearer than its radius by the ``tolerance``. For a ball, some
-    boxes that several blocked voxels forbid jointly, but none alone, are MIXED instead of BLOCKED.
+    For a point all answers are exact. A ball may come nearer than its radius by the ``tolerance``; some boxes that
+    only several blocked voxels jointly forbid to a ball are MIXED instead of BLOCKED.
 
     Args:
         free: Boolean array of one to four axes, True where a voxel is free.
@@ -66,12 +66,10 @@ class VoxelSpace:
 
     @property
     def domain(self) -> Box:
-        """The box that the voxels fill."""
         return self.grid.bounds
 
     @property
     def motion_cost(self) -> MotionCost:
-        """Length of a motion."""
         return MotionCost(((tuple(range(self.grid.dim)), 1.0),))
 
     @property
@@ -95,8 +93,7 @@ class VoxelSpace:
         """Tell whether boxes of positions are FREE, BLOCKED or MIXED; see :class:`CellState`.
 
         For a point, a box that touches an edge or corner where blocked voxels touch is not FREE, since no path passes
-        there from one side to the other. A box without extent along some axis that lies in a face of a blocked voxel
-        is not FREE either.
+        between these voxels. A box without extent along an axis, in a face of a blocked voxel, is not FREE either.
         """
         as_boxes(lo, hi, self.grid.dim)
         lo, hi = (np.asarray(end, np.float64).T for end in (lo, hi))
@@ -134,8 +131,8 @@ class VoxelSpace:
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
         """Return whether a point at ``q`` is proven to see every free position of a box; False for balls.
 
-        The free voxels that the box touches must form a box, and ``q`` must lie in both boxes. The result is False on
-        an edge or corner where blocked voxels touch.
+        The free voxels that the box touches must form a box, and ``q`` must lie in both boxes, but not on an edge or
+        corner where blocked voxels touch.
         """
         (q, _), _ = as_motions(q, lo, self.grid.dim), as_boxes(lo, hi, self.grid.dim)
         if self.radius > 0:

@@ -51,7 +51,7 @@ def test_turn_points_by_triangle_are_as_good_as_all_of_them(seed, lattice, squee
     oracle, places = VisibilityGraph(workspace, x[seed % len(x)]), workspace.triangulation.place(x)
     hidden = ~oracle._goal_table.sees(np.zeros(len(x), int), places.x)
     x, places = x[hidden], places[hidden]
-    table = oracle._corners.table
+    table = oracle.family.table
 
     def sees(point, vertex):
         return table.sees(vertex - 1, places.x[point])

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from space_helpers import check_classification, check_motions, random_boxes, states
+from space_helpers import CENTERS, RADII, check_classification, check_motions, of_drone, random_boxes, states
 
 from plr_jax import (
     Box,
@@ -16,13 +16,7 @@ from plr_jax import (
 
 BLOCKED, FREE, MIXED = CellState
 PI = np.pi
-CENTERS, RADII = np.array([[2, 2, 1.5], [1, 1, 2.4], [3.2, 1, 0.8]]), np.array([0.6, 0.3, 0.4])
 HALL = Box((0, 0, 0), (4, 4, 3))
-
-
-def of_drone(q):
-    """Clearance of a ball of radius 0.2 among spheres."""
-    return np.min(np.linalg.norm(q[:, None] - CENTERS, axis=2) - RADII, axis=1) - 0.2
 
 
 DRONE = ClearanceSpace(HALL, of_drone, 1)

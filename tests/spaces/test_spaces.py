@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import shapely
 from robot_helpers import BAR, PEBBLE, POINT, WING, AnyShape, shapes
-from space_helpers import check_classification, check_motions, keep_clear, random_boxes, random_workspace
+from space_helpers import check_classification, check_motions, keep_clear, of_drone, random_boxes, random_workspace
 from voxel_helpers import clearances
 
 from plr_jax import (
@@ -46,12 +46,6 @@ ARMS = {  # seed, joints, width of links, whether they keep off one another
     "apart": (1, 3, 0.1, True),
 }
 BALLS = {"ball 1": (1, 0.4), "ball 2": (2, 1.3), "ball 3": (3, 0.3), "large ball 3": (3, 0.8), "ball 4": (4, 0.35)}
-CENTERS, RADII = np.array([[2, 2, 1.5], [1, 1, 2.4], [3.2, 1, 0.8]]), np.array([0.6, 0.3, 0.4])
-
-
-def of_drone(q):
-    """Clearance of a ball of radius 0.2 among spheres."""
-    return np.min(np.linalg.norm(q[:, None] - CENTERS, axis=2) - RADII, axis=1) - 0.2
 
 
 def links_of(arm, q):
