@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +23,6 @@ from plr_jax._types import (
     FreeSpaceFn,
     NearestFn,
     Points,
-    Sources,
 )
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import DecodedFile, encode
@@ -212,8 +211,8 @@ def construct(
         raise ValueError(f"options must be BuildOptions(...), got {shortened(options)}.")
     limits = max_depth, max_leaves, max_bytes, tolerance
 
-    def build(name: LeafModel | str, oracle: DistanceFn) -> DecodedFile:
-        return _build_leaves(oracle, domain, leaf_model(name), limits, proof, seed, options)
+    def build(name: LeafModel | str, root: CellSources | None = None) -> DecodedFile:
+        return _build_leaves(distance_fn, domain, leaf_model(name), limits, proof, seed, options, root)
 
     if leaf == BEST:
         has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
@@ -223,7 +222,7 @@ def construct(
             message = "Interrupted: the PLR is the best one built so far."
             warnings.warn(message, ConstructionInterrupted, stacklevel=2)
     else:
-        contents = build(leaf, distance_fn)
+        contents = build(leaf)
     if isinstance(distance_fn, FreeSpaceFn) and (advice := _unreachable_warning(distance_fn, domain)):
         warnings.warn(advice, stacklevel=2)
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
@@ -242,6 +241,7 @@ def _build_leaves(
     proof: Proof,
     seed: int,
     options: BuildOptions,
+    root: CellSources | None,
 ) -> DecodedFile:
     # 1. Check the arguments.
     model.check_dim(domain.dim)
@@ -258,7 +258,9 @@ def _build_leaves(
     require_integer("num_samples", num_samples, model.min_samples(domain.dim))
 
     # 2. Wrap the distance function: cell sources, workers and a checkpoint, folded points.
-    memory = CellMemory(distance_fn, domain) if answers_for_cells and domain.dim == 2 else None
+    memory = None
+    if answers_for_cells and domain.dim == 2:
+        memory = CellMemory(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
     weight_fn = options.weight_fn
     if options.executor is not None or options.checkpoint is not None:
         checkpoint = None
@@ -322,30 +324,8 @@ def _unreachable_warning(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
 # leaf="best": build each leaf model that suits the distance function, and keep the one with the smallest error.
 
 
-@dataclass(frozen=True, eq=False)
-class _BoxOracle:
-    """An oracle that computes its sources for ``box``, the corners to which paths may go first, only once."""
-
-    oracle: CellwiseFn
-    box: Box
-
-    @cached_property
-    def cell(self) -> CellSources:
-        return self.oracle.cell_sources(self.box)
-
-    @property
-    def sources(self) -> Sources:
-        return self.cell.sources
-
-    def cell_sources(self, domain: Box) -> CellSources:
-        return self.cell if domain == self.box else self.oracle.cell_sources(domain)
-
-    def __call__(self, x: ArrayLike) -> Distances:
-        return np.ma.filled(self.oracle(x), np.inf)
-
-
 def build_best_model(
-    build: Callable[[str, DistanceFn], DecodedFile],
+    build: Callable[[str, CellSources | None], DecodedFile],
     distance_fn: DistanceFn,
     domain: Box,
     proof: Proof,
@@ -359,48 +339,47 @@ def build_best_model(
     which ``build`` raises ``ValueError`` are skipped. ``only_bytes`` tells that ``max_bytes`` is the only limit and
     all rules are the defaults.
     """
+    root = None
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
-        distance_fn = _BoxOracle(distance_fn, grown_domain(domain))
-    names = _models_to_try(distance_fn, domain, proof, max_bytes, only_bytes)
-    best, least, refused = None, math.inf, []
+        root = distance_fn.cell_sources(grown_domain(domain))
+    names = _models_to_try(root, domain, proof, max_bytes, only_bytes)
+    best, least, refused, is_interrupted = None, math.inf, [], False
     with tqdm(names, "construct", unit=" models", leave=False, disable=None) as progress:
-        for name in progress:
-            progress.set_description(f"construct: leaves of kind {name!r}")
-            is_interrupted, error = False, 0.0
-            try:
-                with warnings.catch_warnings(record=True) as caught:
-                    warnings.simplefilter("always", ConstructionInterrupted)
-                    contents = build(name, distance_fn)
-            except ValueError as refusal:  # for example, a budget too small for one leaf
-                refused.append(refusal)
-                continue
-            except KeyboardInterrupt:
-                if best is None:
-                    raise
-                return best, True
-            for warning in caught:
-                if issubclass(warning.category, ConstructionInterrupted):
-                    is_interrupted = True
-                else:
-                    warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-            if proof is not Proof.NONE:  # an interrupted build has no certificate
-                error = math.inf if contents.certificate is None else contents.certificate.max_error
-            elif len(names) > 1:
+        try:
+            for name in progress:
+                progress.set_description(f"construct: leaves of kind {name!r}")
                 try:
+                    with warnings.catch_warnings(record=True) as caught:
+                        warnings.simplefilter("always", ConstructionInterrupted)
+                        contents = build(name, root)
+                except ValueError as refusal:  # for example, a budget too small for one leaf
+                    refused.append(refusal)
+                    continue
+                for warning in caught:
+                    if issubclass(warning.category, ConstructionInterrupted):
+                        is_interrupted = True
+                    else:
+                        warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+                best, error = best or contents, math.inf
+                if contents.certificate is not None:  # an interrupted build has none
+                    error = contents.certificate.max_error
+                elif proof is Proof.NONE and len(names) > 1:
                     error = _sampled_error(contents, distance_fn, seed)
-                except KeyboardInterrupt:
-                    is_interrupted, error = True, math.nan
-            if best is None or error < least:
-                best, least = contents, error
-            if is_interrupted:
-                return best, True
+                if error < least:
+                    best, least = contents, error
+                if is_interrupted:
+                    break
+        except KeyboardInterrupt:
+            if best is None:
+                raise
+            is_interrupted = True
     if best is None:
         raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
-    return best, False
+    return best, is_interrupted
 
 
 def _models_to_try(
-    distance_fn: DistanceFn, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
+    root: CellSources | None, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
 ) -> list[str]:
     # On all maps of the experiments, cones had 10 to 1,000 times smaller mean errors than other leaves if all corners
     # took at most _ROOMY * max_bytes. Above _CROWDED * max_bytes, a few cones could err far more than others.
@@ -408,9 +387,9 @@ def _models_to_try(
     others = [name for name in leaf_names() if name not in cones]
     if proof is Proof.NONE:
         others = ["continuous" if domain.dim <= _MOST_TIED_AXES else "plane"]
-    if not isinstance(distance_fn, _BoxOracle):
+    if root is None:
         return others
-    corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(distance_fn.sources.distances))
+    corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(root.sources.distances))
     share = corner_bytes / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
     if share <= _ROOMY and only_bytes:
         return cones
@@ -460,8 +439,8 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             "certified=True."
         )
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
-    memory = CellMemory(require_certifiable(oracle, plr.domain), plr.domain)
-    visible = memory.sources_of_leaves(plr._contents.tree)
+    root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
+    visible = CellMemory(plr.domain, root).sources_of_leaves(plr._contents.tree)
     certified = with_certificate(plr, certificate_of(plr._contents, visible, proof))
     if isinstance(plr.leaf, Cone) and isinstance(oracle, ChangingFn):
         certified.build_inputs = BuildInputs(oracle, certified.num_bytes)

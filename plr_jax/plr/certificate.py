@@ -56,18 +56,21 @@ class LeafFunctions:
     hi: Float[np.ndarray, "leaves dim"]
     coefficients: Float[np.ndarray, "leaves terms"]
 
-    def cone_minus_leaf_bounds(self, leaf: Int[np.ndarray, "n"]) -> ConeBoundsFn:
-        def of_rows(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
+    def values(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+        return self.model.values(self.lo[leaf], self.hi[leaf], self.coefficients[leaf], x)
+
+    def bounds_of_pieces(
+        self, visible: CellSources, leaf: Int[np.ndarray, "pieces"]
+    ) -> tuple[Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]:
+        def cones_above(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
             functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
             return self.model.cone_minus_leaf_bounds(*functions, pieces, apex, offset)
 
-        return of_rows
+        return bounds_of_pieces(visible, np.arange(len(leaf)), cones_above)
 
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, "leaves"]:
-        lower, upper = bounds_of_pieces(
-            visible, np.arange(len(visible.cell)), self.cone_minus_leaf_bounds(visible.cell)
-        )
+        lower, upper = self.bounds_of_pieces(visible, visible.cell)
         errors = np.zeros(visible.num_cells)
         np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
         return errors
@@ -95,7 +98,7 @@ class LeafBounds:
     upper: Errors
 
 
-def tight_bounds(least: Errors, most: Errors, anew: bool = True) -> tuple[Errors, Errors]:
+def tight_bounds(least: Errors, most: Errors) -> tuple[Errors, Errors]:
     largest = max(most.max(initial=0.0), -least.min(initial=0.0))
     spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
     return least - spare, most + spare
@@ -104,7 +107,7 @@ def tight_bounds(least: Errors, most: Errors, anew: bool = True) -> tuple[Errors
 def prove_bounds(
     functions: LeafFunctions,
     visible: CellSources,
-    sufficient: Callable[[Errors, Errors, bool], tuple[Errors, Errors]] = tight_bounds,
+    sufficient: Callable[[Errors, Errors, bool], tuple[Errors, Errors]],
 ) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
@@ -128,11 +131,10 @@ def prove_bounds(
         # 1. Bound the errors of pieces. Attained errors are those at centers. If all of a piece sees all its sources,
         #    its distance is the least of their cones: then errors at corners are attained, and exact lower bounds; of
         #    a single source, exact upper bounds too.
-        here = functions.lo[leaf], functions.hi[leaf], functions.coefficients[leaf]
-        met = visible.distance - functions.model.values(*here, visible.center)
+        met = visible.distance - functions.values(leaf, visible.center)
         np.minimum.at(least, leaf, met)
         np.maximum.at(most, leaf, met)
-        below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.cone_minus_leaf_bounds(leaf))
+        below, above = functions.bounds_of_pieces(visible, leaf)
         num_sources = np.diff(visible.first_pair)
         is_clear = np.bincount(visible.piece, visible.by_all, len(leaf)) == num_sources
         if functions.model.has_exact_cone_bounds:
@@ -147,7 +149,7 @@ def prove_bounds(
             for x in visible.pieces[:, rows].transpose(2, 1, 0):
                 ways = np.linalg.norm(x[piece] - visible.sources.points[source], axis=1)
                 distance = np.minimum.reduceat(visible.sources.distances[source] + ways, first)
-                met = distance - functions.model.values(*(each[rows] for each in here), x)
+                met = distance - functions.values(leaf[rows], x)
                 np.minimum.at(least, leaf[rows], met)
                 np.maximum.at(most, leaf[rows], met)
         # 2. Halve the pieces whose bounds are not tight enough. If there are none, test the pieces of earlier rounds
@@ -176,16 +178,13 @@ def prove_bounds(
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
     """Halve convex pieces across their longer side; halves of piece ``i`` become cells ``2 i`` and ``2 i + 1``."""
-    alone = visible.pieces_as_cells(piece)
-    lo, hi = visible.pieces[:, piece].min(axis=2).T, visible.pieces[:, piece].max(axis=2).T
-    each = np.arange(len(piece))
-    axis = np.argmax(hi - lo, axis=1)
+    parent, is_upper = np.repeat(np.arange(len(piece)), 2), np.tile([False, True], len(piece))
+    lo, hi = (extreme(visible.pieces[:, piece], axis=2).T[parent] for extreme in (np.min, np.max))
+    axis, each = np.argmax(hi - lo, axis=1), np.arange(len(parent))
     middle = (lo + hi)[each, axis] / 2
-    lower_hi, upper_lo = hi.copy(), lo.copy()
-    lower_hi[each, axis] = upper_lo[each, axis] = middle
-    parent, is_upper = np.repeat(each, 2), np.tile([False, True], len(each))
-    los, his = np.stack([lo, upper_lo], axis=1).reshape(-1, 2), np.stack([lower_hi, hi], axis=1).reshape(-1, 2)
-    return alone.parts(parent, axis[parent], is_upper, los, his)
+    lo[each[is_upper], axis[is_upper]] = middle[is_upper]
+    hi[each[~is_upper], axis[~is_upper]] = middle[~is_upper]
+    return visible.pieces_as_cells(piece).parts(parent, axis, is_upper, lo, hi)
 
 
 _COUNT_BITS = 4
@@ -251,7 +250,7 @@ def requantize_bounds(
 
 
 def _fits(codes: Codes, max_bits: int) -> bool:
-    num_classes = len(np.unique(_class_keys(codes)))
+    num_classes = distinct_classes(codes).shape[1]
     if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
         return False
     body = BitWriter()
@@ -261,12 +260,10 @@ def _fits(codes: Codes, max_bits: int) -> bool:
 
 def write_classes(body: BitWriter, codes: Codes) -> None:
     """Append the pairs of codes that occur (classes, the most frequent first), and the class of each leaf."""
-    _, first, class_of, size = np.unique(
-        _class_keys(codes), return_index=True, return_inverse=True, return_counts=True
-    )
-    classes, order = codes[:, first], np.argsort(-size, kind="stable")
+    key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
+    classes, order = np.stack(np.divmod(key, 1 << _CODE_BITS)), np.argsort(-size, kind="stable")
     place = np.argsort(order)[class_of]
-    body.write(np.array([len(order) - 1]), _COUNT_BITS).write(classes[:, order].ravel().astype(np.int64), _CODE_BITS)
+    body.write(np.array([len(order) - 1]), _COUNT_BITS).write(classes[:, order].ravel(), _CODE_BITS)
     for each in range(len(order) - 1):
         body.write_set(place > each)
         place = place[place > each]

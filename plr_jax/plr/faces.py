@@ -23,7 +23,7 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
     Both halves of the larger node replace a pair, and ``keep`` drops pairs. The rows of ``pairs`` are nodes of ``a``,
     nodes of ``b``, and data that halves inherit, if any. In the result, indices of leaves replace those of nodes.
     """
-    trees, found = (a, b), []
+    trees, found = (a, b), [pairs[:, :0]]
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
     while pairs.shape[1]:
         inner = np.stack([tree.child[nodes] >= 0 for tree, nodes in zip(trees, pairs, strict=False)])
@@ -38,7 +38,7 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
                 child[side] = trees[side].child[parents[side]] + half
                 children.append(child[:, keep(child, side, half, axis)])
         pairs = np.concatenate(children, axis=1)
-    leaves = np.concatenate(found, axis=1) if found else pairs.copy()
+    leaves = np.concatenate(found, axis=1)
     for side, tree in enumerate(trees):
         leaves[side] = tree.leaf_of_node[leaves[side]]
     return leaves
@@ -130,26 +130,22 @@ def neighbor_of_largest_contact(
     cells: Cells,
     unreachable: Int[np.ndarray, "unreachable"],
     reachable: Int[np.ndarray, "reachable"],
-    periodic: tuple[bool, ...] = (),
+    periodic: tuple[bool, ...],
 ) -> Int[np.ndarray, "unreachable"]:
     """Return which reachable leaf shares the largest face, edge or corner with each unreachable leaf; -1 if none."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
     mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
-    is_periodic = np.isin(np.arange(cells.dim), np.flatnonzero(periodic))
-    contact = _contacts(cells, cells.depth.max(axis=0), mine, others, is_periodic)
-    order = np.lexsort((others, -contact, mine))
-    mine, others = mine[order], others[order]
-    first = np.append(True, mine[1:] != mine[:-1])[: len(mine)]
+    # Of several assignments to one leaf, the last counts: the largest contact and, among equal ones, the first leaf.
+    order = np.lexsort((-others, _contacts(cells, cells.depth.max(axis=0), mine, others, periodic)))
     donor = np.full(len(cells), -1)
-    donor[mine[first]] = others[first]
+    donor[mine[order]] = others[order]
     return donor[unreachable]
 
 
 def touching_leaves(
-    tree: Tree, some: Int[np.ndarray, "some"], others: Int[np.ndarray, "others"], periodic: tuple[bool, ...] = ()
+    tree: Tree, some: Int[np.ndarray, "some"], others: Int[np.ndarray, "others"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, "2 pairs"]:
-    is_periodic = np.isin(np.arange(tree.cells.dim), np.flatnonzero(periodic))
     finest = tree.cells.depth.max(axis=0)
     holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
     holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
@@ -158,7 +154,7 @@ def touching_leaves(
 
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         stays = holds[0][pairs[0]] & holds[1][pairs[1]]
-        stays[stays] = _contacts(tree.cells, finest, pairs[0, stays], pairs[1, stays], is_periodic) > 0
+        stays[stays] = _contacts(tree.cells, finest, pairs[0, stays], pairs[1, stays], periodic) > 0
         return stays
 
     return leaf_pairs(tree, tree, np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64), keep)
@@ -169,7 +165,7 @@ def _contacts(
     finest: Int[np.ndarray, "dim"],
     a: Int[np.ndarray, "n"],
     b: Int[np.ndarray, "n"],
-    is_periodic: Bool[np.ndarray, "dim"],
+    periodic: tuple[bool, ...],
 ) -> Float[np.ndarray, "n"]:
     """Return the size of the face that two cells share; tiny for an edge or a corner, 0 if the cells are apart."""
     contact = np.ones(len(a))
@@ -179,7 +175,7 @@ def _contacts(
         hi_a, hi_b = (cells.position[a, axis] + 1) << up_a, (cells.position[b, axis] + 1) << up_b
         low, high = np.maximum(lo_a, lo_b), np.minimum(hi_a, hi_b)
         touch = high == low
-        if is_periodic[axis]:
+        if periodic[axis]:
             first, last = np.minimum(lo_a, lo_b), np.maximum(hi_a, hi_b)
             touch |= (high < low) & (first == 0) & (last == 1 << finest[axis])
         contact *= np.where(touch, _TOUCH, np.maximum(high - low, 0)) / 2.0 ** finest[axis]

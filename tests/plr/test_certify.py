@@ -20,7 +20,7 @@ from plr_jax.plr.certificate import (
     Certificate,
     Proof,
 )
-from plr_jax.plr.tree import Cells
+from plr_jax.plr.tree import Cells, grown_domain
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
@@ -31,7 +31,7 @@ def test_distances_are_the_oracles(kind, domain):
         rng = np.random.default_rng(seed)
         workspace = kind(rng, squeeze=seed % 2 == 0)
         oracle = VisibilityGraph(workspace, workspace.sample_free(1, seed)[0])
-        memory, cells = CellMemory(oracle, domain), Cells.root(2)
+        memory, cells = CellMemory(domain, oracle.cell_sources(grown_domain(domain))), Cells.root(2)
         memory.sources(cells)
         for _ in range(5):
             u = rng.uniform(-1, 1, (30, 2))
@@ -49,7 +49,11 @@ def test_distances_are_the_oracles(kind, domain):
 def test_cells_below_the_end_of_a_wall_as_thin_as_the_tolerance_keep_the_corner_of_their_paths():
     """Some of the paths turn at either corner of this end; the cones of the two hardly differ."""
     oracle = VisibilityGraph(Workspace(UNIT, [box(0.4, 0.45, 0.4 + 1e-9, 0.9)]), (0.9, 0.9))
-    memory, cells, rng = CellMemory(oracle, UNIT), Cells.root(2), np.random.default_rng(0)
+    memory, cells, rng = (
+        CellMemory(UNIT, oracle.cell_sources(grown_domain(UNIT))),
+        Cells.root(2),
+        np.random.default_rng(0),
+    )
     for axis in (0, 1, 0, 1, 0, 1, 0, 1, None):
         x = cells.points(rng.uniform(-1, 1, (20, 2)), UNIT)
         exact = oracle(x.reshape(-1, 2)).reshape(x.shape[:2])
@@ -65,7 +69,7 @@ def test_many_pairs_are_looked_at_in_parts(monkeypatch):
     oracle = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
     domain, cells = Box((0, 0), (10, 10)), Cells.root(2)
     x = cells.points(rng.uniform(-1, 1, (200, 2)), domain)
-    visible = CellMemory(oracle, domain).sources(cells)
+    visible = CellMemory(domain, oracle.cell_sources(grown_domain(domain))).sources(cells)
     whole = distances_in_cells(visible, x)
     monkeypatch.setattr("plr_jax.plr.cell_memory._PAIRS_AT_ONCE", 1)
     np.testing.assert_array_equal(distances_in_cells(visible, x), whole)
