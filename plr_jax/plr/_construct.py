@@ -429,7 +429,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             for a proof; ``leaf_bounds`` is no bool; the oracle does not answer for cells; or a leaf stores ``inf``
             although some of its points reach the goal.
     """
-    from plr_jax.plr._plr import PLR, with_certificate  # imports JAX
+    from plr_jax.plr._plr import PLR, plr_of_leaves  # imports JAX
 
     if not isinstance(plr, PLR):
         raise ValueError(f"plr must be a PLR, got {shortened(plr)}. Build one with construct.")
@@ -441,7 +441,8 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     visible = CellMemory(plr.domain, root).sources_of_leaves(plr._contents.tree)
-    certified = with_certificate(plr, certificate_of(plr._contents, visible, proof))
+    proven = replace(plr._contents, certificate=certificate_of(plr._contents, visible, proof))
+    certified = plr_of_leaves(proven).with_label(plr.label)
     if isinstance(plr.leaf, Cone) and isinstance(oracle, ChangingFn):
         certified.build_inputs = BuildInputs(oracle, certified.num_bytes)
     return certified

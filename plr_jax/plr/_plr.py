@@ -33,7 +33,6 @@ from plr_jax.plr._file import (
     relative_to_origin,
 )
 from plr_jax.plr._proof import BuildInputs, require_updatable, updated_contents
-from plr_jax.plr.certificate import Certificate
 from plr_jax.plr.container import Container, FileBacked, padded_file
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.leaves import as_sourced, goal_of_leaves
@@ -255,11 +254,9 @@ class PLR(FileBacked):
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
         goal = np.full(len(x), -1)
-        goal[is_finite] = (self.nearest_goal or self._stored_goal)(x[is_finite])
+        x = x[is_finite]
+        goal[is_finite] = self.nearest_goal(x) if self.nearest_goal else self._goal_of_leaf[leaf_of(self, x)]
         return goal
-
-    def _stored_goal(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
-        return self._goal_of_leaf[leaf_of(self, x)]
 
     @cached_property
     def _goal_of_leaf(self) -> Int[np.ndarray, "leaves"]:
@@ -507,9 +504,8 @@ class LowerBound:
         """Combine one lower bound per robot into a function of joint configurations; see :meth:`PLR.stack`."""
         if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
             raise ValueError(f"fns must be a list of lower bounds, such as [plr.lower], got {shortened(fns)}.")
-        first, *_ = fns
         bands = tuple((fn.plr.band, fn.plr._straight) for fn in fns)
-        return replace(first.plr.stack([fn.plr for fn in fns]), bands=bands)
+        return replace(PLR.stack([fn.plr for fn in fns]), bands=bands)
 
 
 def from_bytes(data: bytes) -> PLR:
@@ -521,26 +517,19 @@ def from_bytes(data: bytes) -> PLR:
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
     data = bytes(data)
-    return _assemble(data, decode(data))
+    return plr_of_leaves(decode(data), data=data)
 
 
-def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
-    """Encode leaf data to a file, and return the PLR that this file decodes to, without decoding it."""
-    return _assemble(encode(contents), contents, build_inputs)
-
-
-def _assemble(data: bytes, contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
-    """Build a PLR and its lookup tables from a file and its decoded contents, which are not kept."""
-    plr = PLR(padded_file(data), build_inputs=build_inputs)
+def plr_of_leaves(
+    contents: DecodedFile, build_inputs: BuildInputs | None = None, data: bytes | None = None
+) -> PLR:
+    """Build a PLR and its lookup tables from a decoded file, whose bytes ``data`` are encoded if they are None."""
+    plr = PLR(padded_file(encode(contents) if data is None else data), build_inputs=build_inputs)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
     _ = plr.tables, plr.band, plr._straight, plr._corner_if_far
     del plr._contents
     return plr
-
-
-def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
-    return plr_of_leaves(replace(plr._contents, certificate=certificate)).with_label(plr.label)
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:

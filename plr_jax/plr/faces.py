@@ -12,6 +12,7 @@ from plr_jax.plr.tree import Cells, Rows, Tree, corner_bits, tree_of
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+Indices: TypeAlias = Int[np.ndarray, "n"]
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
 """Function ``keep(pairs, side, half, axis)``: which pairs stay after halves along ``axis`` replaced row ``side``."""
@@ -44,15 +45,13 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
     return leaves
 
 
-def overlap(
-    a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"], axis: Int[np.ndarray, "n"]
-) -> Bool[np.ndarray, "n"]:
+def overlap(a: Cells, i: Indices, b: Cells, j: Indices, axis: Indices) -> Bool[np.ndarray, "n"]:
     common = np.minimum(a.depth[i, axis], b.depth[j, axis])
     return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
 
 
 def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
-    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+    def keep(pairs: Pairs, side: int, half: int, axis: Indices) -> Bool[np.ndarray, "pairs"]:
         return overlap(a.cells, pairs[0], b.cells, pairs[1], axis)
 
     return leaf_pairs(a, b, np.zeros((2, 1), np.int64), keep)
@@ -135,9 +134,9 @@ def neighbor_of_largest_contact(
     """Return which reachable leaf shares the largest face, edge or corner with each unreachable leaf; -1 if none."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
-    mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
+    pairs = mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
     # Of several assignments to one leaf, the last counts: the largest contact and, among equal ones, the first leaf.
-    order = np.lexsort((-others, _contacts(cells, cells.depth.max(axis=0), mine, others, periodic)))
+    order = np.lexsort((-others, _contacts(cells, cells.depth.max(axis=0), pairs, periodic)))
     donor = np.full(len(cells), -1)
     donor[mine[order]] = others[order]
     return donor[unreachable]
@@ -154,21 +153,15 @@ def touching_leaves(
 
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         stays = holds[0][pairs[0]] & holds[1][pairs[1]]
-        stays[stays] = _contacts(tree.cells, finest, pairs[0, stays], pairs[1, stays], periodic) > 0
+        stays[stays] = _contacts(tree.cells, finest, pairs[:, stays], periodic) > 0
         return stays
 
     return leaf_pairs(tree, tree, np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64), keep)
 
 
-def _contacts(
-    cells: Cells,
-    finest: Int[np.ndarray, "dim"],
-    a: Int[np.ndarray, "n"],
-    b: Int[np.ndarray, "n"],
-    periodic: tuple[bool, ...],
-) -> Float[np.ndarray, "n"]:
+def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, "pairs"]:
     """Return the size of the face that two cells share; tiny for an edge or a corner, 0 if the cells are apart."""
-    contact = np.ones(len(a))
+    (a, b), contact = pairs, np.ones(pairs.shape[1])
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
         lo_a, lo_b = cells.position[a, axis] << up_a, cells.position[b, axis] << up_b

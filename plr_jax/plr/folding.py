@@ -86,13 +86,11 @@ class Folding:
 
     def unfold(self, z: Points) -> Points:
         """Return a point that folds to each ``z``, inside the domain if there is one."""
-        found, missing = None, np.ones(len(z), bool)
-        for x, inside in self.images(z):
-            found = x if found is None else np.where((missing & inside)[:, None], x, found)
-            missing &= ~inside
-            if not missing.any():
-                break
-        assert found is not None, "images always yields the identity"
+        images = self.images(z)
+        found, is_inside = next(images)
+        for x, inside in images:
+            found = np.where((inside & ~is_inside)[:, None], x, found)
+            is_inside |= inside
         return found
 
     def boxes(

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from plr_jax._arrays import row_products
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import body_size
-from plr_jax.plr.sampling import CellFit, Sampler, normal_matrices, solve_planes
+from plr_jax.plr.sampling import CellFit, Sampler, solve_planes
 from plr_jax.plr.tree import Cells, Rows
 
 DEFAULT_MAX_LEAVES = 512
@@ -245,7 +245,7 @@ def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
             explained = np.zeros(len(masked))
             for design in np.split(fit.pattern.halves[axis], 2, axis=1):
                 projection = row_products(weight * residual[masked], design)
-                explained += (projection * solve_planes(normal_matrices(design, weight), projection)).sum(axis=1)
+                explained += (projection * solve_planes(design, weight, projection)).sum(axis=1)
             squares[masked, axis] = total[masked] - explained
     return squares
 

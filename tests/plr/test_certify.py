@@ -14,7 +14,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
 from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
-from plr_jax.plr._plr import plr_of_leaves, with_certificate
+from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.certificate import (
     Certificate,
@@ -164,10 +164,14 @@ def test_classes_of_leaves_have_narrow_bounds_that_hold_for_few_bytes(maze):
     loaded = from_bytes(plr.to_bytes())
     assert loaded.max_error == plr.max_error
     np.testing.assert_array_equal(loaded.band, plr.band)
-    one = from_bytes(with_certificate(plr, Certificate(0.25, None, Proof.CLASSES)).to_bytes())
+
+    def with_largest_error(error):
+        return plr_of_leaves(replace(plr._contents, certificate=Certificate(error, None, Proof.CLASSES)))
+
+    one = from_bytes(with_largest_error(0.25).to_bytes())
     assert one.max_error == 0.25
     np.testing.assert_array_equal(one.band, [[-0.25], [0.25]])
-    one = with_certificate(plr, Certificate(plr.max_error, None, Proof.CLASSES))
+    one = with_largest_error(plr.max_error)
     each = certify(plr, maze, leaf_bounds=True)
     assert 0 < plr.num_bytes - one.num_bytes <= one.num_bytes / 128
     x = maze.workspace.sample_free(5000, 0)
