@@ -71,9 +71,7 @@ class BuildOptions:
     ``max_depth=9``, or ``should_split=center_error`` with a tolerance.
 
     Args:
-        compute_coefficients: Function that fits the plane of each cell: ``least_squares`` or your own. Only planes
-        use
-            it.
+        compute_coefficients: Function that fits each cell's plane: ``least_squares`` or your own. For planes only.
         should_split: Function from a ``CellFit`` to a priority for each cell: ``largest_error``, ``center_error``,
             ``maximum_depth`` or your own. The cell of the largest positive priority is split next.
         split: Function from a ``CellFit`` to a split axis for each cell: ``best_axis``, ``cyclic_axis`` or your own.
@@ -118,7 +116,7 @@ class BuildOptions:
 
     @property
     def names(self) -> str:
-        """Text that identifies the rules, the number of samples and the margin in a checkpoint."""
+        """Text that identifies all options but the executor and the checkpoint."""
         rules = self.compute_coefficients, self.should_split, self.split, self.weight_fn
         names = " ".join(getattr(rule, "__qualname__", type(rule).__qualname__) for rule in rules)
         return f"{names} {self.num_samples} {self.margin}"
@@ -162,11 +160,12 @@ def construct(
         max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
             along one axis as well: in the plane to between 7 (files of 2 KB) and 14, in ``dim`` > 2 dimensions to
             ``28 // dim``.
-        tolerance: Error, in units of distance, up to which a cell is not split: by default its largest error at
-            samples, for cones and certified planes its proven error.
+        tolerance: Largest error, in units of distance, of a cell that is not split: as ``options.should_split`` says
+            or, for cones and certified planes, the proven error.
         certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.
-            ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that answers for whole
-            cells, such as ``VisibilityGraph``; see :func:`certify`.
+            ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that *answers for whole
+            cells*: that knows to which corners shortest paths from the points of a cell may go first, such as
+            ``VisibilityGraph``. See :func:`certify`.
         seed: Seed of the samples. The same seed gives the same PLR.
         options: Rules of fitting and splitting, samples, workers and a checkpoint: see :class:`BuildOptions`.
 
@@ -179,12 +178,11 @@ def construct(
           the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). Needs a
           distance function in the plane that answers for whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
-          certified, else the geometric mean of the mean and the largest error at random points. It builds only cones
-          if all corners take at most half of ``max_bytes``, at 7 bytes each, and neither ``max_leaves``,
-          ``max_depth`` nor rules are given; no cones if the corners take more than 4 times ``max_bytes``. The other
-          models are, if certified, all that suit the domain; else ``"continuous"``, and ``"smooth"`` beside cones. A
-          distance function that does not answer for whole cells gets ``"continuous"`` leaves, in more than 6
-          dimensions ``"plane"``.
+          certified, else the geometric mean of the mean and the largest error at random points. Certified, it tries
+          all models that suit the domain; else cones, ``"continuous"`` and ``"smooth"``, or, if the distance function
+          does not answer for whole cells, ``"continuous"`` (in more than 6 dimensions ``"plane"``). At 7 bytes a
+          corner, it tries only cones if all corners take at most half of ``max_bytes`` and there are no other limits
+          or rules; it tries neither cones nor, uncertified, ``"smooth"`` if they take over 4 times ``max_bytes``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.
@@ -335,9 +333,7 @@ def build_best_model(
 ) -> tuple[DecodedFile, bool]:
     """Build leaves of all suitable models; return the best ones, and whether Ctrl-C ended the search.
 
-    Models are compared by their largest proven error, or without a proof by the error at random points. Models for
-    which ``build`` raises ``ValueError`` are skipped. ``only_bytes`` tells that ``max_bytes`` is the only limit and
-    all rules are the defaults.
+    ``only_bytes`` tells that ``max_bytes`` is the only limit and all rules are the defaults.
     """
     root = None
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:

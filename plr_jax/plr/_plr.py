@@ -244,12 +244,11 @@ class PLR(FileBacked):
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
         """Return the index of the goal that is nearest to each point ``(n, dim)``; -1 where the PLR is not finite.
 
-        Cones of a :class:`NearestGoal` of ``VisibilityGraph``s store it in their file, and all points of a leaf have
-        one answer. Other PLRs of several goals know it only as :func:`solve_eikonal` or :func:`construct` returned
-        them, not after :func:`load` or in a jitted function; see :meth:`with_nearest_goal`. Like the distance, the
-        index is an estimate: where two goals are about equally near, it may be wrong. If the same goal was given
-        twice, the answer is the first index. Call it outside of ``jit``. ``ValueError`` if the PLR does not know its
-        goals, or points have another shape.
+        The index is an estimate: where two goals are about equally near, it may be wrong. Of a goal that was given
+        twice, it is the first index. A file stores goals only if the PLR has cones and was built from a
+        :class:`NearestGoal` of visibility graphs; then all points of a leaf have one answer. Other PLRs of several
+        goals lose them in a file and in a jitted function; see :meth:`with_nearest_goal`. Call this method outside of
+        ``jit``. ``ValueError`` if the PLR does not know its goals, or points have another shape.
         """
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
@@ -411,7 +410,10 @@ class PLR(FileBacked):
 
     @property
     def leaf_boxes(self) -> tuple[Float[np.ndarray, "boxes dim"], Float[np.ndarray, "boxes dim"]]:
-        """Lower and upper corners of all leaves and their mirror images; ``ValueError`` if mirrors are oblique."""
+        """Lower and upper corners of leaves, ``(boxes, dim)`` each, with mirror images if the PLR is folded.
+
+        ``ValueError`` if it is folded by symmetries of the distance function along rotated axes.
+        """
         return self._boxes[:2]
 
     @property
@@ -442,7 +444,7 @@ class PLR(FileBacked):
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Constant term of each leaf's plane ``slope @ x + intercept``, as :attr:`slope`; ``inf`` if its value is."""
+        """Constant term of each leaf's plane ``slope @ x + intercept``; ``inf`` for leaves that answer ``inf``."""
         return self._planes[0]
 
     def __repr__(self) -> str:
@@ -520,9 +522,7 @@ def from_bytes(data: bytes) -> PLR:
     return plr_of_leaves(decode(data), data=data)
 
 
-def plr_of_leaves(
-    contents: DecodedFile, build_inputs: BuildInputs | None = None, data: bytes | None = None
-) -> PLR:
+def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None, data: bytes | None = None) -> PLR:
     """Build a PLR and its lookup tables from a decoded file, whose bytes ``data`` are encoded if they are None."""
     plr = PLR(padded_file(encode(contents) if data is None else data), build_inputs=build_inputs)
     plr._contents = contents

@@ -1,4 +1,4 @@
-"""Compute and cache the *sources* of cells: corners (or the goal) to which paths from a cell may go first."""
+"""Cache the *sources* of cells: corners (or the goal) to which shortest paths from points of a cell may go first."""
 
 from collections.abc import Iterator
 
@@ -15,7 +15,7 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class CellMemory:
-    """A cache of the sources of a partition's cells: corners (or the goal) to which shortest paths may go first."""
+    """A cache of the *sources* of cells: corners (or the goal) to which shortest paths from a cell may go first."""
 
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
@@ -32,7 +32,7 @@ class CellMemory:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells in the cache, or of halves of cells in the cache."""
+        """Return the sources of cells, each of which must be a cell of an earlier call or a half of such a cell."""
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # Halve cached cells along the first axis if possible, else along the second.

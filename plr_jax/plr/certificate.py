@@ -26,11 +26,9 @@ def bounds_of_pieces(
 ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """Return lower and upper bounds of (distance to the goal - leaf function) over convex pieces of free space.
 
-    Points reach the goal by way of *sources*: the goal itself, or corners where paths turn first. The cone of a
-    source is its distance to the goal plus ``|x - source|``. The distance is at least the least cone of all sources
-    that some of the piece may use, and at most the cone of a source that all of the piece sees. Without such a
-    source, it is at most the distance of the piece's center plus the straight path to it. ``visible.slack``, the
-    uncertainty of distances, is not included.
+    Paths from a piece go first to its *sources*, corners or the goal. The cone of a source is its distance to the
+    goal plus ``|x - source|``. The distance is at least the least cone of a piece's sources, and at most the cone of
+    a source that all of the piece sees, or the distance of the piece's center plus the straight path to it.
     """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
@@ -111,10 +109,9 @@ def prove_bounds(
 ) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    Convex pieces of each leaf's free space (``visible``) are halved until bounds lie within those of ``sufficient``,
-    a function of the smallest and largest error that points of each leaf attain. Its third argument is False if
-    bounds near its last ones will do. Bounds include ``visible.slack``, far more than the rounding of double
-    precision.
+    Convex pieces of the leaves' free space (``visible``) are halved until their bounds are tight enough, that is,
+    within ``sufficient(least, most, anew)``, where ``least`` and ``most`` are the smallest and the largest error met
+    at points of each leaf. Bounds include ``visible.slack``, the uncertainty of distances.
     """
     num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -193,12 +190,12 @@ _BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # bounds of a class, and its set
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
 
 
-def classify_bounds(codes: Codes, code_factor: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
-    """Group leaves into classes that share bounds, and return each leaf's codes of lower and upper bound after that.
+def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
+    """Group leaves into classes that share bounds; return codes (8-bit logarithms) of the shared bounds of each leaf.
 
-    A class has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width of
-    bounds (``code_factor``, by code), weighted by volume, plus a price per bit; bisection finds the lowest price at
-    which classes fit into ``max_bits``.
+    A class has the leaves whose larger code, of a lower or an upper bound, is in one range. Dynamic programming finds
+    the ranges of least width between bounds, weighted by volume, plus a price per bit; bisection finds the lowest
+    price at which the classes fit into ``max_bits``.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
@@ -210,7 +207,7 @@ def classify_bounds(codes: Codes, code_factor: Float[np.ndarray, "codes"], volum
     for of_rank, of_leaf in zip(highest, codes, strict=True):
         np.maximum.at(of_rank, rank_of, of_leaf)
     of_class = np.stack([of_ranges(each, np.maximum) for each in highest])
-    width = of_ranges(np.bincount(rank_of, volume), np.add) * code_factor[of_class].sum(axis=0)
+    width = of_ranges(np.bincount(rank_of, volume), np.add) * bound_of_code[of_class].sum(axis=0)
     members = of_ranges(np.bincount(rank_of).astype(float), np.add)
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
     width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
@@ -240,10 +237,10 @@ def classify_bounds(codes: Codes, code_factor: Float[np.ndarray, "codes"], volum
 
 
 def requantize_bounds(
-    codes: Codes, classes: Integer[np.ndarray, "2 classes"], code_factor: Float[np.ndarray, "codes"], max_bits: int
+    codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, "codes"], max_bits: int
 ) -> Codes | None:
-    """Widen each leaf's bounds (codes) to the narrowest of the pairs ``classes``; None if no pair contains them."""
-    classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
+    """Widen each leaf's coded bounds to the narrowest pair of ``classes`` that contains them; None if impossible."""
+    classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
     return found if holds.any(axis=0).all() and _fits(found, max_bits) else None
@@ -259,7 +256,7 @@ def _fits(codes: Codes, max_bits: int) -> bool:
 
 
 def write_classes(body: BitWriter, codes: Codes) -> None:
-    """Append the pairs of codes that occur (classes, the most frequent first), and the class of each leaf."""
+    """Write the distinct pairs of lower and upper bounds (classes), most frequent first, and each leaf's class."""
     key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
     classes, order = np.stack(np.divmod(key, 1 << _CODE_BITS)), np.argsort(-size, kind="stable")
     place = np.argsort(order)[class_of]
@@ -335,10 +332,10 @@ class Certificate:
         num_bytes: int = 0,
         before: "Certificate | None" = None,
     ) -> "Certificate":
-        """Encode bounds of each leaf, widened by the ``rounding`` of queries; upper bounds may be ``inf``.
+        """Encode bounds of each leaf's error, widened by ``rounding``, the error of 32-bit queries in the leaf.
 
-        For ``Proof.CLASSES``, leaves share the bounds of a few classes, which take a share of ``num_bytes``. Classes
-        of the certificate ``before`` are used again if they contain all bounds and the largest bound hardly changed.
+        For ``Proof.CLASSES``, groups of leaves share bounds, in 1/128 of ``num_bytes``, the size of the file without
+        proof. Shared bounds of an earlier certificate ``before`` are used again if they suffice.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
@@ -379,7 +376,7 @@ class Certificate:
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
-        """Return bounds at which a proof may stop, from the least and largest error that each leaf attains."""
+        """Return bounds so close to the least and most error met in each leaf that tighter bounds are of no use."""
         if self.proof is not Proof.CLASSES:
             return tight_bounds(least, most)
         spare = _SPARE_OF_CLASS * self.scale

@@ -1,4 +1,4 @@
-"""Find adjacent or overlapping leaves and their shared faces; resolve the constraints between tied leaves."""
+"""Find touching or overlapping leaves and their shared faces; solve linear constraints between values at corners."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,8 +21,9 @@ Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
     """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
-    Both halves of the larger node replace a pair, and ``keep`` drops pairs. The rows of ``pairs`` are nodes of ``a``,
-    nodes of ``b``, and data that halves inherit, if any. In the result, indices of leaves replace those of nodes.
+    Each step replaces a pair by two pairs, with either half of its larger node; ``keep`` returns which pairs stay.
+    The rows of ``pairs`` are nodes of ``a``, nodes of ``b``, and further data of each pair, which new pairs copy. In
+    the result, indices of leaves replace those of nodes.
     """
     trees, found = (a, b), [pairs[:, :0]]
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
@@ -225,9 +226,9 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Find the edge of a larger cell that a split halved at each leaf corner; return the edge's ends.
+    """Return the ends of the edge in whose middle a split created each leaf's corner, as ``leaf * 2**dim + corner``.
 
-    The ends are corners ``leaf * 2**dim + corner``. The second result is False for corners of the domain.
+    The second result is False for corners of the domain, which no split created.
     """
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]

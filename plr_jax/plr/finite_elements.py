@@ -1,18 +1,9 @@
 """The function spaces of continuous and smooth leaves: finite elements on the leaves of a partition.
 
-A function is a polynomial in each leaf: multilinear (order 0), or cubic along every axis with a continuous gradient
-(order 1). Leaves that share a free face must agree on it: they are *tied*. This module finds the free degrees of
-freedom of such functions, and builds the sparse matrices that map them to the coefficients of every leaf.
-
-Every corner of every leaf is a *node*. Tied leaves must agree at the corners of the shared part of their faces:
-
-- If such a point is a corner of both leaves, their nodes belong to one *group*, which has one value.
-- If it is a corner of only one leaf, this corner *hangs* on the other leaf: its value is the other leaf's
-  interpolation there.
-
-The point of a hanging corner lies on a finer dyadic level (``NodalSpace.level``) than the corners from which its
-value is interpolated, so these dependencies have no cycles. Leaves on both sides of a wall are not tied, so a point
-in a wall has several independent nodes. Faces across the seam of a periodic axis are ordinary faces.
+In each leaf, a function is multilinear (order 0) or cubic along each axis with a continuous gradient (order 1).
+Leaves that share a free face are *tied*: they must agree on it. Every corner of every leaf is a *node*. Nodes of tied
+leaves at one point form a *group* with one value. A corner inside the face of a tied leaf *hangs* on that leaf: its
+value is interpolated there, from corners on coarser dyadic levels, so these dependencies have no cycles.
 """
 
 import math
@@ -47,12 +38,11 @@ class NodalSpace:
     """A basis of the functions on a partition that are continuous across its tied faces, where leaves must agree.
 
     Attributes:
-        group: Group of each node (nodes of one group share a value); node ``leaf * 2**dim + corner`` is a corner of
-            ``leaf``.
+        group: Group of each node ``leaf * 2**dim + corner``; nodes of one group are one point and share a value.
         hanging: Groups whose value is interpolated from an adjacent leaf.
         host_leaf, host_position: The leaf on which each hanging group hangs, and its place there, from 0 to 1.
         free_dofs: Groups whose values are free (the degrees of freedom), sorted by ``level``.
-        level: Exponent of two in the denominator of each free group's point, summed over the axes.
+        level: Number of binary digits of the coordinates of each free group's point, in fractions of the domain.
         values: Matrix from the values of free groups to the values of all nodes; 0 at nodes of unreachable leaves.
         prediction: Matrix that predicts each free group's value from coarser groups: the mean of the two ends of the
             edge that a split halved at the group's point.
@@ -202,7 +192,6 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
 def plane_coefficients(
     order: int, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return coefficients of planes, given by their center values and half of their rise along each axis."""
     corners = corner_bits(half.shape[1])
     values = center[:, None] + half @ (2 * corners - 1).T
     if order == 0:

@@ -70,8 +70,9 @@ class Pattern:
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
     """Make a pattern of samples in a cell: its center, points inside and on faces, and its corners if few.
 
-    The third of the samples on faces detects slivers of free space behind a wall, and the large errors that are
-    frequent there; its small weight hardly changes fits. A ``margin`` scales coordinates by ``1 + 2 * margin``.
+    About 1/3 of all samples are on faces. These detect slivers of free space behind a wall, where large errors are
+    frequent; their small weight hardly changes fits. ``margin`` is the distance by which samples reach beyond the
+    cell, as a fraction of its width.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
@@ -87,10 +88,9 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
 
 
 def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "num_points dim"]:
-    """Return evenly spread points in the unit cube, shifted modulo 1.
+    """Return evenly spread points in the unit cube, shifted modulo 1: in the plane, a Fibonacci lattice.
 
-    Their steps are equal along the first axis and those of Roberts' R sequence along the others. In the plane they
-    form a Fibonacci lattice. SciPy's Sobol sequence spreads points as well, but its import takes a third of a second.
+    Steps are equal along the first axis; along other axes, they are the steps of Roberts' R sequence.
     """
     dim, root = len(shift), 1.0
     for _ in range(64 if dim > 1 else 0):  # root ** dim == root + 1: the golden ratio in the plane

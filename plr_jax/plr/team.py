@@ -35,7 +35,7 @@ _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps wi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """A function of joint configurations made of one PLR per robot; robots with ``bands`` get proven lower bounds."""
+    """A function of joint configurations made of one PLR per robot; robots with error ``bands`` get lower bounds."""
 
     tables: tuple[Tables, ...]
     bands: Bands
@@ -65,7 +65,7 @@ class TableStack:
         return distances.T
 
     def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
-        """Pad a batch to a size that is compiled once, in the precision of JAX's floats; wrap or shift its points."""
+        """Pad a batch to one of the sizes that JAX compiles, with each robot's points moved by its ``placements``."""
         size = padded_size(len(q), _SIZES)
         padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
         padded[: len(q)], padded[len(q) :] = q, 0
