@@ -54,7 +54,6 @@ if TYPE_CHECKING:
 _DENSE_FACTOR = 8  # a cell in which few samples reach the goal is sampled again with this many times more samples
 _MAX_SAMPLES = 2**16
 _NUM_ADVICE_POINTS = 1000  # random points that show which share of free space reaches the goal
-BEST = "best"
 _MOST_TIED_AXES = 6
 # leaf="best" tries cones if all corners take at most _CROWDED times the byte budget, and nothing else if they take at
 # most _ROOMY times the budget. Measured on random maps with 10 to 80 blocked cells.
@@ -212,13 +211,10 @@ def construct(
     def build(name: LeafModel | str, root: CellSources | None = None) -> DecodedFile:
         return _build_leaves(distance_fn, domain, leaf_model(name), limits, proof, seed, options, root)
 
-    if leaf == BEST:
+    if leaf == "best":
         has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
         only_bytes = max_leaves is None and max_depth is None and not has_rules
-        contents, is_interrupted = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
-        if is_interrupted:
-            message = "Interrupted: the PLR is the best one built so far."
-            warnings.warn(message, ConstructionInterrupted, stacklevel=2)
+        contents = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
     else:
         contents = build(leaf)
     if isinstance(distance_fn, FreeSpaceFn) and (advice := _unreachable_warning(distance_fn, domain)):
@@ -330,8 +326,8 @@ def build_best_model(
     max_bytes: int | None,
     only_bytes: bool,
     seed: int,
-) -> tuple[DecodedFile, bool]:
-    """Build leaves of all suitable models; return the best ones, and whether Ctrl-C ended the search.
+) -> DecodedFile:
+    """Build leaves of all suitable models, until Ctrl-C, and return those of the smallest error.
 
     ``only_bytes`` tells that ``max_bytes`` is the only limit and all rules are the defaults.
     """
@@ -371,7 +367,9 @@ def build_best_model(
             is_interrupted = True
     if best is None:
         raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
-    return best, is_interrupted
+    if is_interrupted:
+        warnings.warn("Interrupted: the PLR is the best one built so far.", ConstructionInterrupted, stacklevel=3)
+    return best
 
 
 def _models_to_try(

@@ -142,7 +142,7 @@ def _files(
 def _certified(
     contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
 ) -> list[DecodedFile]:
-    """Prove error bounds of PLRs for goals of one workspace; ``sources`` has leaves' indices in ``oracle.sources``."""
+    """Prove error bounds of PLRs for goals of one workspace; ``sources`` indexes ``oracle.sources`` by leaf."""
     for oracle in oracles:
         require_certifiable(oracle, contents[0].domain)
     # Cells that several members have as leaves are cut into free pieces once.

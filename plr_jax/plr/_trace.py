@@ -5,7 +5,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_points, shortened
 from plr_jax._types import ArrayLike
@@ -138,15 +138,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     status = np.where(is_free, status, TraceStatus.CROSSES_WALL)
 
     # 4. Add rows for starts outside the domain.
-    columns = (paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)
-    spread = [_spread(rows, fill, inside, len(starts)) for rows, fill in columns]
-    return Traces(*spread, are_tested=workspace is not None)
-
-
-def _spread(
-    rows: Shaped[np.ndarray, "some *row"], fill: int | float, place: Int[np.ndarray, "some"], count: int
-) -> Shaped[np.ndarray, "count *row"]:
-    """Return an array of ``count`` rows with the given rows at their places and ``fill`` elsewhere."""
-    spread = np.full((count, *rows.shape[1:]), fill, rows.dtype)
-    spread[place] = rows
-    return spread
+    columns = []
+    for rows, fill in ((paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)):
+        columns.append(np.full((len(starts), *rows.shape[1:]), fill, rows.dtype))
+        columns[-1][inside] = rows
+    return Traces(*columns, are_tested=workspace is not None)

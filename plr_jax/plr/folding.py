@@ -87,9 +87,9 @@ class Folding:
         """Return points that the folding maps to ``z``, each inside the domain if possible."""
         images = self.images(z)
         found, is_inside = next(images)
-        for x, inside in images:
-            found = np.where((inside & ~is_inside)[:, None], x, found)
-            is_inside |= inside
+        while not is_inside.all() and (image := next(images, None)):  # most points need no further image
+            found = np.where((image[1] & ~is_inside)[:, None], image[0], found)
+            is_inside |= image[1]
         return found
 
     def boxes(
