@@ -217,8 +217,8 @@ def construct(
         contents = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
     else:
         contents = build(leaf)
-    if isinstance(distance_fn, FreeSpaceFn) and (advice := _unreachable_warning(distance_fn, domain)):
-        warnings.warn(advice, stacklevel=2)
+    if isinstance(distance_fn, FreeSpaceFn):
+        _warn_if_cut_off(distance_fn, domain)
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
         return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
     plr = plr_of_leaves(contents)
@@ -300,19 +300,19 @@ def proof_of(certified: bool | str) -> Proof:
     return Proof.CLASSES if certified else Proof.NONE
 
 
-def _unreachable_warning(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
+def _warn_if_cut_off(distance_fn: FreeSpaceFn, domain: Box) -> None:
     x = domain.lo + domain.width * np.random.default_rng(0).random((_NUM_ADVICE_POINTS, domain.dim))
     try:
         x = x[np.asarray(distance_fn.is_free(x))]
         cut_off = np.count_nonzero(np.isinf(np.ma.filled(distance_fn(x), np.inf))) if len(x) else 0
     except KeyboardInterrupt:  # the PLR is complete without this warning
-        return None
-    if 2 * cut_off <= len(x):
-        return None
-    return (
-        f"The goal cannot be reached from {100 * cut_off / len(x):.0f} % of {len(x):,} free points of the domain. "
-        "Check that the goal is in the intended part of free space; the PLR's values elsewhere are meaningless."
-    )
+        return
+    if 2 * cut_off > len(x):
+        message = (
+            f"The goal cannot be reached from {100 * cut_off / len(x):.0f} % of {len(x):,} free points of the domain."
+            " Check that the goal is in the intended part of free space; the PLR's values elsewhere are meaningless."
+        )
+        warnings.warn(message, stacklevel=3)
 
 
 # leaf="best": build each leaf model that suits the distance function, and keep the one with the smallest error.

@@ -169,8 +169,7 @@ class PLR(FileBacked):
         corner = None if has_doubles else self._corner_if_far
         if corner is None and not self.tables.periodic:
             return self.tables, None
-        placement = PointPlacement(self.domain if self.tables.periodic else None, corner)
-        return self.tables if corner is None else self.tables_from_corner, placement
+        return self.tables if corner is None else self.tables_from_corner, PointPlacement(self.domain, corner)
 
     @cached_property
     def _corner_if_far(self) -> Corner | None:

@@ -17,13 +17,12 @@ from plr_jax._types import CellSources
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 
-ConeBoundsFn: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
+Bounds: TypeAlias = tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]
+ConeBoundsFn: TypeAlias = Callable[..., Bounds]
 """Function of pieces, apexes, offsets, rows: bounds of ``offset + |x - apex|`` minus the leaf function of a row."""
 
 
-def bounds_of_pieces(
-    visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn) -> Bounds:
     """Return lower and upper bounds of (distance to the goal - leaf function) over convex pieces of free space.
 
     Paths from a piece go first to its *sources*, corners or the goal. The cone of a source is its distance to the
@@ -57,9 +56,7 @@ class LeafFunctions:
     def values(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
         return self.model.values(self.lo[leaf], self.hi[leaf], self.coefficients[leaf], x)
 
-    def bounds_of_pieces(
-        self, visible: CellSources, leaf: Int[np.ndarray, "pieces"]
-    ) -> tuple[Float[np.ndarray, "pieces"], Float[np.ndarray, "pieces"]]:
+    def bounds_of_pieces(self, visible: CellSources, leaf: Int[np.ndarray, "n"]) -> Bounds:
         def cones_above(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
             functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
@@ -76,16 +73,15 @@ class LeafFunctions:
 
 # Most rounds in which pieces of a leaf are halved, and most pieces in a round; more would only tighten bounds.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
-# Bounds are tight enough if they exceed attained errors by this share of the range of a leaf's errors, clipped to
-# these shares of the largest error of all leaves.
-_OF_RANGE = 0.04
-_LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
-_SPARE_OF_CLASS = 1e-5  # this share of the scale for classes of leaves, whose bounds few leaves determine
-
-
 Errors: TypeAlias = Float[np.ndarray, "leaves"]
+SufficientFn: TypeAlias = Callable[[Errors, Errors, bool], tuple[Errors, Errors]]
+"""Function ``sufficient(least, most, anew)`` that returns lower and upper bounds of errors that are tight enough.
+
+``least`` and ``most`` are the smallest and the largest error met at points of each leaf. If ``anew`` is False, the
+function may return about the same bounds as in the call before.
+"""
 Codes: TypeAlias = Integer[np.ndarray, "2 leaves"]
-"""Codes of lower and upper bounds, in the form of a file."""
+"""8-bit logarithms of each leaf's lower and upper bound, as in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,22 +92,11 @@ class LeafBounds:
     upper: Errors
 
 
-def tight_bounds(least: Errors, most: Errors) -> tuple[Errors, Errors]:
-    largest = max(most.max(initial=0.0), -least.min(initial=0.0))
-    spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
-    return least - spare, most + spare
-
-
-def prove_bounds(
-    functions: LeafFunctions,
-    visible: CellSources,
-    sufficient: Callable[[Errors, Errors, bool], tuple[Errors, Errors]],
-) -> LeafBounds:
+def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    Convex pieces of the leaves' free space (``visible``) are halved until their bounds are tight enough, that is,
-    within ``sufficient(least, most, anew)``, where ``least`` and ``most`` are the smallest and the largest error met
-    at points of each leaf. Bounds include ``visible.slack``, the uncertainty of distances.
+    Convex pieces of the leaves' free space (``visible``) are halved until their bounds are ``sufficient``. Bounds
+    include ``visible.slack``, the uncertainty of distances.
     """
     num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -191,7 +176,7 @@ _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of th
 
 
 def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
-    """Group leaves into classes that share bounds; return codes (8-bit logarithms) of the shared bounds of each leaf.
+    """Group leaves into classes that share bounds; return codes of the shared bounds of each leaf.
 
     A class has the leaves whose larger code, of a lower or an upper bound, is in one range. Dynamic programming finds
     the ranges of least width between bounds, weighted by volume, plus a price per bit; bisection finds the lowest
@@ -306,6 +291,13 @@ class Proof(IntEnum):
         return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
 
 
+# Bounds are tight enough if they exceed attained errors by this share of the range of a leaf's errors, clipped to
+# these shares of the largest error of all leaves.
+_OF_RANGE = 0.04
+_LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
+_SPARE_OF_CLASS = 1e-5  # this share of the scale for classes of leaves, whose bounds few leaves determine
+
+
 def _room_for_classes(num_bytes: int) -> int:
     return bits if (bits := num_bytes // _BYTES_A_BIT) >= _LEAST_BITS else 0
 
@@ -378,7 +370,9 @@ class Certificate:
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
         """Return bounds so close to the least and most error met in each leaf that tighter bounds are of no use."""
         if self.proof is not Proof.CLASSES:
-            return tight_bounds(least, most)
+            largest = max(most.max(initial=0.0), -least.min(initial=0.0))
+            spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
+            return least - spare, most + spare
         spare = _SPARE_OF_CLASS * self.scale
         least, most = least - spare, most + spare
         lower, upper = self._classes

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._types import Distances, Points
 from plr_jax.plr.faces import (
     SharedFaces,
     check_num_weights,
@@ -141,7 +142,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
 def _interpolation(
     group: Int[np.ndarray, "nodes"],
     leaf: Int[np.ndarray, "n"],
-    t: Float[np.ndarray, "n dim"],
+    t: Points,
     row: Int[np.ndarray, "n"],
     shape: tuple[int, int],
 ) -> "csr_array":
@@ -179,7 +180,7 @@ _BASIS_1D = (
 )
 
 
-def design(order: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+def design(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
     """Return the values of a leaf's basis functions at points ``t`` of its cell, from 0 to 1 along each axis."""
     return _derivatives(order, t, np.zeros(t.shape[1], np.int64))
 
@@ -189,9 +190,7 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
-def plane_coefficients(
-    order: int, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
-) -> Float[np.ndarray, "leaves terms"]:
+def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.ndarray, "n terms"]:
     corners = corner_bits(half.shape[1])
     values = center[:, None] + half @ (2 * corners - 1).T
     if order == 0:
@@ -215,11 +214,8 @@ def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
 
 
 def enclosing_planes(
-    order: int,
-    coefficients: Float[np.ndarray, "n terms"],
-    center: Float[np.ndarray, "n 2"],
-    reach: Float[np.ndarray, "n 2"],
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+    order: int, coefficients: Float[np.ndarray, "n terms"], center: Points, reach: Points
+) -> tuple[Distances, Points, Distances]:
     """Return tangent planes of polynomials of leaves at centers of boxes, and bounds of the differences in the boxes.
 
     Boxes are given by center and half-width (``reach``) in local coordinates, from 0 to 1 across the leaf. The first
@@ -243,9 +239,7 @@ def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndar
     return ways * center[:, None, None] ** np.maximum(power - of_difference, 0)
 
 
-def _derivatives(
-    order: int, t: Float[np.ndarray, "n dim"], derivative: Int[np.ndarray, "dim"]
-) -> Float[np.ndarray, "n terms"]:
+def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, "dim"]) -> Float[np.ndarray, "n terms"]:
     """Return a mixed derivative of all basis functions at points ``t``; ``derivative`` is 1 on axes to differentiate.
 
     Columns are ordered by corner, then by the kind of data at the corner (value or a derivative).

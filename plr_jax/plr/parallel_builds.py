@@ -40,9 +40,7 @@ class Checkpoint:
         if not isinstance(path, str | os.PathLike):
             raise ValueError(f"checkpoint must be the path of a file or None, got {shortened(path)}.")
         self._path, self._head, self.records = Path(path), _MAGIC + digest, dict[bytes, bytes]()
-        data = b""
-        with suppress(FileNotFoundError):
-            data = self._path.read_bytes()
+        data = self._path.read_bytes() if self._path.exists() else b""
         head = data[: len(self._head)]
         if not self._head.startswith(head):
             if not head.startswith(_MAGIC):

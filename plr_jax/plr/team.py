@@ -15,14 +15,13 @@ from plr_jax.plr.tables import AnyArray, Tables
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A function that wraps 64-bit points around periodic axes, then subtracts ``corner``; None skips a step."""
+    """A function that wraps 64-bit points around periodic axes, then subtracts ``corner`` if there is one."""
 
-    domain: Box | None
+    domain: Box
     corner: Float[np.ndarray, "dim"] | None
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
-        if self.domain is not None:
-            x = self.domain.wrapped(x)
+        x = self.domain.wrapped(x)
         return x if self.corner is None else x - self.corner
 
 
