@@ -184,11 +184,10 @@ class PLR(FileBacked):
         """Return proven bounds of the distance at points of free space from which the goal can be reached.
 
         The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was
-        given, and covers the rounding of a query. It includes points on the boundaries of obstacles, as they are in
-        ``Workspace.free_space``. It excludes points that are free, or connected to the goal, only because of the
-        workspace's tolerance. In a domain far from the origin, as in UTM coordinates, 32-bit points are rounded by
-        more than the size of cells, and the bounds hold for the rounded points: pass NumPy's 64-bit points outside of
-        ``jit``, or enable ``jax_enable_x64``.
+        given, and covers the rounding of a query. It includes points on the boundaries of obstacles. It excludes
+        points that are free, or connected to the goal, only because of the workspace's tolerance. In a domain far
+        from the origin, as in UTM coordinates, bounds hold for the points as rounded to 32 bits: pass NumPy's 64-bit
+        points outside of ``jit``, or enable ``jax_enable_x64``.
 
         Return lower bounds, at least 0, and upper bounds, ``(...)`` each, for points ``(..., dim)``. Both are ``inf``
         outside the domain and NaN for NaN. In obstacles, and where the goal cannot be reached, they are meaningless.
@@ -353,8 +352,7 @@ class PLR(FileBacked):
     def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
         """Evaluate the function of a given leaf at each point, also outside that leaf, in double precision.
 
-        Along periodic axes, the image of a point nearest to the leaf's center is used. Values are ``inf`` for leaves
-        that answer ``inf``.
+        Along periodic axes, points are first moved by whole periods to near the leaf's center.
         """
         is_inf = np.isinf(self._coefficients[leaf, 0])
         coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])

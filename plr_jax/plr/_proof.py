@@ -62,10 +62,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """A function that returns which bounds of a PLR's leaves are tight enough, from the errors met at points so far.
-
-    Errors are encoded as in a file: bounds within the rounded ones need not become tighter.
-    """
+    """A function that returns which bounds of one PLR's leaves are tight enough, as bounds in a file are rounded."""
 
     leaves: slice
     rounding: Errors
@@ -93,19 +90,14 @@ def _volume_and_size(contents: DecodedFile) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class BuildInputs:
-    """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store.
-
-    Attributes:
-        bounds: Proven bounds of each leaf; None to use the bounds that the file stores.
-        node_costs: The errors that nodes of the tree would have as leaves; None if unknown.
-    """
+    """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store."""
 
     oracle: DistanceFn
     max_bytes: int | None
     max_leaves: int | None = None
     tolerance: int | float | None = None
-    bounds: LeafBounds | None = None
-    node_costs: NodeCosts | None = None
+    bounds: LeafBounds | None = None  # proven; None to use the wider bounds that the file stores
+    node_costs: NodeCosts | None = None  # errors that nodes of the tree would have as leaves
 
 
 def can_be_updated(contents: DecodedFile) -> bool:

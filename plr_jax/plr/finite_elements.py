@@ -36,28 +36,19 @@ _GROWTH = 4
 
 @dataclass(frozen=True, eq=False)
 class NodalSpace:
-    """A basis of the functions on a partition that are continuous across its tied faces, where leaves must agree.
-
-    Attributes:
-        group: Group of each node ``leaf * 2**dim + corner``; nodes of one group are one point and share a value.
-        hanging: Groups whose value is interpolated from an adjacent leaf.
-        host_leaf, host_position: The leaf on which each hanging group hangs, and its place there, from 0 to 1.
-        free_dofs: Groups whose values are free (the degrees of freedom), sorted by ``level``.
-        level: Number of binary digits of the coordinates of each free group's point, in fractions of the domain.
-        values: Matrix from the values of free groups to the values of all nodes; 0 at nodes of unreachable leaves.
-        prediction: Matrix that predicts each free group's value from coarser groups: the mean of the two ends of the
-            edge that a split halved at the group's point.
-    """
+    """A basis of the functions on a partition that are continuous across its tied faces, where leaves must agree."""
 
     tree: Tree
-    group: Int[np.ndarray, "nodes"]
-    hanging: Int[np.ndarray, "hanging"]
-    host_leaf: Int[np.ndarray, "hanging"]
-    host_position: Float[np.ndarray, "hanging dim"]
-    free_dofs: Int[np.ndarray, "free_dofs"]
-    level: Int[np.ndarray, "free_dofs"]
-    values: "csr_array"
-    prediction: "csr_array"
+    group: Int[np.ndarray, "nodes"]  # of each node ``leaf * 2**dim + corner``; nodes of a group share a value
+    hanging: Int[np.ndarray, "hanging"]  # groups whose value is interpolated from an adjacent leaf
+    host_leaf: Int[np.ndarray, "hanging"]  # the adjacent leaf
+    host_position: Float[np.ndarray, "hanging dim"]  # of the group's point in the adjacent leaf, from 0 to 1
+    free_dofs: Int[np.ndarray, "free_dofs"]  # groups whose values are free (degrees of freedom), sorted by ``level``
+    level: Int[np.ndarray, "free_dofs"]  # binary digits of all coordinates of the point, in fractions of the domain
+    values: "csr_array"  # from values of free groups to values of all nodes; 0 at nodes of unreachable leaves
+    prediction: (
+        "csr_array"  # from values of free groups to the mean of the ends of the edge that a split halved there
+    )
 
     @property
     def dim(self) -> int:
@@ -159,13 +150,11 @@ def _interpolation(
     return csr_array((weight, (row[point], group[(leaf[point] << t.shape[1]) + corner])), shape)
 
 
-# The local basis of a leaf: corner values (order 0), or corner values and derivatives (order 1).
-#
-# Order 0 is multilinear interpolation of the corner values. Order 1 is cubic Hermite interpolation, the rectangular
-# element of Bogner, Fox and Schmit (1965). Its derivatives are not free: at a corner they are means of the
-# derivatives of the multilinear functions of the leaves tied there. A hanging corner takes value and derivatives from
-# the cubic of its host leaf. A cubic on half a face is determined by value and slope at its ends, so the function
-# stays continuous across that face.
+# The local basis of a leaf. Order 0 is multilinear interpolation of corner values. Order 1 is cubic Hermite
+# interpolation of corner values and derivatives, the rectangular element of Bogner, Fox and Schmit (1965). At a
+# corner, derivatives are means over the multilinear functions of the leaves tied there. A hanging corner takes value
+# and derivatives from the cubic of its host leaf; they determine the cubic on either half of the face, so the
+# function stays continuous across it.
 
 POWERS = (2, 4)  # number of powers of t along each axis, by order
 # Largest dimension, by order. For order 0, a leaf in 6-D has 64 corners already. For order 1 in 3-D, a corner may
@@ -216,11 +205,9 @@ def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
 def enclosing_planes(
     order: int, coefficients: Float[np.ndarray, "n terms"], center: Points, reach: Points
 ) -> tuple[Distances, Points, Distances]:
-    """Return tangent planes of polynomials of leaves at centers of boxes, and bounds of the differences in the boxes.
+    """Return value and gradient of leaves' polynomials at centers of boxes, and a bound of all other Taylor terms.
 
-    Boxes are given by center and half-width (``reach``) in local coordinates, from 0 to 1 across the leaf. The first
-    two results are the polynomial's value and gradient at the center. The third bounds the difference of plane and
-    polynomial: the sum of the largest absolute values of all higher-order Taylor terms.
+    ``center`` and ``reach`` (the half-widths of boxes) are in local coordinates, from 0 to 1 across the leaf.
     """
     count = POWERS[order]
     powers = (coefficients @ monomials(order, 2)).reshape(-1, count, count)
@@ -240,10 +227,7 @@ def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndar
 
 
 def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, "dim"]) -> Float[np.ndarray, "n terms"]:
-    """Return a mixed derivative of all basis functions at points ``t``; ``derivative`` is 1 on axes to differentiate.
-
-    Columns are ordered by corner, then by the kind of data at the corner (value or a derivative).
-    """
+    """Return the derivative of all basis functions at points ``t`` along all axes where ``derivative`` is 1."""
     n, (_, kinds, num_powers) = len(t), _BASIS_1D[order].shape
     values, powers = np.ones((n, 1, 1)), np.arange(num_powers)
     for axis, is_along in enumerate(derivative):

@@ -1,8 +1,7 @@
 """Grow the partition of a PLR by splitting its worst leaves (Algorithm 1 of the paper), within the user's limits.
 
-Each round splits many leaves at once; splits beyond the limits are undone at the end. The tree is the same as if a
-priority queue split one leaf at a time. Under a byte budget, the number of splits is chosen together with the number
-of bits of each coefficient.
+Each round splits many leaves at once; splits beyond the limits are undone at the end, so that the tree is the same as
+if a priority queue split one leaf at a time. A byte budget also determines the number of bits of each coefficient.
 """
 
 import os

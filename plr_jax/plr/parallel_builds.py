@@ -1,7 +1,7 @@
 """Run long constructions of PLRs on parallel workers, and keep finished results in checkpoint files.
 
-A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. When the
-file is opened again, the first incomplete or damaged record and all later records are dropped.
+A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. Whoever
+opens the file drops the first incomplete or damaged record and all later records.
 """
 
 import os
