@@ -256,10 +256,10 @@ def _build_leaves(
     if answers_for_cells and domain.dim == 2:
         memory = CellMemory(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
     weight_fn = options.weight_fn
-    if options.executor is not None or options.checkpoint is not None:
-        checkpoint = None
-        if options.checkpoint is not None:
-            checkpoint = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
+    checkpoint = None
+    if options.checkpoint is not None:
+        checkpoint = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
+    if options.executor is not None or checkpoint is not None:
         distance_fn = ParallelOracle(distance_fn, options.executor, checkpoint)
     if folding is not None:
         domain, weight_fn = folding.box, partial(folded_weights, weight_fn, folding)
@@ -402,17 +402,16 @@ def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) ->
 
 
 def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
-    """Prove bounds of the error of an existing PLR.
+    """Prove bounds of the error of an existing PLR at all points of its domain that reach the goal.
 
-    No point is sampled: the oracle tells to which corners shortest paths from a whole cell may go first. The proof
-    holds for all points of the domain that reach the goal. It excludes an error of the oracle itself, for example by
-    an inflated workspace. Where two parts of free space touch at a point, the cell there covers both, so the proven
-    error is at least half of the jump between them.
+    No point is sampled: the oracle tells to which corners shortest paths from a whole cell may go first. Errors of
+    the oracle itself are not included. Where two parts of free space touch at a point, one cell covers both, so the
+    proven error is at least half of the jump between them.
 
     Args:
         plr: A PLR in the plane, of any leaf model.
         oracle: The distance function, one that answers for whole cells, such as ``VisibilityGraph``.
-        leaf_bounds: True stores bounds of every leaf, 2 bytes each. False stores bounds that classes of leaves share,
+        leaf_bounds: True stores bounds of every leaf, 2 bytes each. False stores bounds that groups of leaves share,
             in at most 1/128 of the bytes of the leaves; if that is less than 10 bytes, only the largest error.
 
     Returns:

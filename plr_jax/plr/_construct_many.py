@@ -49,9 +49,9 @@ def construct_many(
 
     Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
     chosen by their mean errors at a grid of up to 512 x 512 points that all goals share, not by proven errors as in
-    :func:`construct`. This is faster, and mean errors are mostly smaller. A file may be smaller than ``max_bytes`` if
-    these points have no error. Other PLRs are built one by one with :func:`construct`; so are cones of a family if
-    the limits allow more than about 8,000 leaves, or a tolerance is given.
+    :func:`construct`. This is faster, and mean errors are mostly smaller; files are smaller than ``max_bytes`` if
+    these points have no error. All other PLRs are built one by one with :func:`construct`, also cones of a family if
+    a tolerance is given or the limits allow more than about 8,000 leaves.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -91,10 +91,8 @@ def construct_many(
     executor, checkpoint = options.executor, options.checkpoint
     options = replace(options, executor=None, checkpoint=None)
     limits = check_limits(model, domain.dim, max_depth, max_leaves, max_bytes, tolerance, proof, frame_size(domain))
-    is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic
-    as_family = isinstance(model, Cone) and is_plane and is_limited and limits.tolerance == 0
-    as_family &= options == DEFAULT_OPTIONS
+    as_family = isinstance(model, Cone) and is_plane and limits.tolerance == 0 and options == DEFAULT_OPTIONS
     checkpoint_file = None
     if checkpoint is not None:
         rules = "" if options == DEFAULT_OPTIONS else f" {options.names}"

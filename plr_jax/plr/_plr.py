@@ -95,9 +95,8 @@ class PLR(FileBacked):
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
-        rows = bounds.shape[1] if bounds.shape[1] == 1 else padded_size(bounds.shape[1])
         with jax.ensure_compile_time_eval():
-            return jax.device_put(padded(bounds.T, rows).T)
+            return jax.device_put(padded(bounds.T, padded_size(bounds.shape[1])).T)
 
     @cached_property
     def _straight(self) -> Float[Array, "_"] | None:

@@ -34,7 +34,7 @@ UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The computed boxes that result from the domain by one number of halvings; the next level has their halves."""
+    """Boxes that all result from the domain by the same number of halvings; the next level has their halves."""
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
     key: UInt64[np.ndarray, "boxes"]  # hash of each box
@@ -322,7 +322,7 @@ class PriceSearch:
 def best_axes(
     levels: list[BoxLevel], own: list[SelectedBoxes], price: float, share: float
 ) -> list[Int[np.ndarray, "own"]]:
-    """Return each box's split axis in the tree of least cost, as in :func:`expand`; -1 for a leaf."""
+    """Return each box's split axis, or -1 for a leaf, in the tree of least error plus ``price`` per leaf."""
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
         total, choice = level.costs(share)[box] + price, np.full(len(box), -1)

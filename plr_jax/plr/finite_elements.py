@@ -46,9 +46,7 @@ class NodalSpace:
     free_dofs: Int[np.ndarray, "free_dofs"]  # groups whose values are free (degrees of freedom), sorted by ``level``
     level: Int[np.ndarray, "free_dofs"]  # binary digits of all coordinates of the point, in fractions of the domain
     values: "csr_array"  # from values of free groups to values of all nodes; 0 at nodes of unreachable leaves
-    prediction: (
-        "csr_array"  # from values of free groups to the mean of the ends of the edge that a split halved there
-    )
+    prediction: "csr_array"  # of free groups from coarser ones: the mean of the ends of the edge that a split halved
 
     @property
     def dim(self) -> int:

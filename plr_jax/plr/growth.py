@@ -228,6 +228,7 @@ def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
+    # Fitting a plane in both halves reduces the weighted sum of squares by the squared coordinates in their basis.
     residual, masked = fit.residual, fit.masked
     weight = fit.weight[masked] * fit.pattern.weight
     total = row_products(np.square(residual), fit.pattern.weight)

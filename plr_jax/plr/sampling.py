@@ -54,10 +54,7 @@ class Pattern:
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """Orthonormal bases of functions that are a plane in each half of a cell, for each axis.
-
-        Fitting both planes reduces the weighted sum of squared values by ``np.square(values @ basis).sum()``.
-        """
+        """For each axis, an orthonormal basis of functions that are a plane in either half of a cell."""
         root = np.sqrt(self.weight)[:, None]
         bases = []
         for design in self.halves:
@@ -113,7 +110,7 @@ FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]
 
 
 def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Planes:
-    """Fit each cell's plane by weighted least squares, which gives small mean errors: the paper's fit.
+    """Fit each cell's plane by weighted least squares, which gives small mean errors (Section III-A of the paper).
 
     The weight of a sample is the pattern's weight times ``weight``. If the samples of positive weight do not
     determine the plane, the slope has the least norm: a single sample gives a constant plane, no sample gives zero.
@@ -126,9 +123,6 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
     Returns:
         Values at the cells' centers ``(cells,)``, and half of the rise across each cell along each axis
         ``(cells, dim)``.
-
-    References:
-        Section III-A of the paper.
     """
     plane = row_products(value, pattern.pseudo_inverse.T)
     masked = masked_cells(weight)
