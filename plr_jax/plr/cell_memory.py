@@ -32,7 +32,7 @@ class CellMemory:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells, each of which must be a cell of an earlier call or a half of such a cell."""
+        """Return corners (or goal) to which paths from cells go first; each cell, or the cell that it halves, is cached."""
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # Halve cached cells along the first axis if possible, else along the second.

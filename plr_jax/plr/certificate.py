@@ -224,7 +224,7 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], vol
 def requantize_bounds(
     codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, "codes"], max_bits: int
 ) -> Codes | None:
-    """Widen each leaf's coded bounds to the narrowest pair of ``classes`` that contains them; None if impossible."""
+    """Widen each leaf's bounds (codes) to the narrowest pair of ``classes`` that contains them, else return None."""
     classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]

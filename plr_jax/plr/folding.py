@@ -38,7 +38,7 @@ class Folding:
 
     @cached_property
     def box(self) -> Box:
-        """Box of all folded points of the domain, which a PLR's leaves partition."""
+        """Box of all points of the domain after mirroring, which a PLR's leaves partition."""
         lo, hi = self._range_before_mirroring
         largest = np.maximum(np.abs(lo), np.abs(hi))
         is_reversed = np.any(np.array(self.mirrors).reshape(-1, self.domain.dim), axis=0)
@@ -68,7 +68,7 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, "n"]]]:
-        """Yield, for each subset of mirrors, points that the folding maps to ``z``, and which are in the domain."""
+        """Yield, for each subset of the mirrors, points that these map to ``z``, and which are inside the domain."""
         near = _CUT * self.domain.width
         for is_odd in self._reversals:
             mirrored = np.where(is_odd, -z, z)
@@ -84,7 +84,7 @@ class Folding:
         return subsets @ np.array(self.mirrors, int).reshape(num, dim) % 2 == 1
 
     def unfold(self, z: Points) -> Points:
-        """Return points that the folding maps to ``z``, each inside the domain if possible."""
+        """Return points that the mirrors map to ``z``, each inside the domain if possible."""
         images = self.images(z)
         found, is_inside = next(images)
         while not is_inside.all() and (image := next(images, None)):  # most points need no further image

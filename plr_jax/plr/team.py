@@ -34,7 +34,7 @@ _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps wi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """A function of joint configurations made of one PLR per robot; robots with error ``bands`` get lower bounds."""
+    """A function of joint configurations made of one PLR per robot: distances or, with ``bands``, lower bounds."""
 
     tables: tuple[Tables, ...]
     bands: Bands
