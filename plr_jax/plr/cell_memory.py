@@ -32,7 +32,7 @@ class CellMemory:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return corners (or goal) to which paths may go first from cells in the cache or from halves of cached cells."""
+        """Return corners (or goal) to which paths may go first from cached cells or from halves of cached cells."""
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # Halve cached cells along the first axis if possible, else along the second.
