@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,7 +23,6 @@ from plr_jax._types import (
     FreeSpaceFn,
     NearestFn,
     Points,
-    Sources,
 )
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import DecodedFile, encode
@@ -55,7 +54,6 @@ if TYPE_CHECKING:
 _DENSE_FACTOR = 8  # a cell in which few samples reach the goal is sampled again with this many times more samples
 _MAX_SAMPLES = 2**16
 _NUM_ADVICE_POINTS = 1000  # random points that show which share of free space reaches the goal
-BEST = "best"
 _MOST_TIED_AXES = 6
 # leaf="best" tries cones if all corners take at most _CROWDED times the byte budget, and nothing else if they take at
 # most _ROOMY times the budget. Measured on random maps with 10 to 80 blocked cells.
@@ -72,9 +70,7 @@ class BuildOptions:
     ``max_depth=9``, or ``should_split=center_error`` with a tolerance.
 
     Args:
-        compute_coefficients: Function that fits the plane of each cell: ``least_squares`` or your own. Only planes
-        use
-            it.
+        compute_coefficients: Function that fits each cell's plane: ``least_squares`` or your own. For planes only.
         should_split: Function from a ``CellFit`` to a priority for each cell: ``largest_error``, ``center_error``,
             ``maximum_depth`` or your own. The cell of the largest positive priority is split next.
         split: Function from a ``CellFit`` to a split axis for each cell: ``best_axis``, ``cyclic_axis`` or your own.
@@ -119,7 +115,7 @@ class BuildOptions:
 
     @property
     def names(self) -> str:
-        """Text that identifies the rules, the number of samples and the margin in a checkpoint."""
+        """Text that identifies all options but the executor and the checkpoint."""
         rules = self.compute_coefficients, self.should_split, self.split, self.weight_fn
         names = " ".join(getattr(rule, "__qualname__", type(rule).__qualname__) for rule in rules)
         return f"{names} {self.num_samples} {self.margin}"
@@ -163,11 +159,12 @@ def construct(
         max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
             along one axis as well: in the plane to between 7 (files of 2 KB) and 14, in ``dim`` > 2 dimensions to
             ``28 // dim``.
-        tolerance: Error, in units of distance, up to which a cell is not split: by default its largest error at
-            samples, for cones and certified planes its proven error.
+        tolerance: Largest error, in units of distance, of a cell that is not split: as ``options.should_split`` says
+            or, for cones and certified planes, the proven error.
         certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.
-            ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that answers for whole
-            cells, such as ``VisibilityGraph``; see :func:`certify`.
+            ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that *answers for whole
+            cells*: that knows to which corners shortest paths from the points of a cell may go first, such as
+            ``VisibilityGraph``. See :func:`certify`.
         seed: Seed of the samples. The same seed gives the same PLR.
         options: Rules of fitting and splitting, samples, workers and a checkpoint: see :class:`BuildOptions`.
 
@@ -180,12 +177,11 @@ def construct(
           the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). Needs a
           distance function in the plane that answers for whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
-          certified, else the geometric mean of the mean and the largest error at random points. It builds only cones
-          if all corners take at most half of ``max_bytes``, at 7 bytes each, and neither ``max_leaves``,
-          ``max_depth`` nor rules are given; no cones if the corners take more than 4 times ``max_bytes``. The other
-          models are, if certified, all that suit the domain; else ``"continuous"``, and ``"smooth"`` beside cones. A
-          distance function that does not answer for whole cells gets ``"continuous"`` leaves, in more than 6
-          dimensions ``"plane"``.
+          certified, else the geometric mean of the mean and the largest error at random points. Certified, it tries
+          all models that suit the domain; else cones, ``"continuous"`` and ``"smooth"``, or, if the distance function
+          does not answer for whole cells, ``"continuous"`` (in more than 6 dimensions ``"plane"``). At 7 bytes a
+          corner, it tries only cones if all corners take at most half of ``max_bytes`` and there are no other limits
+          or rules; it tries neither cones nor, uncertified, ``"smooth"`` if they take over 4 times ``max_bytes``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.
@@ -212,20 +208,17 @@ def construct(
         raise ValueError(f"options must be BuildOptions(...), got {shortened(options)}.")
     limits = max_depth, max_leaves, max_bytes, tolerance
 
-    def build(name: LeafModel | str, oracle: DistanceFn) -> DecodedFile:
-        return _build_leaves(oracle, domain, leaf_model(name), limits, proof, seed, options)
+    def build(name: LeafModel | str, root: CellSources | None = None) -> DecodedFile:
+        return _build_leaves(distance_fn, domain, leaf_model(name), limits, proof, seed, options, root)
 
-    if leaf == BEST:
+    if leaf == "best":
         has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
         only_bytes = max_leaves is None and max_depth is None and not has_rules
-        contents, is_interrupted = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
-        if is_interrupted:
-            message = "Interrupted: the PLR is the best one built so far."
-            warnings.warn(message, ConstructionInterrupted, stacklevel=2)
+        contents = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
     else:
-        contents = build(leaf, distance_fn)
-    if isinstance(distance_fn, FreeSpaceFn) and (advice := _unreachable_warning(distance_fn, domain)):
-        warnings.warn(advice, stacklevel=2)
+        contents = build(leaf)
+    if isinstance(distance_fn, FreeSpaceFn):
+        _warn_if_cut_off(distance_fn, domain)
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
         return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
     plr = plr_of_leaves(contents)
@@ -242,6 +235,7 @@ def _build_leaves(
     proof: Proof,
     seed: int,
     options: BuildOptions,
+    root: CellSources | None,
 ) -> DecodedFile:
     # 1. Check the arguments.
     model.check_dim(domain.dim)
@@ -258,12 +252,14 @@ def _build_leaves(
     require_integer("num_samples", num_samples, model.min_samples(domain.dim))
 
     # 2. Wrap the distance function: cell sources, workers and a checkpoint, folded points.
-    memory = CellMemory(distance_fn, domain) if answers_for_cells and domain.dim == 2 else None
+    memory = None
+    if answers_for_cells and domain.dim == 2:
+        memory = CellMemory(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
     weight_fn = options.weight_fn
-    if options.executor is not None or options.checkpoint is not None:
-        checkpoint = None
-        if options.checkpoint is not None:
-            checkpoint = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
+    checkpoint = None
+    if options.checkpoint is not None:
+        checkpoint = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
+    if options.executor is not None or checkpoint is not None:
         distance_fn = ParallelOracle(distance_fn, options.executor, checkpoint)
     if folding is not None:
         domain, weight_fn = folding.box, partial(folded_weights, weight_fn, folding)
@@ -304,103 +300,80 @@ def proof_of(certified: bool | str) -> Proof:
     return Proof.CLASSES if certified else Proof.NONE
 
 
-def _unreachable_warning(distance_fn: FreeSpaceFn, domain: Box) -> str | None:
+def _warn_if_cut_off(distance_fn: FreeSpaceFn, domain: Box) -> None:
     x = domain.lo + domain.width * np.random.default_rng(0).random((_NUM_ADVICE_POINTS, domain.dim))
     try:
         x = x[np.asarray(distance_fn.is_free(x))]
         cut_off = np.count_nonzero(np.isinf(np.ma.filled(distance_fn(x), np.inf))) if len(x) else 0
     except KeyboardInterrupt:  # the PLR is complete without this warning
-        return None
-    if 2 * cut_off <= len(x):
-        return None
-    return (
-        f"The goal cannot be reached from {100 * cut_off / len(x):.0f} % of {len(x):,} free points of the domain. "
-        "Check that the goal is in the intended part of free space; the PLR's values elsewhere are meaningless."
-    )
+        return
+    if 2 * cut_off > len(x):
+        message = (
+            f"The goal cannot be reached from {100 * cut_off / len(x):.0f} % of {len(x):,} free points of the domain."
+            " Check that the goal is in the intended part of free space; the PLR's values elsewhere are meaningless."
+        )
+        warnings.warn(message, stacklevel=3)
 
 
 # leaf="best": build each leaf model that suits the distance function, and keep the one with the smallest error.
 
 
-@dataclass(frozen=True, eq=False)
-class _BoxOracle:
-    """An oracle that computes its sources for ``box``, the corners to which paths may go first, only once."""
-
-    oracle: CellwiseFn
-    box: Box
-
-    @cached_property
-    def cell(self) -> CellSources:
-        return self.oracle.cell_sources(self.box)
-
-    @property
-    def sources(self) -> Sources:
-        return self.cell.sources
-
-    def cell_sources(self, domain: Box) -> CellSources:
-        return self.cell if domain == self.box else self.oracle.cell_sources(domain)
-
-    def __call__(self, x: ArrayLike) -> Distances:
-        return np.ma.filled(self.oracle(x), np.inf)
-
-
 def build_best_model(
-    build: Callable[[str, DistanceFn], DecodedFile],
+    build: Callable[[str, CellSources | None], DecodedFile],
     distance_fn: DistanceFn,
     domain: Box,
     proof: Proof,
     max_bytes: int | None,
     only_bytes: bool,
     seed: int,
-) -> tuple[DecodedFile, bool]:
-    """Build leaves of all suitable models; return the best ones, and whether Ctrl-C ended the search.
+) -> DecodedFile:
+    """Build leaves of all suitable models, until Ctrl-C, and return those of the smallest error.
 
-    Models are compared by their largest proven error, or without a proof by the error at random points. Models for
-    which ``build`` raises ``ValueError`` are skipped. ``only_bytes`` tells that ``max_bytes`` is the only limit and
-    all rules are the defaults.
+    ``only_bytes`` tells that ``max_bytes`` is the only limit and all rules are the defaults.
     """
+    root = None
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
-        distance_fn = _BoxOracle(distance_fn, grown_domain(domain))
-    names = _models_to_try(distance_fn, domain, proof, max_bytes, only_bytes)
-    best, least, refused = None, math.inf, []
+        root = distance_fn.cell_sources(grown_domain(domain))
+    names = _models_to_try(root, domain, proof, max_bytes, only_bytes)
+    best, least, refused, is_interrupted = None, math.inf, [], False
     with tqdm(names, "construct", unit=" models", leave=False, disable=None) as progress:
-        for name in progress:
-            progress.set_description(f"construct: leaves of kind {name!r}")
-            is_interrupted, error = False, 0.0
-            try:
-                with warnings.catch_warnings(record=True) as caught:
-                    warnings.simplefilter("always", ConstructionInterrupted)
-                    contents = build(name, distance_fn)
-            except ValueError as refusal:  # for example, a budget too small for one leaf
-                refused.append(refusal)
-                continue
-            except KeyboardInterrupt:
-                if best is None:
-                    raise
-                return best, True
-            for warning in caught:
-                if issubclass(warning.category, ConstructionInterrupted):
-                    is_interrupted = True
-                else:
-                    warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-            if proof is not Proof.NONE:  # an interrupted build has no certificate
-                error = math.inf if contents.certificate is None else contents.certificate.max_error
-            elif len(names) > 1:
+        try:
+            for name in progress:
+                progress.set_description(f"construct: leaves of kind {name!r}")
                 try:
+                    with warnings.catch_warnings(record=True) as caught:
+                        warnings.simplefilter("always", ConstructionInterrupted)
+                        contents = build(name, root)
+                except ValueError as refusal:  # for example, a budget too small for one leaf
+                    refused.append(refusal)
+                    continue
+                for warning in caught:
+                    if issubclass(warning.category, ConstructionInterrupted):
+                        is_interrupted = True
+                    else:
+                        warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+                best, error = best or contents, math.inf
+                if contents.certificate is not None:  # an interrupted build has none
+                    error = contents.certificate.max_error
+                elif proof is Proof.NONE and len(names) > 1:
                     error = _sampled_error(contents, distance_fn, seed)
-                except KeyboardInterrupt:
-                    is_interrupted, error = True, math.nan
-            if best is None or error < least:
-                best, least = contents, error
-            if is_interrupted:
-                return best, True
+                if error < least:
+                    best, least = contents, error
+                if is_interrupted:
+                    break
+        except KeyboardInterrupt:
+            if best is None:
+                raise
+            is_interrupted = True
     if best is None:
         raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
-    return best, False
+    if is_interrupted:
+        warnings.warn("Interrupted: the PLR is the best one built so far.", ConstructionInterrupted, stacklevel=3)
+    return best
 
 
 def _models_to_try(
-    distance_fn: DistanceFn, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
+    root: CellSources | None, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
 ) -> list[str]:
     # On all maps of the experiments, cones had 10 to 1,000 times smaller mean errors than other leaves if all corners
     # took at most _ROOMY * max_bytes. Above _CROWDED * max_bytes, a few cones could err far more than others.
@@ -408,9 +381,9 @@ def _models_to_try(
     others = [name for name in leaf_names() if name not in cones]
     if proof is Proof.NONE:
         others = ["continuous" if domain.dim <= _MOST_TIED_AXES else "plane"]
-    if not isinstance(distance_fn, _BoxOracle):
+    if root is None:
         return others
-    corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(distance_fn.sources.distances))
+    corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(root.sources.distances))
     share = corner_bytes / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
     if share <= _ROOMY and only_bytes:
         return cones
@@ -429,17 +402,16 @@ def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) ->
 
 
 def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
-    """Prove bounds of the error of an existing PLR.
+    """Prove bounds of the error of an existing PLR at all points of its domain that reach the goal.
 
-    No point is sampled: the oracle tells to which corners shortest paths from a whole cell may go first. The proof
-    holds for all points of the domain that reach the goal. It excludes an error of the oracle itself, for example by
-    an inflated workspace. Where two parts of free space touch at a point, the cell there covers both, so the proven
-    error is at least half of the jump between them.
+    No point is sampled: the oracle tells to which corners shortest paths from a whole cell may go first. Errors of
+    the oracle itself are not included. Where two parts of free space touch at a point, one cell covers both, so the
+    proven error is at least half of the jump between them.
 
     Args:
         plr: A PLR in the plane, of any leaf model.
         oracle: The distance function, one that answers for whole cells, such as ``VisibilityGraph``.
-        leaf_bounds: True stores bounds of every leaf, 2 bytes each. False stores bounds that classes of leaves share,
+        leaf_bounds: True stores bounds of every leaf, 2 bytes each. False stores bounds that groups of leaves share,
             in at most 1/128 of the bytes of the leaves; if that is less than 10 bytes, only the largest error.
 
     Returns:
@@ -450,7 +422,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             for a proof; ``leaf_bounds`` is no bool; the oracle does not answer for cells; or a leaf stores ``inf``
             although some of its points reach the goal.
     """
-    from plr_jax.plr._plr import PLR, with_certificate  # imports JAX
+    from plr_jax.plr._plr import PLR, plr_of_leaves  # imports JAX
 
     if not isinstance(plr, PLR):
         raise ValueError(f"plr must be a PLR, got {shortened(plr)}. Build one with construct.")
@@ -460,9 +432,10 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
             "certified=True."
         )
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
-    memory = CellMemory(require_certifiable(oracle, plr.domain), plr.domain)
-    visible = memory.sources_of_leaves(plr._contents.tree)
-    certified = with_certificate(plr, certificate_of(plr._contents, visible, proof))
+    root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
+    visible = CellMemory(plr.domain, root).sources_of_leaves(plr._contents.tree)
+    proven = replace(plr._contents, certificate=certificate_of(plr._contents, visible, proof))
+    certified = plr_of_leaves(proven).with_label(plr.label)
     if isinstance(plr.leaf, Cone) and isinstance(oracle, ChangingFn):
         certified.build_inputs = BuildInputs(oracle, certified.num_bytes)
     return certified

@@ -49,9 +49,9 @@ def construct_many(
 
     Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
     chosen by their mean errors at a grid of up to 512 x 512 points that all goals share, not by proven errors as in
-    :func:`construct`. This is faster, and mean errors are mostly smaller. A file may be smaller than ``max_bytes`` if
-    these points have no error. Other PLRs are built one by one with :func:`construct`; so are cones of a family if
-    the limits allow more than about 8,000 leaves, or a tolerance is given.
+    :func:`construct`. This is faster, and mean errors are mostly smaller; files are smaller than ``max_bytes`` if
+    these points have no error. All other PLRs are built one by one with :func:`construct`, also cones of a family if
+    a tolerance is given or the limits allow more than about 8,000 leaves.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -60,8 +60,8 @@ def construct_many(
         max_bytes: Largest size of each PLR's file, in bytes.
         max_leaves: Largest number of leaves of each PLR.
         max_depth: Largest number of splits between the root and a leaf.
-        tolerance: Error, in units of distance, up to which a cell is not split.
-        certified: Whether to prove error bounds of each PLR, as for :func:`construct`.
+        tolerance: As for :func:`construct`.
+        certified: As for :func:`construct`.
         seed: Seed of the samples. The same seed gives the same files, whatever the executor.
         options: As for :func:`construct`, with two differences. Each task of the ``executor`` (threads, processes, or
             a cluster such as Dask's ``Client.get_executor()``) builds up to 64 PLRs of a family, or a single PLR. If
@@ -91,10 +91,8 @@ def construct_many(
     executor, checkpoint = options.executor, options.checkpoint
     options = replace(options, executor=None, checkpoint=None)
     limits = check_limits(model, domain.dim, max_depth, max_leaves, max_bytes, tolerance, proof, frame_size(domain))
-    is_limited = min(limits.max_leaves, limits.max_bytes) < np.iinfo(np.int64).max
     is_plane = domain.dim == 2 and not domain.is_periodic
-    as_family = isinstance(model, Cone) and is_plane and is_limited and limits.tolerance == 0
-    as_family &= options == DEFAULT_OPTIONS
+    as_family = isinstance(model, Cone) and is_plane and limits.tolerance == 0 and options == DEFAULT_OPTIONS
     checkpoint_file = None
     if checkpoint is not None:
         rules = "" if options == DEFAULT_OPTIONS else f" {options.names}"
@@ -103,10 +101,10 @@ def construct_many(
     alone = partial(construct, domain=domain, leaf=leaf, **most, certified=certified, seed=seed, options=options)
     done = BuildResults(len(oracles), checkpoint_file)
     families: dict[int, list[int]] = {}
-    for number in (number for number, file in enumerate(done.results) if file is None):
-        oracle = oracles[number]
-        of_family = as_family and isinstance(oracle, FamilyFn)
-        families.setdefault(id(oracle.family) if of_family else -1 - number, []).append(number)
+    for number, oracle in enumerate(oracles):
+        if done.results[number] is None:
+            key = id(oracle.family) if as_family and isinstance(oracle, FamilyFn) else -1 - number
+            families.setdefault(key, []).append(number)
     chunks: list[Chunk] = []
     for numbers in families.values():
         first = oracles[numbers[0]]
@@ -121,7 +119,7 @@ def construct_many(
         try:
             done.build(chunks, executor, progress)
         except KeyboardInterrupt:
-            message = f"Interrupted at {done.count} of {len(oracles)} PLRs: the list has None for the others."
+            message = f"Interrupted at {done.count} of {total} PLRs: the list has None for the others."
             warnings.warn(message, ConstructionInterrupted, stacklevel=2)
     return [None if file is None else PLR(padded_file(file)) for file in done.results]
 
@@ -129,7 +127,7 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build files for goals of one workspace together by ``task``; build those for which it finds no tree alone."""
+    """Build a PLR file for each oracle with ``task``, which shares work; if it returns None, with ``alone``."""
     trees = {} if task is None else {i: tree for i, each in enumerate(oracles) if (tree := task(each)) is not None}
     found = [DecodedFile(task.domain, leaf, tree.tree, tree.stored) for tree in trees.values()] if task else []
     if task is not None and found and task.limits.proof is not Proof.NONE:
@@ -142,7 +140,7 @@ def _files(
 def _certified(
     contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
 ) -> list[DecodedFile]:
-    """Prove error bounds of PLRs of cones for goals of one workspace; ``sources`` has the apex of each leaf."""
+    """Prove error bounds of PLRs for goals of one workspace; ``sources`` indexes ``oracle.sources`` by leaf."""
     for oracle in oracles:
         require_certifiable(oracle, contents[0].domain)
     # Cells that several members have as leaves are cut into free pieces once.

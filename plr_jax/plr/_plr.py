@@ -33,7 +33,6 @@ from plr_jax.plr._file import (
     relative_to_origin,
 )
 from plr_jax.plr._proof import BuildInputs, require_updatable, updated_contents
-from plr_jax.plr.certificate import Certificate
 from plr_jax.plr.container import Container, FileBacked, padded_file
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.leaves import as_sourced, goal_of_leaves
@@ -96,9 +95,8 @@ class PLR(FileBacked):
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
-        rows = bounds.shape[1] if bounds.shape[1] == 1 else padded_size(bounds.shape[1])
         with jax.ensure_compile_time_eval():
-            return jax.device_put(padded(bounds.T, rows).T)
+            return jax.device_put(padded(bounds.T, padded_size(bounds.shape[1])).T)
 
     @cached_property
     def _straight(self) -> Float[Array, "_"] | None:
@@ -170,8 +168,7 @@ class PLR(FileBacked):
         corner = None if has_doubles else self._corner_if_far
         if corner is None and not self.tables.periodic:
             return self.tables, None
-        placement = PointPlacement(self.domain if self.tables.periodic else None, corner)
-        return self.tables if corner is None else self.tables_from_corner, placement
+        return self.tables if corner is None else self.tables_from_corner, PointPlacement(self.domain, corner)
 
     @cached_property
     def _corner_if_far(self) -> Corner | None:
@@ -186,11 +183,10 @@ class PLR(FileBacked):
         """Return proven bounds of the distance at points of free space from which the goal can be reached.
 
         The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was
-        given, and covers the rounding of a query. It includes points on the boundaries of obstacles, as they are in
-        ``Workspace.free_space``. It excludes points that are free, or connected to the goal, only because of the
-        workspace's tolerance. In a domain far from the origin, as in UTM coordinates, 32-bit points are rounded by
-        more than the size of cells, and the bounds hold for the rounded points: pass NumPy's 64-bit points outside of
-        ``jit``, or enable ``jax_enable_x64``.
+        given, and covers the rounding of a query. It includes points on the boundaries of obstacles. It excludes
+        points that are free, or connected to the goal, only because of the workspace's tolerance. In a domain far
+        from the origin, as in UTM coordinates, bounds hold for the points as rounded to 32 bits: pass NumPy's 64-bit
+        points outside of ``jit``, or enable ``jax_enable_x64``.
 
         Return lower bounds, at least 0, and upper bounds, ``(...)`` each, for points ``(..., dim)``. Both are ``inf``
         outside the domain and NaN for NaN. In obstacles, and where the goal cannot be reached, they are meaningless.
@@ -245,21 +241,18 @@ class PLR(FileBacked):
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
         """Return the index of the goal that is nearest to each point ``(n, dim)``; -1 where the PLR is not finite.
 
-        Cones of a :class:`NearestGoal` of ``VisibilityGraph``s store it in their file, and all points of a leaf have
-        one answer. Other PLRs of several goals know it only as :func:`solve_eikonal` or :func:`construct` returned
-        them, not after :func:`load` or in a jitted function; see :meth:`with_nearest_goal`. Like the distance, the
-        index is an estimate: where two goals are about equally near, it may be wrong. If the same goal was given
-        twice, the answer is the first index. Call it outside of ``jit``. ``ValueError`` if the PLR does not know its
-        goals, or points have another shape.
+        The index is an estimate: where two goals are about equally near, it may be wrong. Of a goal that was given
+        twice, it is the first index. A file stores goals only if the PLR has cones and was built from a
+        :class:`NearestGoal` of visibility graphs; then all points of a leaf have one answer. Other PLRs of several
+        goals lose them in a file and in a jitted function; see :meth:`with_nearest_goal`. Call this method outside of
+        ``jit``. ``ValueError`` if the PLR does not know its goals, or points have another shape.
         """
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
         goal = np.full(len(x), -1)
-        goal[is_finite] = (self.nearest_goal or self._stored_goal)(x[is_finite])
+        x = x[is_finite]
+        goal[is_finite] = self.nearest_goal(x) if self.nearest_goal else self._goal_of_leaf[leaf_of(self, x)]
         return goal
-
-    def _stored_goal(self, x: Float[np.ndarray, "n dim"]) -> Int[np.ndarray, "n"]:
-        return self._goal_of_leaf[leaf_of(self, x)]
 
     @cached_property
     def _goal_of_leaf(self) -> Int[np.ndarray, "leaves"]:
@@ -358,8 +351,7 @@ class PLR(FileBacked):
     def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
         """Evaluate the function of a given leaf at each point, also outside that leaf, in double precision.
 
-        Along periodic axes, the image of a point nearest to the leaf's center is used. Values are ``inf`` for leaves
-        that answer ``inf``.
+        Along periodic axes, points are first moved by whole periods to near the leaf's center.
         """
         is_inf = np.isinf(self._coefficients[leaf, 0])
         coefficients = np.where(is_inf[:, None], 0.0, self._coefficients[leaf])
@@ -414,7 +406,10 @@ class PLR(FileBacked):
 
     @property
     def leaf_boxes(self) -> tuple[Float[np.ndarray, "boxes dim"], Float[np.ndarray, "boxes dim"]]:
-        """Lower and upper corners of all leaves and their mirror images; ``ValueError`` if mirrors are oblique."""
+        """Lower and upper corners of leaves, ``(boxes, dim)`` each, with mirror images if the PLR is folded.
+
+        ``ValueError`` if it is folded by symmetries of the distance function along rotated axes.
+        """
         return self._boxes[:2]
 
     @property
@@ -445,7 +440,7 @@ class PLR(FileBacked):
 
     @property
     def intercept(self) -> Float[np.ndarray, "leaves"]:
-        """Constant term of each leaf's plane ``slope @ x + intercept``, as :attr:`slope`; ``inf`` if its value is."""
+        """Constant term of each leaf's plane ``slope @ x + intercept``; ``inf`` for leaves that answer ``inf``."""
         return self._planes[0]
 
     def __repr__(self) -> str:
@@ -507,9 +502,8 @@ class LowerBound:
         """Combine one lower bound per robot into a function of joint configurations; see :meth:`PLR.stack`."""
         if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
             raise ValueError(f"fns must be a list of lower bounds, such as [plr.lower], got {shortened(fns)}.")
-        first, *_ = fns
         bands = tuple((fn.plr.band, fn.plr._straight) for fn in fns)
-        return replace(first.plr.stack([fn.plr for fn in fns]), bands=bands)
+        return replace(PLR.stack([fn.plr for fn in fns]), bands=bands)
 
 
 def from_bytes(data: bytes) -> PLR:
@@ -521,26 +515,17 @@ def from_bytes(data: bytes) -> PLR:
     if not isinstance(data, bytes | bytearray | memoryview):
         raise ValueError(f"data must be the bytes of a PLR file, got {shortened(data)}.")
     data = bytes(data)
-    return _assemble(data, decode(data))
+    return plr_of_leaves(decode(data), data=data)
 
 
-def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
-    """Encode leaf data to a file, and return the PLR that this file decodes to, without decoding it."""
-    return _assemble(encode(contents), contents, build_inputs)
-
-
-def _assemble(data: bytes, contents: DecodedFile, build_inputs: BuildInputs | None = None) -> PLR:
-    """Build a PLR and its lookup tables from a file and its decoded contents, which are not kept."""
-    plr = PLR(padded_file(data), build_inputs=build_inputs)
+def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None, data: bytes | None = None) -> PLR:
+    """Build a PLR and its lookup tables from a decoded file, whose bytes ``data`` are encoded if they are None."""
+    plr = PLR(padded_file(encode(contents) if data is None else data), build_inputs=build_inputs)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
     _ = plr.tables, plr.band, plr._straight, plr._corner_if_far
     del plr._contents
     return plr
-
-
-def with_certificate(plr: PLR, certificate: Certificate) -> PLR:
-    return plr_of_leaves(replace(plr._contents, certificate=certificate)).with_label(plr.label)
 
 
 def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:

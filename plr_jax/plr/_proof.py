@@ -22,12 +22,12 @@ _COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of t
 
 
 def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
-    """Prove error bounds of all leaves from the sources (``visible``) of the leaves' slightly enlarged cells."""
+    """Prove error bounds of all leaves; ``visible`` has the corners to which paths from each leaf may go first."""
     return certificates_of([contents], visible, proof)[0]
 
 
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` has their leaves' cells, PLR by PLR."""
+    """Prove error bounds of PLRs of one leaf model and domain, whose leaves follow one another in ``visible``."""
     domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
@@ -49,7 +49,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
     targets = []
     for each, leaves in zip(contents, (slice(*both) for both in pairwise(ends)), strict=True):
         rounding = leaf.rounding_bounds(domain, each.tree.leaves, coefficients[leaves])
-        targets.append(_Targets(leaves, rounding, partial(Certificate.of, proof=proof, **_weights(each))))
+        targets.append(_Targets(leaves, rounding, partial(Certificate.of, proof=proof, **_volume_and_size(each))))
 
     def sufficient(least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
         bounds = [each(least[each.leaves], most[each.leaves], anew) for each in targets]
@@ -62,10 +62,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """A function that tells which bounds of one PLR's leaves are tight enough, from the errors attained so far.
-
-    It encodes these errors as a certificate: bounds within those of this certificate need not be tightened.
-    """
+    """A function that returns bounds of a PLR's leaves so tight that tighter ones would hardly change its file."""
 
     leaves: slice
     rounding: Errors
@@ -86,27 +83,21 @@ class _Targets:
         return last.sufficient_bounds(least, most, self.rounding)
 
 
-def _weights(contents: DecodedFile) -> dict[str, Any]:
-    """Return the volumes of leaves and the file's bytes without proof, for the choice of classes of bounds."""
+def _volume_and_size(contents: DecodedFile) -> dict[str, Any]:
     volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
     return {"volume": volume, "num_bytes": len(body_of_leaves(contents).to_bytes())}
 
 
 @dataclass(frozen=True, eq=False)
 class BuildInputs:
-    """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store.
-
-    Attributes:
-        bounds: Proven bounds of each leaf; None to use the bounds that the file stores.
-        node_costs: The errors that nodes of the tree would have as leaves; None if unknown.
-    """
+    """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store."""
 
     oracle: DistanceFn
     max_bytes: int | None
     max_leaves: int | None = None
     tolerance: int | float | None = None
-    bounds: LeafBounds | None = None
-    node_costs: NodeCosts | None = None
+    bounds: LeafBounds | None = None  # proven; None to use the wider bounds that the file stores
+    node_costs: NodeCosts | None = None  # errors that nodes of the tree would have as leaves
 
 
 def can_be_updated(contents: DecodedFile) -> bool:
@@ -161,6 +152,7 @@ def updated_contents(
     proven = prove_bounds(functions, found.visible, sufficient)
     bounds.lower[rebuilt], bounds.upper[rebuilt] = proven.lower, proven.upper
     new = replace(
-        new, certificate=Certificate.of(bounds, rounding, certificate.proof, before=certificate, **_weights(new))
+        new,
+        certificate=Certificate.of(bounds, rounding, certificate.proof, before=certificate, **_volume_and_size(new)),
     )
     return new, replace(origin, oracle=oracle, bounds=bounds, node_costs=found.node_costs)

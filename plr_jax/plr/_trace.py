@@ -5,7 +5,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_points, shortened
 from plr_jax._types import ArrayLike
@@ -71,22 +71,20 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     """Return paths to the goal from many starts, read from a PLR of cones.
 
     A cone measures distances from its *source*, the goal or a corner. The first segment leads to the source of the
-    start's leaf, every further segment to the next source on the shortest path from there. So a path has at most as
-    many segments as there are sources, and is as long as the PLR says. Segments between sources cross no wall, but
-    for rounding. The first segment may cross one, if the start does not see the source of its leaf.
+    start's leaf, every further segment to the next source on the shortest path from there. A path is as long as the
+    PLR says. Segments between sources cross no wall, but for rounding. The first segment may cross a wall, if the
+    start does not see the source of its leaf; from a start in an obstacle, or cut off from the goal, it does.
 
     With a workspace, no path that arrives crosses a wall. If a start does not see its leaf's source, or the path from
-    there does not lead to the goal, it takes the shortest path through another source that it sees. Without a
-    workspace, a few paths cut corners, and a start in an obstacle, or cut off from the goal, gets a path through
-    walls. Computation is in double precision.
+    there does not lead to the goal, it takes the shortest path through another source that it sees. Computation is in
+    double precision.
 
     Args:
         plr: PLR with ``leaf="cone"``.
         starts: Start points, ``(n, dim)``.
         workspace: Free space in which each segment is tested, up to the rounding of the file (6e-8 of the domain's
             width). Segments are tested one by one, so a path may pass through a point where two walls touch if it
-            bends there. The first call for a workspace takes longer: it computes what the sources see. None: no
-            tests.
+            bends there. The first call for a workspace takes longer. None: no tests.
 
     Returns:
         A path and a status for each start. The path from a source begins with the segment to the next source.
@@ -138,15 +136,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     status = np.where(is_free, status, TraceStatus.CROSSES_WALL)
 
     # 4. Add rows for starts outside the domain.
-    columns = (paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)
-    spread = [_spread(rows, fill, inside, len(starts)) for rows, fill in columns]
-    return Traces(*spread, are_tested=workspace is not None)
-
-
-def _spread(
-    rows: Shaped[np.ndarray, "some *row"], fill: int | float, place: Int[np.ndarray, "some"], count: int
-) -> Shaped[np.ndarray, "count *row"]:
-    """Return an array of ``count`` rows with the given rows at their places and ``fill`` elsewhere."""
-    spread = np.full((count, *rows.shape[1:]), fill, rows.dtype)
-    spread[place] = rows
-    return spread
+    columns = []
+    for rows, fill in ((paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)):
+        columns.append(np.full((len(starts), *rows.shape[1:]), fill, rows.dtype))
+        columns[-1][inside] = rows
+    return Traces(*columns, are_tested=workspace is not None)

@@ -1,11 +1,9 @@
 """Find the tree of halved boxes that minimizes error plus a price per leaf, for leaves that are cones.
 
-The price is the Lagrange multiplier of the limits of a file: a lower price gives a larger tree with a smaller error.
-Dynamic programming works upward from the smallest boxes. The price is lowered, and more boxes are computed, until the
-best tree exceeds the limits. Then interpolation approaches the lowest price at which the tree is within the limits.
-
-References:
-    Donoho, "CART and best-ortho-basis: a connection", Annals of Statistics 1997.
+Dynamic programming works upward from the smallest boxes. The price, the Lagrange multiplier of the limits of a file,
+is lowered, and more boxes are computed, until the best tree exceeds the limits. Then interpolation approaches the
+lowest price at which the tree is within the limits. Reference: Donoho, "CART and best-ortho-basis: a connection",
+Annals of Statistics 1997.
 """
 
 from collections.abc import Callable
@@ -36,7 +34,7 @@ UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or
 
 @dataclass(eq=False)
 class BoxLevel:
-    """The boxes with one number of halvings that a search has computed; their halves are in the next level."""
+    """Boxes that all result from the domain by the same number of halvings; the next level has their halves."""
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
     key: UInt64[np.ndarray, "boxes"]  # hash of each box
@@ -72,7 +70,6 @@ class TreeCosts(NamedTuple):
 
     @staticmethod
     def of(level: BoxLevel, below: "TreeCosts | None", price: float, share: float, limits: Limits) -> "TreeCosts":
-        """Compute the costs of a level from those of the next level, ``below``, if there is one."""
         best = level.costs(share) + price
         halved = cost_if_halved(share * level.boxes.peak, price)
         least = np.where(level.is_open(limits, share).any(axis=0), np.minimum(best, halved), best)
@@ -94,10 +91,10 @@ def cost_if_halved(peak: Float[np.ndarray, "boxes"], price: float) -> Float[np.n
 
 
 def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits, margin: float = np.inf) -> None:
-    """Compute the halves of boxes that the best tree at a price per leaf may split, and add them to ``levels``.
+    """Add to ``levels`` the halves of all boxes that the tree of least cost may split.
 
-    In costs, largest errors have the weight ``share``. Halves are pruned if they cost more than ``margin`` times the
-    halves along the other axis.
+    A tree costs ``price`` per leaf, plus each leaf's integral of the error and ``share`` times its largest error.
+    Halves along one axis that cost more than ``margin`` times the halves along the other are left out.
     """
     costs: dict[int, TreeCosts] = {}
 
@@ -246,7 +243,7 @@ class PriceSearch:
         )
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
-        """Return the next price per leaf, for a larger tree, and the weight of largest errors in costs."""
+        """Return a lower price per leaf, for a larger tree, and the weight of a leaf's largest error in its cost."""
         # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
@@ -271,7 +268,7 @@ class PriceSearch:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, fits: PricedTree, beyond: PricedTree, share: float) -> PricedTree:
-        """Return the largest tree within the limits that is found at prices between those of two trees."""
+        """Search for the largest tree that fits, at prices between those of ``fits`` and the too large ``beyond``."""
         largest = fits
         for attempt in range(_ATTEMPTS):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
@@ -325,7 +322,7 @@ class PriceSearch:
 def best_axes(
     levels: list[BoxLevel], own: list[SelectedBoxes], price: float, share: float
 ) -> list[Int[np.ndarray, "own"]]:
-    """Return each box's best split axis, or -1 for a leaf, by dynamic programming from the smallest boxes upward."""
+    """Return each box's split axis, or -1 for a leaf, in the tree of least error plus ``price`` per leaf."""
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
         total, choice = level.costs(share)[box] + price, np.full(len(box), -1)

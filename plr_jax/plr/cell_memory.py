@@ -1,4 +1,4 @@
-"""Compute and cache the *sources* of cells: corners (or the goal) to which paths from a cell may go first."""
+"""Cache the *sources* of cells: corners (or the goal) to which shortest paths from points of a cell may go first."""
 
 from collections.abc import Iterator
 
@@ -6,23 +6,23 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import parts, take_ragged
-from plr_jax._types import CellSources, CellwiseFn
+from plr_jax._types import CellSources
 from plr_jax.geometry.box import Box
-from plr_jax.plr.tree import Cells, Tree, grown_domain
+from plr_jax.plr.tree import Cells, Tree
 
 _POINTS_AT_ONCE = 1 << 16  # pairs of a convex piece of free space and a point that are tested at once
 _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at once
 
 
 class CellMemory:
-    """A cache of the sources of a partition's cells: corners (or the goal) to which shortest paths may go first."""
+    """A cache of the *sources* of cells: corners (or the goal) to which shortest paths from a cell may go first."""
 
-    def __init__(self, oracle: CellwiseFn, domain: Box) -> None:
+    def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
         self._parts: list[CellSources] = []
         # Sorted hashes of known cells; the part that holds each cell, and the cell's index in that part.
         self._hashes, self._place = np.zeros(0, np.uint64), np.zeros((2, 0), np.int64)
-        self.remember(Cells.root(2), oracle.cell_sources(grown_domain(domain)))
+        self.remember(Cells.root(2), root)
 
     def remember(self, cells: Cells, visible: CellSources) -> None:
         hashes, part = np.append(self._hashes, cells.hashes()), np.full(len(cells), len(self._parts))
@@ -32,7 +32,7 @@ class CellMemory:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return the sources of cells in the cache, or of halves of cells in the cache."""
+        """Return corners (or goal) to which paths may go first from cached cells or from halves of cached cells."""
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # Halve cached cells along the first axis if possible, else along the second.

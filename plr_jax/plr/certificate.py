@@ -17,20 +17,17 @@ from plr_jax._types import CellSources
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 
-ConeBoundsFn: TypeAlias = Callable[..., tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
+Bounds: TypeAlias = tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]
+ConeBoundsFn: TypeAlias = Callable[..., Bounds]
 """Function of pieces, apexes, offsets, rows: bounds of ``offset + |x - apex|`` minus the leaf function of a row."""
 
 
-def bounds_of_pieces(
-    visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn) -> Bounds:
     """Return lower and upper bounds of (distance to the goal - leaf function) over convex pieces of free space.
 
-    Points reach the goal by way of *sources*: the goal itself, or corners where paths turn first. The cone of a
-    source is its distance to the goal plus ``|x - source|``. The distance is at least the least cone of all sources
-    that some of the piece may use, and at most the cone of a source that all of the piece sees. Without such a
-    source, it is at most the distance of the piece's center plus the straight path to it. ``visible.slack``, the
-    uncertainty of distances, is not included.
+    Paths from a piece go first to its *sources*, corners or the goal. The cone of a source is its distance to the
+    goal plus ``|x - source|``. The distance is at least the least cone of a piece's sources, and at most the cone of
+    a source that all of the piece sees, or the distance of the piece's center plus the straight path to it.
     """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
@@ -56,18 +53,19 @@ class LeafFunctions:
     hi: Float[np.ndarray, "leaves dim"]
     coefficients: Float[np.ndarray, "leaves terms"]
 
-    def cone_minus_leaf_bounds(self, leaf: Int[np.ndarray, "n"]) -> ConeBoundsFn:
-        def of_rows(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
+    def values(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+        return self.model.values(self.lo[leaf], self.hi[leaf], self.coefficients[leaf], x)
+
+    def bounds_of_pieces(self, visible: CellSources, leaf: Int[np.ndarray, "n"]) -> Bounds:
+        def cones_above(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
             functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
             return self.model.cone_minus_leaf_bounds(*functions, pieces, apex, offset)
 
-        return of_rows
+        return bounds_of_pieces(visible, np.arange(len(leaf)), cones_above)
 
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, "leaves"]:
-        lower, upper = bounds_of_pieces(
-            visible, np.arange(len(visible.cell)), self.cone_minus_leaf_bounds(visible.cell)
-        )
+        lower, upper = self.bounds_of_pieces(visible, visible.cell)
         errors = np.zeros(visible.num_cells)
         np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
         return errors
@@ -75,16 +73,15 @@ class LeafFunctions:
 
 # Most rounds in which pieces of a leaf are halved, and most pieces in a round; more would only tighten bounds.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
-# Bounds are tight enough if they exceed attained errors by this share of the range of a leaf's errors, clipped to
-# these shares of the largest error of all leaves.
-_OF_RANGE = 0.04
-_LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
-_SPARE_OF_CLASS = 1e-5  # this share of the scale for classes of leaves, whose bounds few leaves determine
-
-
 Errors: TypeAlias = Float[np.ndarray, "leaves"]
+SufficientFn: TypeAlias = Callable[[Errors, Errors, bool], tuple[Errors, Errors]]
+"""Function ``sufficient(least, most, anew)`` that returns lower and upper bounds of errors that are tight enough.
+
+``least`` and ``most`` are the smallest and the largest error met at points of each leaf. If ``anew`` is False, the
+function may return about the same bounds as in the call before.
+"""
 Codes: TypeAlias = Integer[np.ndarray, "2 leaves"]
-"""Codes of lower and upper bounds, in the form of a file."""
+"""8-bit logarithms of each leaf's lower and upper bound, as in a file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,23 +92,11 @@ class LeafBounds:
     upper: Errors
 
 
-def tight_bounds(least: Errors, most: Errors, anew: bool = True) -> tuple[Errors, Errors]:
-    largest = max(most.max(initial=0.0), -least.min(initial=0.0))
-    spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
-    return least - spare, most + spare
-
-
-def prove_bounds(
-    functions: LeafFunctions,
-    visible: CellSources,
-    sufficient: Callable[[Errors, Errors, bool], tuple[Errors, Errors]] = tight_bounds,
-) -> LeafBounds:
+def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    Convex pieces of each leaf's free space (``visible``) are halved until bounds lie within those of ``sufficient``,
-    a function of the smallest and largest error that points of each leaf attain. Its third argument is False if
-    bounds near its last ones will do. Bounds include ``visible.slack``, far more than the rounding of double
-    precision.
+    Convex pieces of the leaves' free space (``visible``) are halved until their bounds are ``sufficient``. Bounds
+    include ``visible.slack``, the uncertainty of distances.
     """
     num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -128,11 +113,10 @@ def prove_bounds(
         # 1. Bound the errors of pieces. Attained errors are those at centers. If all of a piece sees all its sources,
         #    its distance is the least of their cones: then errors at corners are attained, and exact lower bounds; of
         #    a single source, exact upper bounds too.
-        here = functions.lo[leaf], functions.hi[leaf], functions.coefficients[leaf]
-        met = visible.distance - functions.model.values(*here, visible.center)
+        met = visible.distance - functions.values(leaf, visible.center)
         np.minimum.at(least, leaf, met)
         np.maximum.at(most, leaf, met)
-        below, above = bounds_of_pieces(visible, np.arange(len(leaf)), functions.cone_minus_leaf_bounds(leaf))
+        below, above = functions.bounds_of_pieces(visible, leaf)
         num_sources = np.diff(visible.first_pair)
         is_clear = np.bincount(visible.piece, visible.by_all, len(leaf)) == num_sources
         if functions.model.has_exact_cone_bounds:
@@ -147,7 +131,7 @@ def prove_bounds(
             for x in visible.pieces[:, rows].transpose(2, 1, 0):
                 ways = np.linalg.norm(x[piece] - visible.sources.points[source], axis=1)
                 distance = np.minimum.reduceat(visible.sources.distances[source] + ways, first)
-                met = distance - functions.model.values(*(each[rows] for each in here), x)
+                met = distance - functions.values(leaf[rows], x)
                 np.minimum.at(least, leaf[rows], met)
                 np.maximum.at(most, leaf[rows], met)
         # 2. Halve the pieces whose bounds are not tight enough. If there are none, test the pieces of earlier rounds
@@ -176,16 +160,13 @@ def prove_bounds(
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
     """Halve convex pieces across their longer side; halves of piece ``i`` become cells ``2 i`` and ``2 i + 1``."""
-    alone = visible.pieces_as_cells(piece)
-    lo, hi = visible.pieces[:, piece].min(axis=2).T, visible.pieces[:, piece].max(axis=2).T
-    each = np.arange(len(piece))
-    axis = np.argmax(hi - lo, axis=1)
+    parent, is_upper = np.repeat(np.arange(len(piece)), 2), np.tile([False, True], len(piece))
+    lo, hi = (extreme(visible.pieces[:, piece], axis=2).T[parent] for extreme in (np.min, np.max))
+    axis, each = np.argmax(hi - lo, axis=1), np.arange(len(parent))
     middle = (lo + hi)[each, axis] / 2
-    lower_hi, upper_lo = hi.copy(), lo.copy()
-    lower_hi[each, axis] = upper_lo[each, axis] = middle
-    parent, is_upper = np.repeat(each, 2), np.tile([False, True], len(each))
-    los, his = np.stack([lo, upper_lo], axis=1).reshape(-1, 2), np.stack([lower_hi, hi], axis=1).reshape(-1, 2)
-    return alone.parts(parent, axis[parent], is_upper, los, his)
+    lo[each[is_upper], axis[is_upper]] = middle[is_upper]
+    hi[each[~is_upper], axis[~is_upper]] = middle[~is_upper]
+    return visible.pieces_as_cells(piece).parts(parent, axis, is_upper, lo, hi)
 
 
 _COUNT_BITS = 4
@@ -194,12 +175,12 @@ _BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # bounds of a class, and its set
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
 
 
-def classify_bounds(codes: Codes, code_factor: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
-    """Group leaves into classes that share bounds, and return each leaf's codes of lower and upper bound after that.
+def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
+    """Group leaves into classes that share bounds; return codes of the shared bounds of each leaf.
 
-    A class has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width of
-    bounds (``code_factor``, by code), weighted by volume, plus a price per bit; bisection finds the lowest price at
-    which classes fit into ``max_bits``.
+    A class has the leaves whose larger code, of a lower or an upper bound, is in one range. Dynamic programming finds
+    the ranges of least width between bounds, weighted by volume, plus a price per bit; bisection finds the lowest
+    price at which the classes fit into ``max_bits``.
     """
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
@@ -211,7 +192,7 @@ def classify_bounds(codes: Codes, code_factor: Float[np.ndarray, "codes"], volum
     for of_rank, of_leaf in zip(highest, codes, strict=True):
         np.maximum.at(of_rank, rank_of, of_leaf)
     of_class = np.stack([of_ranges(each, np.maximum) for each in highest])
-    width = of_ranges(np.bincount(rank_of, volume), np.add) * code_factor[of_class].sum(axis=0)
+    width = of_ranges(np.bincount(rank_of, volume), np.add) * bound_of_code[of_class].sum(axis=0)
     members = of_ranges(np.bincount(rank_of).astype(float), np.add)
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
     width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
@@ -241,17 +222,17 @@ def classify_bounds(codes: Codes, code_factor: Float[np.ndarray, "codes"], volum
 
 
 def requantize_bounds(
-    codes: Codes, classes: Integer[np.ndarray, "2 classes"], code_factor: Float[np.ndarray, "codes"], max_bits: int
+    codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, "codes"], max_bits: int
 ) -> Codes | None:
-    """Widen each leaf's bounds (codes) to the narrowest of the pairs ``classes``; None if no pair contains them."""
-    classes = classes[:, np.argsort(code_factor[classes].sum(axis=0), kind="stable")]
+    """Widen each leaf's bounds (codes) to the narrowest pair of ``classes`` that contains them, else return None."""
+    classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
     return found if holds.any(axis=0).all() and _fits(found, max_bits) else None
 
 
 def _fits(codes: Codes, max_bits: int) -> bool:
-    num_classes = len(np.unique(_class_keys(codes)))
+    num_classes = distinct_classes(codes).shape[1]
     if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
         return False
     body = BitWriter()
@@ -260,13 +241,11 @@ def _fits(codes: Codes, max_bits: int) -> bool:
 
 
 def write_classes(body: BitWriter, codes: Codes) -> None:
-    """Append the pairs of codes that occur (classes, the most frequent first), and the class of each leaf."""
-    _, first, class_of, size = np.unique(
-        _class_keys(codes), return_index=True, return_inverse=True, return_counts=True
-    )
-    classes, order = codes[:, first], np.argsort(-size, kind="stable")
+    """Write the distinct pairs of lower and upper bounds (classes), most frequent first, and each leaf's class."""
+    key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
+    classes, order = np.stack(np.divmod(key, 1 << _CODE_BITS)), np.argsort(-size, kind="stable")
     place = np.argsort(order)[class_of]
-    body.write(np.array([len(order) - 1]), _COUNT_BITS).write(classes[:, order].ravel().astype(np.int64), _CODE_BITS)
+    body.write(np.array([len(order) - 1]), _COUNT_BITS).write(classes[:, order].ravel(), _CODE_BITS)
     for each in range(len(order) - 1):
         body.write_set(place > each)
         place = place[place > each]
@@ -312,6 +291,13 @@ class Proof(IntEnum):
         return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
 
 
+# Bounds are tight enough if they exceed attained errors by this share of the range of a leaf's errors, clipped to
+# these shares of the largest error of all leaves.
+_OF_RANGE = 0.04
+_LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
+_SPARE_OF_CLASS = 1e-5  # this share of the scale for classes of leaves, whose bounds few leaves determine
+
+
 def _room_for_classes(num_bytes: int) -> int:
     return bits if (bits := num_bytes // _BYTES_A_BIT) >= _LEAST_BITS else 0
 
@@ -338,10 +324,10 @@ class Certificate:
         num_bytes: int = 0,
         before: "Certificate | None" = None,
     ) -> "Certificate":
-        """Encode bounds of each leaf, widened by the ``rounding`` of queries; upper bounds may be ``inf``.
+        """Encode bounds of each leaf's error, widened by ``rounding``, the error of 32-bit queries in the leaf.
 
-        For ``Proof.CLASSES``, leaves share the bounds of a few classes, which take a share of ``num_bytes``. Classes
-        of the certificate ``before`` are used again if they contain all bounds and the largest bound hardly changed.
+        For ``Proof.CLASSES``, groups of leaves share bounds that take 1/128 of ``num_bytes``, the size of all leaves
+        in a file. Shared bounds of an earlier certificate ``before`` are used again if they suffice.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
@@ -382,9 +368,11 @@ class Certificate:
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
-        """Return bounds at which a proof may stop, from the least and largest error that each leaf attains."""
+        """Return bounds so close to the least and most error met in each leaf that tighter bounds are of no use."""
         if self.proof is not Proof.CLASSES:
-            return tight_bounds(least, most)
+            largest = max(most.max(initial=0.0), -least.min(initial=0.0))
+            spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
+            return least - spare, most + spare
         spare = _SPARE_OF_CLASS * self.scale
         least, most = least - spare, most + spare
         lower, upper = self._classes

@@ -1,4 +1,4 @@
-"""Find adjacent or overlapping leaves and their shared faces; resolve the constraints between tied leaves."""
+"""Find touching or overlapping leaves and their shared faces; solve linear constraints between values at corners."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +12,7 @@ from plr_jax.plr.tree import Cells, Rows, Tree, corner_bits, tree_of
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+Indices: TypeAlias = Int[np.ndarray, "n"]
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
 Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
 """Function ``keep(pairs, side, half, axis)``: which pairs stay after halves along ``axis`` replaced row ``side``."""
@@ -20,10 +21,11 @@ Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
     """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
-    Both halves of the larger node replace a pair, and ``keep`` drops pairs. The rows of ``pairs`` are nodes of ``a``,
-    nodes of ``b``, and data that halves inherit, if any. In the result, indices of leaves replace those of nodes.
+    Each step replaces a pair by two pairs, with either half of its larger node; ``keep`` returns which pairs stay.
+    The rows of ``pairs`` are nodes of ``a``, nodes of ``b``, and further data of each pair, which new pairs copy. In
+    the result, indices of leaves replace those of nodes.
     """
-    trees, found = (a, b), []
+    trees, found = (a, b), [pairs[:, :0]]
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
     while pairs.shape[1]:
         inner = np.stack([tree.child[nodes] >= 0 for tree, nodes in zip(trees, pairs, strict=False)])
@@ -38,21 +40,19 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
                 child[side] = trees[side].child[parents[side]] + half
                 children.append(child[:, keep(child, side, half, axis)])
         pairs = np.concatenate(children, axis=1)
-    leaves = np.concatenate(found, axis=1) if found else pairs.copy()
+    leaves = np.concatenate(found, axis=1)
     for side, tree in enumerate(trees):
         leaves[side] = tree.leaf_of_node[leaves[side]]
     return leaves
 
 
-def overlap(
-    a: Cells, i: Int[np.ndarray, "n"], b: Cells, j: Int[np.ndarray, "n"], axis: Int[np.ndarray, "n"]
-) -> Bool[np.ndarray, "n"]:
+def overlap(a: Cells, i: Indices, b: Cells, j: Indices, axis: Indices) -> Bool[np.ndarray, "n"]:
     common = np.minimum(a.depth[i, axis], b.depth[j, axis])
     return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
 
 
 def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
-    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+    def keep(pairs: Pairs, side: int, half: int, axis: Indices) -> Bool[np.ndarray, "pairs"]:
         return overlap(a.cells, pairs[0], b.cells, pairs[1], axis)
 
     return leaf_pairs(a, b, np.zeros((2, 1), np.int64), keep)
@@ -130,26 +130,22 @@ def neighbor_of_largest_contact(
     cells: Cells,
     unreachable: Int[np.ndarray, "unreachable"],
     reachable: Int[np.ndarray, "reachable"],
-    periodic: tuple[bool, ...] = (),
+    periodic: tuple[bool, ...],
 ) -> Int[np.ndarray, "unreachable"]:
     """Return which reachable leaf shares the largest face, edge or corner with each unreachable leaf; -1 if none."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
-    mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
-    is_periodic = np.isin(np.arange(cells.dim), np.flatnonzero(periodic))
-    contact = _contacts(cells, cells.depth.max(axis=0), mine, others, is_periodic)
-    order = np.lexsort((others, -contact, mine))
-    mine, others = mine[order], others[order]
-    first = np.append(True, mine[1:] != mine[:-1])[: len(mine)]
+    pairs = mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
+    # Of several assignments to one leaf, the last counts: the largest contact and, among equal ones, the first leaf.
+    order = np.lexsort((-others, _contacts(cells, cells.depth.max(axis=0), pairs, periodic)))
     donor = np.full(len(cells), -1)
-    donor[mine[first]] = others[first]
+    donor[mine[order]] = others[order]
     return donor[unreachable]
 
 
 def touching_leaves(
-    tree: Tree, some: Int[np.ndarray, "some"], others: Int[np.ndarray, "others"], periodic: tuple[bool, ...] = ()
+    tree: Tree, some: Int[np.ndarray, "some"], others: Int[np.ndarray, "others"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, "2 pairs"]:
-    is_periodic = np.isin(np.arange(tree.cells.dim), np.flatnonzero(periodic))
     finest = tree.cells.depth.max(axis=0)
     holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
     holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
@@ -158,28 +154,22 @@ def touching_leaves(
 
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         stays = holds[0][pairs[0]] & holds[1][pairs[1]]
-        stays[stays] = _contacts(tree.cells, finest, pairs[0, stays], pairs[1, stays], is_periodic) > 0
+        stays[stays] = _contacts(tree.cells, finest, pairs[:, stays], periodic) > 0
         return stays
 
     return leaf_pairs(tree, tree, np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64), keep)
 
 
-def _contacts(
-    cells: Cells,
-    finest: Int[np.ndarray, "dim"],
-    a: Int[np.ndarray, "n"],
-    b: Int[np.ndarray, "n"],
-    is_periodic: Bool[np.ndarray, "dim"],
-) -> Float[np.ndarray, "n"]:
+def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, "pairs"]:
     """Return the size of the face that two cells share; tiny for an edge or a corner, 0 if the cells are apart."""
-    contact = np.ones(len(a))
+    (a, b), contact = pairs, np.ones(pairs.shape[1])
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
         lo_a, lo_b = cells.position[a, axis] << up_a, cells.position[b, axis] << up_b
         hi_a, hi_b = (cells.position[a, axis] + 1) << up_a, (cells.position[b, axis] + 1) << up_b
         low, high = np.maximum(lo_a, lo_b), np.minimum(hi_a, hi_b)
         touch = high == low
-        if is_periodic[axis]:
+        if periodic[axis]:
             first, last = np.minimum(lo_a, lo_b), np.maximum(hi_a, hi_b)
             touch |= (high < low) & (first == 0) & (last == 1 << finest[axis])
         contact *= np.where(touch, _TOUCH, np.maximum(high - low, 0)) / 2.0 ** finest[axis]
@@ -236,9 +226,9 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Find the edge of a larger cell that a split halved at each leaf corner; return the edge's ends.
+    """Return the ends of the edge in whose middle a split created each leaf's corner, as ``leaf * 2**dim + corner``.
 
-    The ends are corners ``leaf * 2**dim + corner``. The second result is False for corners of the domain.
+    The second result is False for corners of the domain, which no split created.
     """
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]

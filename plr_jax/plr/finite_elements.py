@@ -1,18 +1,9 @@
 """The function spaces of continuous and smooth leaves: finite elements on the leaves of a partition.
 
-A function is a polynomial in each leaf: multilinear (order 0), or cubic along every axis with a continuous gradient
-(order 1). Leaves that share a free face must agree on it: they are *tied*. This module finds the free degrees of
-freedom of such functions, and builds the sparse matrices that map them to the coefficients of every leaf.
-
-Every corner of every leaf is a *node*. Tied leaves must agree at the corners of the shared part of their faces:
-
-- If such a point is a corner of both leaves, their nodes belong to one *group*, which has one value.
-- If it is a corner of only one leaf, this corner *hangs* on the other leaf: its value is the other leaf's
-  interpolation there.
-
-The point of a hanging corner lies on a finer dyadic level (``NodalSpace.level``) than the corners from which its
-value is interpolated, so these dependencies have no cycles. Leaves on both sides of a wall are not tied, so a point
-in a wall has several independent nodes. Faces across the seam of a periodic axis are ordinary faces.
+In each leaf, a function is multilinear (order 0) or cubic along each axis with a continuous gradient (order 1).
+Leaves that share a free face are *tied*: they must agree on it. Every corner of every leaf is a *node*. Nodes of tied
+leaves at one point form a *group* with one value. A corner inside the face of a tied leaf *hangs* on that leaf: its
+value is interpolated there, from corners on coarser dyadic levels, so these dependencies have no cycles.
 """
 
 import math
@@ -22,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._types import Distances, Points
 from plr_jax.plr.faces import (
     SharedFaces,
     check_num_weights,
@@ -44,29 +36,17 @@ _GROWTH = 4
 
 @dataclass(frozen=True, eq=False)
 class NodalSpace:
-    """A basis of the functions on a partition that are continuous across its tied faces, where leaves must agree.
-
-    Attributes:
-        group: Group of each node (nodes of one group share a value); node ``leaf * 2**dim + corner`` is a corner of
-            ``leaf``.
-        hanging: Groups whose value is interpolated from an adjacent leaf.
-        host_leaf, host_position: The leaf on which each hanging group hangs, and its place there, from 0 to 1.
-        free_dofs: Groups whose values are free (the degrees of freedom), sorted by ``level``.
-        level: Exponent of two in the denominator of each free group's point, summed over the axes.
-        values: Matrix from the values of free groups to the values of all nodes; 0 at nodes of unreachable leaves.
-        prediction: Matrix that predicts each free group's value from coarser groups: the mean of the two ends of the
-            edge that a split halved at the group's point.
-    """
+    """A basis of the functions on a partition that are continuous across its tied faces, where leaves must agree."""
 
     tree: Tree
-    group: Int[np.ndarray, "nodes"]
-    hanging: Int[np.ndarray, "hanging"]
-    host_leaf: Int[np.ndarray, "hanging"]
-    host_position: Float[np.ndarray, "hanging dim"]
-    free_dofs: Int[np.ndarray, "free_dofs"]
-    level: Int[np.ndarray, "free_dofs"]
-    values: "csr_array"
-    prediction: "csr_array"
+    group: Int[np.ndarray, "nodes"]  # of each node ``leaf * 2**dim + corner``; nodes of a group share a value
+    hanging: Int[np.ndarray, "hanging"]  # groups whose value is interpolated from an adjacent leaf
+    host_leaf: Int[np.ndarray, "hanging"]  # the adjacent leaf
+    host_position: Float[np.ndarray, "hanging dim"]  # of the group's point in the adjacent leaf, from 0 to 1
+    free_dofs: Int[np.ndarray, "free_dofs"]  # groups whose values are free (degrees of freedom), sorted by ``level``
+    level: Int[np.ndarray, "free_dofs"]  # binary digits of all coordinates of the point, in fractions of the domain
+    values: "csr_array"  # from values of free groups to values of all nodes; 0 at nodes of unreachable leaves
+    prediction: "csr_array"  # of free groups from coarser ones: the mean of the ends of the edge that a split halved
 
     @property
     def dim(self) -> int:
@@ -151,7 +131,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
 def _interpolation(
     group: Int[np.ndarray, "nodes"],
     leaf: Int[np.ndarray, "n"],
-    t: Float[np.ndarray, "n dim"],
+    t: Points,
     row: Int[np.ndarray, "n"],
     shape: tuple[int, int],
 ) -> "csr_array":
@@ -168,13 +148,11 @@ def _interpolation(
     return csr_array((weight, (row[point], group[(leaf[point] << t.shape[1]) + corner])), shape)
 
 
-# The local basis of a leaf: corner values (order 0), or corner values and derivatives (order 1).
-#
-# Order 0 is multilinear interpolation of the corner values. Order 1 is cubic Hermite interpolation, the rectangular
-# element of Bogner, Fox and Schmit (1965). Its derivatives are not free: at a corner they are means of the
-# derivatives of the multilinear functions of the leaves tied there. A hanging corner takes value and derivatives from
-# the cubic of its host leaf. A cubic on half a face is determined by value and slope at its ends, so the function
-# stays continuous across that face.
+# The local basis of a leaf. Order 0 is multilinear interpolation of corner values. Order 1 is cubic Hermite
+# interpolation of corner values and derivatives, the rectangular element of Bogner, Fox and Schmit (1965). At a
+# corner, derivatives are means over the multilinear functions of the leaves tied there. A hanging corner takes value
+# and derivatives from the cubic of its host leaf; they determine the cubic on either half of the face, so the
+# function stays continuous across it.
 
 POWERS = (2, 4)  # number of powers of t along each axis, by order
 # Largest dimension, by order. For order 0, a leaf in 6-D has 64 corners already. For order 1 in 3-D, a corner may
@@ -189,7 +167,7 @@ _BASIS_1D = (
 )
 
 
-def design(order: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+def design(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
     """Return the values of a leaf's basis functions at points ``t`` of its cell, from 0 to 1 along each axis."""
     return _derivatives(order, t, np.zeros(t.shape[1], np.int64))
 
@@ -199,10 +177,7 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
-def plane_coefficients(
-    order: int, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
-) -> Float[np.ndarray, "leaves terms"]:
-    """Return coefficients of planes, given by their center values and half of their rise along each axis."""
+def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.ndarray, "n terms"]:
     corners = corner_bits(half.shape[1])
     values = center[:, None] + half @ (2 * corners - 1).T
     if order == 0:
@@ -226,16 +201,11 @@ def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
 
 
 def enclosing_planes(
-    order: int,
-    coefficients: Float[np.ndarray, "n terms"],
-    center: Float[np.ndarray, "n 2"],
-    reach: Float[np.ndarray, "n 2"],
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
-    """Return tangent planes of polynomials of leaves at centers of boxes, and bounds of the differences in the boxes.
+    order: int, coefficients: Float[np.ndarray, "n terms"], center: Points, reach: Points
+) -> tuple[Distances, Points, Distances]:
+    """Return value and gradient of leaves' polynomials at centers of boxes, and a bound of all other Taylor terms.
 
-    Boxes are given by center and half-width (``reach``) in local coordinates, from 0 to 1 across the leaf. The first
-    two results are the polynomial's value and gradient at the center. The third bounds the difference of plane and
-    polynomial: the sum of the largest absolute values of all higher-order Taylor terms.
+    ``center`` and ``reach`` (the half-widths of boxes) are in local coordinates, from 0 to 1 across the leaf.
     """
     count = POWERS[order]
     powers = (coefficients @ monomials(order, 2)).reshape(-1, count, count)
@@ -254,13 +224,8 @@ def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndar
     return ways * center[:, None, None] ** np.maximum(power - of_difference, 0)
 
 
-def _derivatives(
-    order: int, t: Float[np.ndarray, "n dim"], derivative: Int[np.ndarray, "dim"]
-) -> Float[np.ndarray, "n terms"]:
-    """Return a mixed derivative of all basis functions at points ``t``; ``derivative`` is 1 on axes to differentiate.
-
-    Columns are ordered by corner, then by the kind of data at the corner (value or a derivative).
-    """
+def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, "dim"]) -> Float[np.ndarray, "n terms"]:
+    """Return the derivative of all basis functions at points ``t`` along all axes where ``derivative`` is 1."""
     n, (_, kinds, num_powers) = len(t), _BASIS_1D[order].shape
     values, powers = np.ones((n, 1, 1)), np.arange(num_powers)
     for axis, is_along in enumerate(derivative):

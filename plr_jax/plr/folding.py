@@ -29,7 +29,7 @@ class Folding:
 
     @cached_property
     def pivots(self) -> tuple[int, ...]:
-        """Axis of each mirror, neither periodic nor reversed by another mirror, whose negative side is mirrored."""
+        """Axis of each mirror, not periodic, whose negative half only this mirror maps to the positive half."""
         alone = np.sum(self.mirrors, axis=0) == 1
         may_be = np.array(self.mirrors, bool).reshape(-1, self.domain.dim) & alone & ~np.array(self.domain.periodic)
         if not may_be.any(axis=1).all():
@@ -38,7 +38,7 @@ class Folding:
 
     @cached_property
     def box(self) -> Box:
-        """Box of the images of all points of the domain; a PLR's leaves partition it."""
+        """Box of all points of the domain after mirroring, which a PLR's leaves partition."""
         lo, hi = self._range_before_mirroring
         largest = np.maximum(np.abs(lo), np.abs(hi))
         is_reversed = np.any(np.array(self.mirrors).reshape(-1, self.domain.dim), axis=0)
@@ -68,7 +68,7 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, "n"]]]:
-        """Yield, for each subset of mirrors, a point that folds to each ``z`` and whether the domain contains it."""
+        """Yield, for each subset of the mirrors, points that these map to ``z``, and which are inside the domain."""
         near = _CUT * self.domain.width
         for is_odd in self._reversals:
             mirrored = np.where(is_odd, -z, z)
@@ -79,20 +79,17 @@ class Folding:
 
     @property
     def _reversals(self) -> Bool[np.ndarray, "subsets dim"]:
-        """Whether each subset of the mirrors reverses each axis."""
         num, dim = len(self.mirrors), self.domain.dim
         subsets = np.array(list(product((0, 1), repeat=num)), int).reshape(2**num, num)
         return subsets @ np.array(self.mirrors, int).reshape(num, dim) % 2 == 1
 
     def unfold(self, z: Points) -> Points:
-        """Return a point that folds to each ``z``, inside the domain if there is one."""
-        found, missing = None, np.ones(len(z), bool)
-        for x, inside in self.images(z):
-            found = x if found is None else np.where((missing & inside)[:, None], x, found)
-            missing &= ~inside
-            if not missing.any():
-                break
-        assert found is not None, "images always yields the identity"
+        """Return points that the mirrors map to ``z``, each inside the domain if possible."""
+        images = self.images(z)
+        found, is_inside = next(images)
+        while not is_inside.all() and (image := next(images, None)):  # most points need no further image
+            found = np.where((image[1] & ~is_inside)[:, None], image[0], found)
+            is_inside |= image[1]
         return found
 
     def boxes(

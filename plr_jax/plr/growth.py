@@ -1,8 +1,7 @@
 """Grow the partition of a PLR by splitting its worst leaves (Algorithm 1 of the paper), within the user's limits.
 
-Each round splits many leaves at once; splits beyond the limits are undone at the end. The tree is the same as if a
-priority queue split one leaf at a time. Under a byte budget, the number of splits is chosen together with the number
-of bits of each coefficient.
+Each round splits many leaves at once; splits beyond the limits are undone at the end, so that the tree is the same as
+if a priority queue split one leaf at a time. A byte budget also determines the number of bits of each coefficient.
 """
 
 import os
@@ -19,7 +18,7 @@ from tqdm import tqdm
 from plr_jax._arrays import row_products
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.coding import body_size
-from plr_jax.plr.sampling import CellFit, Sampler, normal_matrices, solve_planes
+from plr_jax.plr.sampling import CellFit, Sampler, solve_planes
 from plr_jax.plr.tree import Cells, Rows
 
 DEFAULT_MAX_LEAVES = 512
@@ -91,6 +90,8 @@ def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | No
 
 
 NEVER = -np.inf
+Leaves: TypeAlias = Int[np.ndarray, "leaves"]
+"""Indices of the nodes that are leaves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +109,7 @@ class Nodes(Rows):
     def __len__(self) -> int:
         return (len(self.key) + 1) // 2
 
-    def leaves_of_splits(self, splits: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "leaves"]:
+    def leaves_of_splits(self, splits: Int[np.ndarray, "splits"]) -> Leaves:
         is_leaf = np.zeros(len(self.key), bool)
         is_leaf[0] = True
         is_leaf[self.child[splits]] = is_leaf[self.child[splits] + 1] = True
@@ -125,12 +126,11 @@ def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
 def nodes_of_fit(
     fit: CellFit,
     coefficients: Float[np.ndarray, "cells terms"],
-    bound: Float[np.ndarray, "cells"],
+    key_of_parent: Float[np.ndarray, "cells"],
     priority: Float[np.ndarray, "..."],
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Make tree nodes of fitted cells; ``bound`` has the priorities of the parents."""
     check_rules(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
@@ -141,7 +141,7 @@ def nodes_of_fit(
         error=error,
         share=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1)),
         axis=axis,
-        key=np.where(may_split, np.minimum(priority, bound), NEVER),
+        key=np.where(may_split, np.minimum(priority, key_of_parent), NEVER),
         child=np.full(len(fit), -1),
     )
 
@@ -180,32 +180,27 @@ MAX_ASPECT_BITS = 3
 
 
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each cell's largest weighted absolute error over its samples: the worst leaf is split first.
+    """Return each cell's largest weighted absolute error over its samples, in units of distance.
 
-    Returns:
-        A priority for each cell, in units of distance; 0 (never split) if the goal cannot be reached from any sample.
+    The worst leaf is split first. The error is 0 (never split) if the goal cannot be reached from any sample.
     """
     return np.max(fit.weight * np.abs(fit.residual), axis=1)
 
 
 def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each cell's weighted absolute error at its center, as in Section III-B of the paper.
+    """Return each cell's weighted absolute error at its center, in units of distance (Section III-B of the paper).
 
-    If the goal cannot be reached from the center, the cell's largest sample error is returned instead, so that an
-    obstacle in the middle does not hide a bad fit around it.
-
-    Returns:
-        A priority for each cell, in units of distance; 0 (never split) if the goal cannot be reached from any sample.
+    If the goal cannot be reached from the center, return :func:`largest_error` instead, so that an obstacle in the
+    middle does not hide a bad fit around it.
     """
     at_center = fit.weight[:, 0] * np.abs(fit.residual[:, 0])
     return np.where(fit.reachable[:, 0], at_center, largest_error(fit))
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Split every cell that reaches the goal, breadth first, up to the limits: the paper's simplest rule.
+    """Return ``inf`` for each cell, so that cells are split breadth first: the paper's simplest rule.
 
-    Returns:
-        A priority for each cell: ``inf``, or 0 if the goal cannot be reached from any sample.
+    Cells from which no sample reaches the goal get 0 (never split).
     """
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
@@ -213,9 +208,8 @@ def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
 def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
     """Return each cell's axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
-    Returns:
-        An axis for each cell. Axes at the depth limit, and axes along which the halves would be shorter than 1/8 of
-        another side (in fractions of the domain), are chosen only if all axes are like this: then axis 0.
+    Axes at the depth limit, and axes along which the halves would be shorter than 1/8 of another side (in fractions
+    of the domain), are chosen only if all axes are like this: then axis 0.
     """
     return best_open_axis(fit, _sum_of_squares_after_split(fit))
 
@@ -234,6 +228,7 @@ def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
+    # Fitting a plane in both halves reduces the weighted sum of squares by the squared coordinates in their basis.
     residual, masked = fit.residual, fit.masked
     weight = fit.weight[masked] * fit.pattern.weight
     total = row_products(np.square(residual), fit.pattern.weight)
@@ -245,7 +240,7 @@ def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
             explained = np.zeros(len(masked))
             for design in np.split(fit.pattern.halves[axis], 2, axis=1):
                 projection = row_products(weight * residual[masked], design)
-                explained += (projection * solve_planes(normal_matrices(design, weight), projection)).sum(axis=1)
+                explained += (projection * solve_planes(design, weight, projection)).sum(axis=1)
             squares[masked, axis] = total[masked] - explained
     return squares
 
@@ -261,11 +256,11 @@ FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
-    """The bytes and mean rounding error of a file, given nodes, indices of leaves, and bits per stored value."""
+    """Functions of nodes, leaves and bits per value that return the size and the mean rounding error of a file."""
 
     choices: Sequence[int]  # numbers of bits to choose from
-    size: Callable[[Nodes, Int[np.ndarray, "leaves"], int], int]
-    rounding_error: Callable[[Nodes, Int[np.ndarray, "leaves"], int], float]
+    size: Callable[[Nodes, Leaves, int], int]
+    rounding_error: Callable[[Nodes, Leaves, int], float]
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, "cells"]], Nodes]) -> FitNodes:
@@ -292,7 +287,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 
 def grow_best_first(
     root: Nodes, fit_nodes: FitNodes, limits: Limits, encoding: Encoding
-) -> tuple[Nodes, Int[np.ndarray, "leaves"], int]:
+) -> tuple[Nodes, Leaves, int]:
     """Grow a tree to its limits; return all nodes, the indices of the leaves, and the bits of each stored value."""
 
     def split_some(nodes: Nodes) -> Nodes | None:
@@ -321,13 +316,13 @@ def grow_best_first(
     return nodes, *_choose_leaves(nodes, limits, encoding)
 
 
-def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Int[np.ndarray, "leaves"], int]:
+def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Leaves, int]:
     """Try the largest tree that fits for each number of bits per value; return the leaves and bits of least error."""
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]
 
-    def most_leaves(bits: int) -> Int[np.ndarray, "leaves"]:
+    def most_leaves(bits: int) -> Leaves:
         if np.isinf(limits.max_bytes):
             return nodes.leaves_of_splits(order)
         enough = bisect_right(
@@ -337,7 +332,7 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[In
         )
         return nodes.leaves_of_splits(order[: enough - 1]) if enough else np.empty(0, np.int64)
 
-    def expected_error(leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
+    def expected_error(leaf: Leaves, bits: int) -> float:
         # Errors of fit and rounding are combined as if they were independent.
         return np.hypot(_fit_error(nodes, leaf), encoding.rounding_error(nodes, leaf, bits)) if len(leaf) else np.inf
 
@@ -345,6 +340,6 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[In
     return min(within, key=lambda choice: (expected_error(*choice), -choice[1]))
 
 
-def _fit_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"]) -> float:
+def _fit_error(nodes: Nodes, leaf: Leaves) -> float:
     share = nodes.share[leaf]
     return float(np.sum(share * nodes.error[leaf]) / np.sum(share)) if share.any() else 0.0

@@ -1,7 +1,7 @@
 """Run long constructions of PLRs on parallel workers, and keep finished results in checkpoint files.
 
-A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. When the
-file is opened again, the first incomplete or damaged record and all later records are dropped.
+A checkpoint file has a head, which identifies the computation, and records with a key and a checksum each. Whoever
+opens the file drops the first incomplete or damaged record and all later records.
 """
 
 import os
@@ -12,6 +12,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecu
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
+from itertools import zip_longest
 from pathlib import Path
 from typing import TypeAlias
 
@@ -39,9 +40,7 @@ class Checkpoint:
         if not isinstance(path, str | os.PathLike):
             raise ValueError(f"checkpoint must be the path of a file or None, got {shortened(path)}.")
         self._path, self._head, self.records = Path(path), _MAGIC + digest, dict[bytes, bytes]()
-        data = b""
-        with suppress(FileNotFoundError):
-            data = self._path.read_bytes()
+        data = self._path.read_bytes() if self._path.exists() else b""
         head = data[: len(self._head)]
         if not self._head.startswith(head):
             if not head.startswith(_MAGIC):
@@ -133,10 +132,10 @@ class ParallelOracle:
                 for part in parts:
                     futures.append(self.executor.submit(call_oracle, self.distance_fn, part))
             answers = [np.empty(0)]
-            for number, part in enumerate(parts):
+            for part, future in zip_longest(parts, futures):
                 answer = None
                 with suppress(BrokenExecutor):
-                    answer = futures[number].result() if number < len(futures) else None
+                    answer = future and future.result()
                 # If the worker died, this process computes the answer.
                 answers.append(call_oracle(self.distance_fn, part) if answer is None else answer)
         finally:
@@ -172,24 +171,19 @@ class BuildResults:
             self._checkpoint.finish()
 
     def _build_by(self, pool: Executor, chunks: list[Chunk], progress: tqdm) -> list[Chunk]:
-        futures: dict[Future[list[bytes]], Chunk] = {}
+        futures: dict[Future[list[bytes]], list[int]] = {}
         try:
             with suppress(BrokenExecutor):
-                for chunk in chunks:
-                    futures[pool.submit(chunk[1])] = chunk
+                for numbers, build in chunks:
+                    futures[pool.submit(build)] = numbers
             for future in as_completed(futures):
                 with suppress(BrokenExecutor):
-                    numbers, _ = futures[future]
+                    self._store(futures[future], future.result())
+                    progress.update(len(futures[future]))
+        finally:  # after an interrupt, keep what is finished
+            for future, numbers in futures.items():
+                if not future.cancel() and future.done() and future.exception() is None:
                     self._store(numbers, future.result())
-                    progress.update(len(numbers))
-        except KeyboardInterrupt:
-            for future, chunk in futures.items():
-                if future.done() and not future.cancelled() and future.exception() is None:
-                    self._store(chunk[0], future.result())
-            raise
-        finally:
-            for future in futures:
-                future.cancel()
         return [chunk for chunk in chunks if self.results[chunk[0][0]] is None]
 
     def _store(self, numbers: list[int], results: list[bytes]) -> None:

@@ -54,10 +54,7 @@ class Pattern:
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """Orthonormal bases of functions that are a plane in each half of a cell, for each axis.
-
-        Fitting both planes reduces the weighted sum of squared values by ``np.square(values @ basis).sum()``.
-        """
+        """For each axis, an orthonormal basis of functions that are a plane in either half of a cell."""
         root = np.sqrt(self.weight)[:, None]
         bases = []
         for design in self.halves:
@@ -70,8 +67,9 @@ class Pattern:
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
     """Make a pattern of samples in a cell: its center, points inside and on faces, and its corners if few.
 
-    The third of the samples on faces detects slivers of free space behind a wall, and the large errors that are
-    frequent there; its small weight hardly changes fits. A ``margin`` scales coordinates by ``1 + 2 * margin``.
+    About 1/3 of all samples are on faces. These detect slivers of free space behind a wall, where large errors are
+    frequent; their small weight hardly changes fits. ``margin`` is the distance by which samples reach beyond the
+    cell, as a fraction of its width.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
@@ -87,10 +85,9 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
 
 
 def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "num_points dim"]:
-    """Return evenly spread points in the unit cube, shifted modulo 1.
+    """Return evenly spread points in the unit cube, shifted modulo 1: in the plane, a Fibonacci lattice.
 
-    Their steps are equal along the first axis and those of Roberts' R sequence along the others. In the plane they
-    form a Fibonacci lattice. SciPy's Sobol sequence spreads points as well, but its import takes a third of a second.
+    Steps are equal along the first axis; along other axes, they are the steps of Roberts' R sequence.
     """
     dim, root = len(shift), 1.0
     for _ in range(64 if dim > 1 else 0):  # root ** dim == root + 1: the golden ratio in the plane
@@ -106,59 +103,47 @@ def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarra
 # makes the slope zero along directions in which no sample varies.
 _RIDGE = 1e-9
 
-FitRule: TypeAlias = Callable[
-    [Pattern, Float[np.ndarray, "cells k"], Float[np.ndarray, "cells k"]],
-    tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]],
-]
+OfSamples: TypeAlias = Float[np.ndarray, "cells k"]
+Planes: TypeAlias = tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]
+FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]
 """Function that fits planes, called like :func:`least_squares`."""
 
 
-def least_squares(
-    pattern: Pattern, value: Float[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
-) -> tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]:
-    """Fit each cell's plane by weighted least squares, which gives small mean errors: the paper's fit.
+def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Planes:
+    """Fit each cell's plane by weighted least squares, which gives small mean errors (Section III-A of the paper).
 
     The weight of a sample is the pattern's weight times ``weight``. If the samples of positive weight do not
     determine the plane, the slope has the least norm: a single sample gives a constant plane, no sample gives zero.
 
     Args:
         pattern: The sample pattern.
-        value: Distance at each sample of each cell, finite.
-        weight: Weight of each sample, >= 0; 0 where the goal cannot be reached.
+        value: Distance at each sample of each cell, ``(cells, k)``, finite.
+        weight: Weight of each sample, ``(cells, k)``, >= 0; 0 where the goal cannot be reached.
 
     Returns:
         Values at the cells' centers ``(cells,)``, and half of the rise across each cell along each axis
         ``(cells, dim)``.
-
-    References:
-        Section III-A of the paper.
     """
     plane = row_products(value, pattern.pseudo_inverse.T)
     masked = masked_cells(weight)
     if len(masked):
         design, weight = pattern.design, weight[masked] * pattern.weight
-        plane[masked] = solve_planes(normal_matrices(design, weight), row_products(weight * value[masked], design))
+        plane[masked] = solve_planes(design, weight, row_products(weight * value[masked], design))
     return plane[:, 0], plane[:, 1:]
 
 
-def masked_cells(weight: Float[np.ndarray, "cells k"]) -> Int[np.ndarray, "masked"]:
-    differs = weight != 1
-    return np.flatnonzero(differs.any(axis=1)) if differs.any() else np.zeros(0, np.int64)
-
-
-def normal_matrices(
-    design: Float[np.ndarray, "k terms"], weight: Float[np.ndarray, "cells k"]
-) -> Float[np.ndarray, "cells terms terms"]:
-    k, terms = design.shape
-    products = (design[:, :, None] * design[:, None, :]).reshape(k, terms * terms)
-    return row_products(weight, products).reshape(-1, terms, terms)
+def masked_cells(weight: OfSamples) -> Int[np.ndarray, "masked"]:
+    return np.flatnonzero((weight != 1).any(axis=1))
 
 
 def solve_planes(
-    normal: Float[np.ndarray, "cells terms terms"], projection: Float[np.ndarray, "cells terms"]
+    design: Float[np.ndarray, "k terms"], weight: OfSamples, projection: Float[np.ndarray, "cells terms"]
 ) -> Float[np.ndarray, "cells terms"]:
-    """Solve normal equations of planes and overwrite ``normal``; slopes are 0 along directions without samples."""
-    terms, total = normal.shape[-1], normal[:, 0, 0].copy()
+    """Solve the normal equations of weighted least squares; slopes are 0 along directions without samples."""
+    k, terms = design.shape
+    products = (design[:, :, None] * design[:, None, :]).reshape(k, terms * terms)
+    normal = row_products(weight, products).reshape(-1, terms, terms)
+    total = normal[:, 0, 0].copy()
     ridge = np.where(total > 0, _RIDGE * total, 1.0)
     normal[:, range(1, terms), range(1, terms)] += ridge[:, None]
     normal[:, 0, 0] += total == 0
@@ -190,11 +175,11 @@ class CellFit(Rows):
     pattern: Pattern
     max_axis_depth: int
     reachable: Bool[np.ndarray, "cells k"]
-    weight: Float[np.ndarray, "cells k"]
-    value: Float[np.ndarray, "cells k"]
+    weight: OfSamples
+    value: OfSamples
     center: Float[np.ndarray, "cells"]
     half: Float[np.ndarray, "cells dim"]
-    residual: Float[np.ndarray, "cells k"]
+    residual: OfSamples
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -313,9 +298,7 @@ def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
     return weight
 
 
-def weights_of_fit(
-    reachable: Bool[np.ndarray, "cells k"], weight: Float[np.ndarray, "cells k"]
-) -> Float[np.ndarray, "cells k"]:
+def weights_of_fit(reachable: Bool[np.ndarray, "cells k"], weight: OfSamples) -> OfSamples:
     """Return the given weights, but 1 for samples that reach the goal in cells whose weights are all 0."""
     return np.where((weight > 0).any(axis=1, keepdims=True), weight, reachable)
 

@@ -16,9 +16,10 @@ from plr_jax.plr.leaves import as_sourced
 
 
 class SourceSight:
-    """Visibility polygons of the sources of cones, and whether the path from each to its last source crosses no wall.
+    """The visibility of a PLR's sources, the corners and goals from which its leaves measure distances.
 
-    Sight has at least the tolerance ``rounding``, the distance by which a file may have moved a source.
+    It includes which sources have a free path to the goal. Tests of walls have at least the tolerance ``rounding``,
+    the largest rounding of a source's position in a file.
     """
 
     def __init__(self, plr: PLR, workspace: Workspace, rounding: float):
@@ -44,9 +45,10 @@ class SourceSight:
     def free_paths(
         self, x: Points, first: Int[np.ndarray, "n"]
     ) -> tuple[Int[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
-        """Return the first source of each start's path, and whether the path is free.
+        """Return the source (corner or goal) to which each start's path goes first, and whether the path is free.
 
-        If the path over ``first`` crosses a wall or ends elsewhere, take the shortest free path to the goal, if any.
+        This is ``first`` if the path from there crosses no wall and ends at the goal; else the first source of the
+        shortest free path to the goal, if there is one.
         """
         first, is_free = first.copy(), self._is_clear[first] & self._sees(first, x)
         failing = np.flatnonzero(~(is_free & self._arrives[first]))

@@ -15,14 +15,13 @@ from plr_jax.plr.tables import AnyArray, Tables
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A function that wraps 64-bit points around periodic axes, then subtracts ``corner``; None skips a step."""
+    """A function that wraps 64-bit points around periodic axes, then subtracts ``corner`` if there is one."""
 
-    domain: Box | None
+    domain: Box
     corner: Float[np.ndarray, "dim"] | None
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
-        if self.domain is not None:
-            x = self.domain.wrapped(x)
+        x = self.domain.wrapped(x)
         return x if self.corner is None else x - self.corner
 
 
@@ -35,7 +34,7 @@ _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps wi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """A function of joint configurations made of one PLR per robot; robots with ``bands`` get proven lower bounds."""
+    """A function of joint configurations made of one PLR per robot: distances or, with ``bands``, lower bounds."""
 
     tables: tuple[Tables, ...]
     bands: Bands
@@ -65,7 +64,7 @@ class TableStack:
         return distances.T
 
     def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
-        """Pad a batch to a size that is compiled once, in the precision of JAX's floats; wrap or shift its points."""
+        """Pad a batch to one of the sizes that JAX compiles, with each robot's points moved by its ``placements``."""
         size = padded_size(len(q), _SIZES)
         padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
         padded[: len(q)], padded[len(q) :] = q, 0

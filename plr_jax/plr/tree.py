@@ -80,11 +80,8 @@ class Cells(Rows):
 
     def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":
         """Halve each cell along its axis; its upper half follows its lower half."""
-        halved = np.eye(self.dim, dtype=np.int64)[axis]
-        depth = np.repeat(self.depth + halved, 2, axis=0)
-        position = np.repeat(self.position << halved, 2, axis=0)
-        position[1::2] += halved
-        return Cells(depth, position)
+        both = np.repeat(np.arange(len(self)), 2)
+        return self[both].halves(axis[both], np.arange(len(both)) % 2 == 1)
 
     def halves(self, axis: Int[np.ndarray, "cells"], is_upper: Bool[np.ndarray, "cells"]) -> "Cells":
         halved = np.eye(self.dim, dtype=np.int64)[axis]

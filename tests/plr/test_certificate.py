@@ -17,7 +17,6 @@ from plr_jax.plr.certificate import (
     LeafBounds,
     LeafFunctions,
     Proof,
-    bounds_of_pieces,
     classify_bounds,
     prove_bounds,
     read_certificate,
@@ -26,7 +25,7 @@ from plr_jax.plr.certificate import (
 )
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.tree import Cells
+from plr_jax.plr.tree import Cells, grown_domain
 
 # Bounds of pieces and of leaves, against distances of many points.
 
@@ -43,13 +42,18 @@ def sampled(oracle, visible, slope, intercept, rng, k):
     return np.fmin.reduce(met, axis=1, initial=np.inf), np.fmax.reduce(met, axis=1, initial=-np.inf)
 
 
+def sufficient(least, most, anew):
+    return Certificate(1.0, None, Proof.LEAVES).sufficient_bounds(least, most, np.zeros(len(least)))
+
+
 @pytest.mark.parametrize("kind", WORKSPACES)
 def test_bounds_are_beyond_all_that_is_met_and_halving_brings_them_close(kind):
-    """Of the sixteenths of a square, whichever pieces are asked for."""
+    """Of the sixteenths of a square."""
     rng, cells = np.random.default_rng(1), Cells.root(2)
     workspace = kind(rng)
     oracle = VisibilityGraph(workspace, workspace.sample_free(1, 1)[0])
-    memory = CellMemory(oracle, Box((0, 0), (10, 10)))
+    domain = Box((0, 0), (10, 10))
+    memory = CellMemory(domain, oracle.cell_sources(grown_domain(domain)))
     for axis in (0, 1, 0, 1):
         memory.sources(cells)
         cells = cells.split(np.full(len(cells), axis))
@@ -57,19 +61,16 @@ def test_bounds_are_beyond_all_that_is_met_and_halving_brings_them_close(kind):
     slope, intercept = rng.normal(size=(visible.num_cells, 2)) * 0.7, rng.normal(size=visible.num_cells)
     functions = LeafFunctions(leaf_model("plane"), 0 * slope - 1, 0 * slope + 1, np.column_stack([intercept, slope]))
     low, high = sampled(oracle, visible, slope, intercept, rng, 2000)
-    piece = rng.integers(len(visible.cell), size=40)
-    cones_above = functions.cone_minus_leaf_bounds(visible.cell[piece])
-    lower, upper = bounds_of_pieces(visible, piece, cones_above)
-    assert (lower - visible.slack <= low[piece]).all() and (upper + visible.slack >= high[piece]).all()
+    lower, upper = functions.bounds_of_pieces(visible, visible.cell)
+    assert (lower - visible.slack <= low).all() and (upper + visible.slack >= high).all()
     assert (upper - lower <= 40).all()
-    assert [len(bound) for bound in bounds_of_pieces(visible, piece[:0], cones_above)] == [0, 0]
     errors = functions.largest_errors(visible)
     lower, upper = np.zeros(visible.num_cells), np.zeros(visible.num_cells)
     np.minimum.at(lower, visible.cell, low)
     np.maximum.at(upper, visible.cell, high)
     assert (errors >= np.maximum(-lower, upper) - visible.slack).all()
     assert ((errors > 0) == np.isin(np.arange(visible.num_cells), visible.cell)).all()
-    bounds = prove_bounds(functions, visible)
+    bounds = prove_bounds(functions, visible, sufficient)
     assert (bounds.lower <= lower).all() and (bounds.upper >= upper).all()
     largest = max(upper.max(), -lower.min())
     assert (
@@ -78,7 +79,7 @@ def test_bounds_are_beyond_all_that_is_met_and_halving_brings_them_close(kind):
     spare = 0.1 * (upper - lower) + 0.01 * largest
     assert (bounds.lower >= lower - spare).all() and (bounds.upper <= upper + spare).all()
     nothing = oracle.cell_sources(Box((20, 20), (30, 30)))
-    bounds = prove_bounds(functions, nothing)
+    bounds = prove_bounds(functions, nothing, sufficient)
     assert bounds.lower.tolist() == [-nothing.slack] and bounds.upper.tolist() == [nothing.slack]
     assert oracle.workspace.tolerance <= nothing.slack
 

@@ -14,13 +14,13 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
 from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
-from plr_jax.plr._plr import plr_of_leaves, with_certificate
+from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.certificate import (
     Certificate,
     Proof,
 )
-from plr_jax.plr.tree import Cells
+from plr_jax.plr.tree import Cells, grown_domain
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
@@ -31,7 +31,7 @@ def test_distances_are_the_oracles(kind, domain):
         rng = np.random.default_rng(seed)
         workspace = kind(rng, squeeze=seed % 2 == 0)
         oracle = VisibilityGraph(workspace, workspace.sample_free(1, seed)[0])
-        memory, cells = CellMemory(oracle, domain), Cells.root(2)
+        memory, cells = CellMemory(domain, oracle.cell_sources(grown_domain(domain))), Cells.root(2)
         memory.sources(cells)
         for _ in range(5):
             u = rng.uniform(-1, 1, (30, 2))
@@ -49,7 +49,11 @@ def test_distances_are_the_oracles(kind, domain):
 def test_cells_below_the_end_of_a_wall_as_thin_as_the_tolerance_keep_the_corner_of_their_paths():
     """Some of the paths turn at either corner of this end; the cones of the two hardly differ."""
     oracle = VisibilityGraph(Workspace(UNIT, [box(0.4, 0.45, 0.4 + 1e-9, 0.9)]), (0.9, 0.9))
-    memory, cells, rng = CellMemory(oracle, UNIT), Cells.root(2), np.random.default_rng(0)
+    memory, cells, rng = (
+        CellMemory(UNIT, oracle.cell_sources(grown_domain(UNIT))),
+        Cells.root(2),
+        np.random.default_rng(0),
+    )
     for axis in (0, 1, 0, 1, 0, 1, 0, 1, None):
         x = cells.points(rng.uniform(-1, 1, (20, 2)), UNIT)
         exact = oracle(x.reshape(-1, 2)).reshape(x.shape[:2])
@@ -65,7 +69,7 @@ def test_many_pairs_are_looked_at_in_parts(monkeypatch):
     oracle = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
     domain, cells = Box((0, 0), (10, 10)), Cells.root(2)
     x = cells.points(rng.uniform(-1, 1, (200, 2)), domain)
-    visible = CellMemory(oracle, domain).sources(cells)
+    visible = CellMemory(domain, oracle.cell_sources(grown_domain(domain))).sources(cells)
     whole = distances_in_cells(visible, x)
     monkeypatch.setattr("plr_jax.plr.cell_memory._PAIRS_AT_ONCE", 1)
     np.testing.assert_array_equal(distances_in_cells(visible, x), whole)
@@ -160,10 +164,14 @@ def test_classes_of_leaves_have_narrow_bounds_that_hold_for_few_bytes(maze):
     loaded = from_bytes(plr.to_bytes())
     assert loaded.max_error == plr.max_error
     np.testing.assert_array_equal(loaded.band, plr.band)
-    one = from_bytes(with_certificate(plr, Certificate(0.25, None, Proof.CLASSES)).to_bytes())
+
+    def with_largest_error(error):
+        return plr_of_leaves(replace(plr._contents, certificate=Certificate(error, None, Proof.CLASSES)))
+
+    one = from_bytes(with_largest_error(0.25).to_bytes())
     assert one.max_error == 0.25
     np.testing.assert_array_equal(one.band, [[-0.25], [0.25]])
-    one = with_certificate(plr, Certificate(plr.max_error, None, Proof.CLASSES))
+    one = with_largest_error(plr.max_error)
     each = certify(plr, maze, leaf_bounds=True)
     assert 0 < plr.num_bytes - one.num_bytes <= one.num_bytes / 128
     x = maze.workspace.sample_free(5000, 0)
