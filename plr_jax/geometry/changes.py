@@ -25,16 +25,18 @@ from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_
 from plr_jax.geometry.workspace import Workspace
 
 _TURN = 4.0  # a full turn as a pseudo-angle
+Indices: TypeAlias = Int[np.ndarray, "_"]
+GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a goal, and corners that it may see
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Two boundaries, and the new index of each old vertex and edge, -1 if it is gone."""
+    """The boundaries of free space before and after a change of the map."""
 
     old: Boundary
     new: Boundary
-    vertex: Int[np.ndarray, "old_vertices"]
-    edge: Int[np.ndarray, "old_edges"]
+    vertex: Int[np.ndarray, "old_vertices"]  # new index of each old vertex; -1 if it is gone
+    edge: Int[np.ndarray, "old_edges"]  # new index of each old edge; -1 if it is gone
 
     @staticmethod
     def between(old: Boundary, new: Boundary) -> "Change":
@@ -46,31 +48,22 @@ class Change:
         is_new[self.edge[self.edge >= 0]] = False
         return is_new
 
-    @cached_property
-    def segments(self) -> Float[np.ndarray, "changed 2 2"]:
-        """The edges that are in one boundary only."""
-        return np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
-
-    @cached_property
-    def _extents(self) -> tuple[Float[np.ndarray, "parts 2"], Float[np.ndarray, "parts 2"]]:
-        points, index = np.unique(self.segments.reshape(-1, 2), axis=0, return_inverse=True)
+    def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
+        """Return the bounding box, grown by ``margin``, of each connected group of changed edges as four corners."""
+        segments = np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
+        points, index = np.unique(segments.reshape(-1, 2), axis=0, return_inverse=True)
         start, end = index.reshape(-1, 2).T
         graph = coo_array((np.ones(len(start)), (start, end)), (len(points),) * 2)
         num, part = connected_components(graph, directed=False)
         lo, hi = np.full((num, 2), np.inf), np.full((num, 2), -np.inf)
         np.minimum.at(lo, part, points)
         np.maximum.at(hi, part, points)
-        return lo, hi
-
-    def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
-        """Return corners of the bounding box, grown by ``margin``, of each connected group of changed edges."""
-        lo, hi = self._extents
         ends = zip(lo - margin, hi + margin, strict=True)
         return [np.array([(a, c), (b, c), (b, d), (a, d)]) for (a, c), (b, d) in ends]
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
-    """Return the triangulation after a change; None if, by rounding, new triangles do not fill the gap."""
+    """Return the triangulation after a change; None if rounding keeps new triangles from filling the gap."""
     # 1. Keep triangles unless they have a wall that is gone or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
     kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
@@ -118,10 +111,6 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     twin[len(kept_half) + is_rim], twin[beyond] = beyond, len(kept_half) + is_rim
     wall = np.concatenate([wall[kept_half], walls_of_fill])
     return Triangulation(change.new, old.tolerance, *(each.astype(np.int32) for each in (origin, twin, wall)))
-
-
-Indices: TypeAlias = Int[np.ndarray, "_"]
-GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a goal, and corners that it may see
 
 
 def changed_visibility(
@@ -191,7 +180,7 @@ def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, 
 def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether each viewpoint may see its convex polygon: not if every wall in its direction is closer."""
+    """Return whether each viewpoint may see a convex polygon: not if every wall in that direction is closer."""
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
@@ -219,7 +208,7 @@ def may_see_polygons(
 
 
 def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
-    """Join tables with the edges of the new boundary; each comes with viewpoints to take, and their new indices."""
+    """Join tables of the old or new boundary in one; each comes with viewpoints to take, and their new indices."""
     num = sum(len(which) for _, which, _ in parts)
     points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
     for table, which, place in parts:

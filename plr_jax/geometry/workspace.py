@@ -44,15 +44,14 @@ _MANY_EDGES = 1000  # with more edges, a tree finds the nearest one faster than 
 class Workspace:
     """Bounds and polygonal obstacles in the plane.
 
-    Free space is closed: it includes the boundary of obstacles and the bounds, and points within ``tolerance`` of
-    them. Such a point is treated as the nearest point of free space; if it is within ``tolerance`` of a point where
-    obstacles touch, as that point, on both of its sides.
+    Free space is closed: it includes the boundary of obstacles and the bounds. Points up to ``tolerance`` outside of
+    free space count as free, and are treated as the nearest point of free space. A point within ``tolerance`` of a
+    point where obstacles touch is treated as that point.
 
-    Obstacles may overlap, touch, and leave the bounds; together they cover the interior of their union. Coordinates
-    are rounded to a grid of a thousandth of ``tolerance``, so that walls that touch up to rounding do touch. Walls
-    and gaps thinner than a hundredth of ``tolerance`` vanish. Where several meet, those thinner than half of it may
-    vanish; far from the origin, those thinner than twice the tolerance. Distances, sight and proofs are those of
-    ``free_space``, where they have vanished.
+    Obstacles may overlap, touch, and leave the bounds. Coordinates are rounded to a grid of a thousandth of
+    ``tolerance``, so that walls that touch up to rounding do touch. Walls and gaps thinner than a hundredth of
+    ``tolerance`` vanish from ``free_space``, on which all distances, sight and proofs are based. Where several walls
+    or gaps meet, any thinner than half of ``tolerance`` may vanish; far from the origin, than twice ``tolerance``.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -165,8 +164,11 @@ class Workspace:
 
     @property
     def tolerance(self) -> float:
-        """Distance from free space up to which points are free: 1e-9 of the longer side; more far from the origin."""
-        return 1e3 * rounding_of(self.bounds)  # at least 1e-12 of the largest coordinate
+        """Distance from free space up to which points count as free, in workspace units.
+
+        It is 1e-9 of the bounds' longer side, or 1e-12 of the largest coordinate if that is more.
+        """
+        return 1e3 * rounding_of(self.bounds)
 
     @cached_property
     def triangulation(self) -> Triangulation:
@@ -179,7 +181,7 @@ class Workspace:
         return "triangulation" in self.__dict__
 
     def use_triangulation(self, triangulation: Triangulation) -> None:
-        """Set ``triangulation``, if it was derived from that of the workspace before a change of the map."""
+        """Set ``triangulation`` to a known one instead of computing it; the triangles must fill free space."""
         set_fields(self, triangulation=triangulation)
 
     def _grown(self, tolerance: float) -> Any:
