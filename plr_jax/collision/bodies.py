@@ -91,7 +91,7 @@ def bisect(
 
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b: Column) -> Columns:
-    """Bound how far the gap along an axis that turns with ``a``, or with ``b``, falls below the gaps at both ends."""
+    """Bound how far the gap along an axis that turns with ``a``, or with ``b``, falls below its end values."""
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
@@ -110,8 +110,7 @@ def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
 
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
     """Return which motions certainly keep two convex bodies ``reach`` apart, and which certainly do not."""
-    # Test the normals of all sides, which turn with their body, that of the relative motion and, if ``reach`` is
-    # positive, the direction between the nearest points.
+    # Axes: the normals of all sides, that of the relative motion, and the direction between the nearest points.
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
     gaps = [[_side_gaps(p, q), _side_gaps(q, p)] for p, q in ends]
     rim_a, rim_b = (np.hypot(*body.size).max(axis=0) for body in (a, b))

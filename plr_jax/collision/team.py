@@ -95,7 +95,7 @@ def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
-    """Return a circle for each step but the last, around all straight motions from its to the next positions."""
+    """Return, for each step but the last, a circle around all straight motions from its positions to the next."""
     around = _around(q)
     return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
 

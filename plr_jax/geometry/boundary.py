@@ -33,15 +33,13 @@ Edges: TypeAlias = Int[np.ndarray, "edges 2"]
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """The boundary of a polygonal region: vertices, and edges ``(start, end)`` with the region on their left.
-
-    Between an edge and the next edge counterclockwise around its start lies a *sector*, the directions from the start
-    into the region. A vertex has several sectors where the region touches itself.
-    """
+    """The boundary of a polygonal region: vertices, and edges ``(start, end)`` with the region on their left."""
 
     vertices: Vertices
     edges: Edges
-    sector_end: Int[np.ndarray, "edges"]  # vertex from which the edge arrives that ends the sector of each edge
+    # *Sector* ``e`` is a range of directions into the region at the start of edge ``e``: from this edge
+    # counterclockwise to the edge that arrives from vertex ``sector_end[e]``.
+    sector_end: Int[np.ndarray, "edges"]
 
     @cached_property
     def segments(self) -> Float[np.ndarray, "edges 2 2"]:
@@ -49,8 +47,7 @@ class Boundary:
 
     @cached_property
     def normal(self) -> Float[np.ndarray, "edges 2"]:
-        start, end = self.segments.transpose(1, 0, 2)
-        return left_normal(end - start)
+        return left_normal(self.segments[:, 1] - self.segments[:, 0])
 
     @cached_property
     def offset(self) -> Float[np.ndarray, "edges"]:
@@ -103,8 +100,7 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
     pieces = np.sort(edges.min(axis=1) * np.int64(len(vertices)) + edges.max(axis=1))
     if (is_beside | is_beyond).any() or (pieces[1:] == pieces[:-1]).any():
         return None
-    # 3. A sector closes at the arriving edge that comes first counterclockwise. Leaving and arriving edges alternate
-    #    around a vertex, so this is the successor of the leaving edge.
+    # 3. Leaving and arriving edges alternate around a vertex, so a sector ends at the successor of the leaving edge.
     at, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
     direction = vertices[other] - vertices[at]
     order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
@@ -118,7 +114,7 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
 def match_boundary(
     vertices: Vertices, edges: Edges, old: Boundary
 ) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
-    """Return, for each vertex and for each edge, the index of the equal one in ``old``; -1 if there is none."""
+    """Return, for each vertex and each edge of ``old``, the index of the equal new one; -1 if there is none."""
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T
@@ -134,7 +130,6 @@ def vertices_near_edges(
     some_edges: Int[np.ndarray, "some_edges"],
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
     """Return all pairs of a vertex and an edge within the tolerance, except edges with their own ends."""
-    # First drop what is far away, without a tree.
     segments = vertices[edges[some_edges]]
     some_vertices = some_vertices[_near_any(vertices[some_vertices, None], segments, tolerance)]
     near = _near_any(segments, vertices[some_vertices, None], tolerance)
@@ -374,7 +369,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
 
 
 def region_after_change(free: Any, bounds: Box, old: Boundary) -> Region:
-    """Return the region of free space that was changed locally, since its boundary was ``old``."""
+    """Return the region of free space whose boundary was ``old`` before a local change."""
     grid = grid_of(bounds)
     rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
     if not shapely.is_valid(rounded):  # rounding may leave a sliver without area

@@ -104,7 +104,7 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
-    """Convex pieces of the free parts of boxes, and the corners that paths from each piece may turn at first."""
+    """Convex pieces of the free parts of boxes, and the corners where paths from them to goals may turn first."""
 
     sight: Sight  # for any goal
     lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`
@@ -149,8 +149,8 @@ def cells_of_goals(
 ) -> CellSources:
     """Return, as cell ``i``, where paths from box ``box[i]`` to goal ``goal_of[i]`` may turn first.
 
-    ``near[i]`` is the index, in the goal's ``sources``, of a point to which a shortest path goes first, or of a point
-    near it; -1 if unknown. In the result, the sources of the first goal precede those of the second goal, and so on.
+    ``near[i]`` is the index, in the goal's ``sources``, of a point to which shortest paths go first, or of one near
+    it; -1 if unknown. In the result, the sources of the first goal precede those of the second goal, and so on.
     """
     sight, count = _sight_of_goals(shared.sight, corners, goals), 1 + len(corners.points)
     sources, table = sight.sources, sight.shadows.table

@@ -193,7 +193,7 @@ class CellSources:
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
-        """Return the free convex pieces of boxes; ``lists`` holds the sources that each triangle may have."""
+        """Return boxes as cells, with free convex pieces and the possible first vertices of paths, from ``lists``."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
@@ -299,14 +299,12 @@ class CellSources:
         return replace(found.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        """Drop sources (first corners of paths) that no point of their changed piece sees or where no path turns."""
-        # 1. Compute the centers of changed pieces. A path through the old center bounds their distances, since both
-        #    centers lie in one convex piece.
+        """Drop sources (first corners of paths) that no point of a changed piece sees, or where no path turns."""
+        # 1. Compute the centers of changed pieces. Paths straight to the old centers bound their distances.
         center, has_goal = self.center.copy(), self.sight.has_goal
         center[changed] = centers(self.pieces[:, changed])
         found = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
-        # 2. Test which pairs may matter, and whether the center or all of the piece sees the source. Pairs that are
-        #    not tested stay and count as visible from the center.
+        # 2. Test whether the center or all of a piece sees a source. What is not tested counts as seen by the center.
         pairs = np.flatnonzero(changed[self.piece] & ~(self.by_all & has_goal))
         bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
         keep, by_center, by_all = np.ones(len(self.piece), bool), np.ones(len(self.piece), bool), self.by_all.copy()
@@ -322,7 +320,7 @@ class CellSources:
         return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
-        """Drop each source of a changed piece if paths through it are nowhere in the piece the shortest."""
+        """Drop sources (first corners of paths) of changed pieces if no point's shortest path goes through them."""
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
         piece, source = self.piece[pairs], self.source[pairs]
@@ -343,9 +341,8 @@ class CellSources:
         cones = sources.points[source], sources.distances[source], apex, offset
         lowest, _ = difference_of_cones(self.pieces[:, piece], *cones)
         keep = np.isfinite(distance)[self.piece]
-        # A rival up to the tolerance better is dropped only if no part of the piece will lose the best source, as one
-        # at which no path turns: beside a thin wall, paths from some parts turn at one of its corners, and paths from
-        # others at the next corner, whose cone is hardly lower.
+        # Drop a rival that is better by up to the tolerance only if paths from all parts of the piece can turn at the
+        # best source: beside a thin wall, some paths turn at its other corner, whose cone is hardly lower.
         by_best &= self.sight.may_bend(self.pieces, best, from_all=True)
         keep[rivals[lowest > np.where(by_best[piece], -self.sight.triangulation.tolerance, 0.0)]] = False
         found = replace(self, distance=distance, best=best).of_pairs(keep)
@@ -362,7 +359,7 @@ def goal_sight(
 
 
 def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
-    """List for each triangle where its paths may go first: to any goal, or to a corner that sees a part of it."""
+    """List where paths from each triangle may go first: to any goal, or to a corner that sees a part of it."""
     first, turns = regions.first, regions.turns.vertex[regions.turn]
     goals = np.tile(np.arange(num_goals), len(first) - 1)
     return first + num_goals * np.arange(len(first)), np.insert(turns, np.repeat(first[:-1], num_goals), goals)

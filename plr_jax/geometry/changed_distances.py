@@ -34,8 +34,6 @@ class TriangleSources:
 
 @dataclass(frozen=True, eq=False)
 class ChangedDistances:
-    """Differences between the distances to a goal before and after a map has changed."""
-
     boxes: list[Corners]  # around all walls that have changed
     source: Int[np.ndarray, "sources"]  # new index of each old source (the goal, then corners); -1 if it is gone
     source_change: Float[np.ndarray, "sources"]  # new minus old distance of each old source; NaN if it is gone

@@ -31,8 +31,6 @@ GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """The boundaries of free space before and after a change of the map."""
-
     old: Boundary
     new: Boundary
     vertex: Int[np.ndarray, "old_vertices"]  # new index of each old vertex; -1 if it is gone
@@ -185,8 +183,8 @@ def may_see_polygons(
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
     angle = np.sort(pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx), axis=1)
-    # From outside, the polygon spans all directions but the widest gap between its corners, which is at least half a
-    # turn. If no gap is that wide, the viewpoint is inside.
+    # The polygon spans all directions but the widest gap between its corners. The gap is at least half a turn, unless
+    # the viewpoint is inside.
     gap = np.diff(angle, axis=1, append=angle[:, :1] + _TURN)
     each, widest = np.arange(len(view)), gap.argmax(axis=1)
     first, last = angle[each, (widest + 1) % angle.shape[1]], angle[each, widest]

@@ -21,14 +21,11 @@ _PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 @dataclass(frozen=True, eq=False)
 class ReflexCorners:
-    """Corners of free space at which shortest paths can turn.
-
-    ``walls`` are unit vectors along the two walls at each corner; free space lies counterclockwise from the first to
-    the second. Both vectors are 0 for points that a path can turn around on any side: goals, and points where
-    obstacles touch if paths may pass between them.
-    """
+    """Corners of free space at which shortest paths can turn."""
 
     points: Float[np.ndarray, "corners 2"]
+    # Unit vectors along both walls at each corner; free space lies counterclockwise from the first to the second. Both
+    # are 0 if a path can turn on any side: at goals, and where obstacles touch if paths may pass between them.
     walls: Float[np.ndarray, "2 corners 2"]
     slack: float  # tolerance of tests on which side of a line through a corner a point lies
 
@@ -45,17 +42,14 @@ class ReflexCorners:
         return self.is_tangent_to(corner, self.points[other])
 
     def is_tangent_to(self, corner: Indices, x: Float[np.ndarray, "*#batch 2"]) -> Bool[np.ndarray, "..."]:
-        """Return whether both walls of each corner lie on one side of the line from it to a point.
-
-        Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
-        """
+        """Return whether both walls of each corner lie on one side of the line from it to a point."""
+        # Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
         x, y = np.moveaxis(x - self.points[corner], -1, 0)
         opens, closes = (wall[corner, 0] * y - wall[corner, 1] * x for wall in self.walls)
         return (np.minimum(opens, closes) >= -self.slack) | (np.maximum(opens, closes) <= self.slack)
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
-    """Return the corners at which paths can turn, and viewpoints there; with ``squeeze``, contacts are among them."""
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)
@@ -70,12 +64,10 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """The corners where paths can turn, their visibility polygons, and the edges of the visibility graph."""
-
     corners: ReflexCorners
     views: Viewpoints  # at the corners
     table: VisibilityTable
-    edges: Int[np.ndarray, "edges 2"]  # pairs of corners
+    edges: Int[np.ndarray, "edges 2"]  # of the visibility graph, without a goal
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, "vertices"]:
@@ -117,7 +109,7 @@ def _sorted_unique(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
 
 @dataclass(frozen=True, eq=False)
 class TurnPoints:
-    """The corners at which a shortest path to one goal can turn first, each with the cone of points it can come from.
+    """The corners at which a shortest path to one goal can turn first, each with the cone from which paths come.
 
     The shortest path from a corner to the goal is known. The cone of a corner lies between the backward extension of
     that path and the nearer wall at the corner; a path from any other point could be shortened.

@@ -23,8 +23,6 @@ FirstVisible: TypeAlias = tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]  #
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """An undirected graph of points."""
-
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]  # each edge once
     measure: Callable[[Points, Points], Float[np.ndarray, "e"]] | None = None  # lengths of edges; None: Euclidean
@@ -123,8 +121,7 @@ def first_visible_ragged(
 ) -> FirstVisible:
     """Return, for each point, the index in ``lengths`` of its visible candidate of least path length, and the length.
 
-    ``lengths``, modified in place, holds the path lengths of the first point's candidates, then those of the second
-    point, and so on; ``counts`` says how many candidates a point has.
+    ``lengths``, modified in place, lists the first point's ``counts[0]`` candidates, then those of the next point.
     """
     found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)

@@ -16,8 +16,7 @@ from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, round
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
 # Pixel ``(row, column)`` is the square ``[column, column + 1] x [row, row + 1]``. Free pixels are 4-connected, others
-# 8-connected, and everything outside the grid is blocked. Horizontal and vertical runs alternate along an outline, so
-# every vertex is a corner.
+# 8-connected, and everything outside the grid is blocked.
 _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
 _ALL_AROUND = np.ones((3, 3), dtype=bool)
@@ -215,7 +214,7 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
 
 
 def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, "m"]:
-    """Return which segments, from points ``first`` to ``last`` of an outline, enclose another outline with it."""
+    """Return which segments, from points ``first`` to ``last``, have another outline between them and their own."""
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))

@@ -15,9 +15,7 @@ from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.visibility import VisibilityTable
 
-# Largest batch that is answered point by point. On the maze and den520d, 32 points take 0.3 and 0.3 ms one by one,
-# and 0.5 and 0.8 ms as a batch; 32 pairs 0.9 and 2.8 ms, and 1.9 and 5.6 ms as a batch.
-FEW = 32
+FEW = 32  # largest batch that is answered point by point: on the maze and den520d, then half as long as a batch
 _NEAR = 4  # tolerances. Farther from all vertices of its triangles, rounding cannot change what a segment crosses.
 
 

@@ -151,8 +151,7 @@ class Triangulation:
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to the grid and locate them; points outside the region move onto the nearest wall.
 
-        A point within tolerance of a vertex where the region touches itself moves to that vertex, and counts as lying
-        on all sides of its triangle.
+        Points near a vertex where the region touches itself move there, and count as on all sides of their triangle.
         """
         boundary, given, x = self.boundary, x, self.on_grid(x)
         triangle, turn = self.locate(x)

@@ -77,10 +77,8 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """Cones of sight, each from a viewpoint to a half-edge of the triangulation."""
-
-    view: Indices
-    half_edge: Indices
+    view: Indices  # the viewpoint at each cone's apex
+    half_edge: Indices  # through which each cone leaves a triangle
     vertex: Indices  # on the right bound
     right: Rays  # vectors along the right bounds
     left: Rays
@@ -100,8 +98,7 @@ class _Cones:
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
     """Pair viewpoints with the triangles of which they see a part within given directions; some pairs repeat.
 
-    The directions of a viewpoint are those from unit vector ``right`` counterclockwise to ``left``, at most half a
-    turn; all if both vectors are zero.
+    The directions reach from unit vectors ``right`` counterclockwise to ``left``, at most half a turn; all if zero.
     """
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
     # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
@@ -197,10 +194,7 @@ class VisibilityTable:
         return _BLUR + np.spacing(8.0 * len(self.points))
 
     def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, "n"]:
-        """Return whether viewpoint ``v[i]`` sees point ``x[i]`` of free space.
-
-        If the segment grazes several corners, the answer may be False; then the last of these sees the point.
-        """
+        """Return whether viewpoint ``v[i]`` sees point ``x[i]``; if corners are grazed, only the last of them may."""
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
         dx, dy = (x - self.points[v]).T
@@ -262,8 +256,7 @@ def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[Visi
 
 
 def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
-    # 1. Collect the cones that end at walls and the visible vertices. The corners of the triangles at a viewpoint are
-    #    visible, among them the vertex at which it lies.
+    # 1. Collect the cones that end at walls and the visible vertices, among them corners of triangles at viewpoints.
     boundary, each, cones = triangulation.boundary, np.arange(len(views.points)), _first_cones(triangulation, views)
     corners = triangulation.origin.reshape(-1, 3)[cones.half_edge // 3]
     ended, seen = [cones[:0]], [np.stack([np.repeat(cones.view, 3), corners.ravel()])]

@@ -27,8 +27,6 @@ Numbers = Int[np.ndarray, "dim n"]
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Voxels that fill a box."""
-
     free: Bool[np.ndarray, "..."]  # read-only
     bounds: Box
 
@@ -177,7 +175,7 @@ class Sums:
 
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
-    """Extend sets of the ``2**dim`` voxels around points by free voxels that faces connect to a member."""
+    """Extend each set ``live`` of voxels around a point by the free voxels that are connected to it through faces."""
     # The last axis is in the order of ``itertools.product((0, 1), repeat=dim)``.
     flat = live.shape
     shape = (-1, *[2] * (flat[1].bit_length() - 1))

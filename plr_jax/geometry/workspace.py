@@ -46,12 +46,12 @@ class Workspace:
 
     Free space is closed: it includes the boundary of obstacles and the bounds. Points up to ``tolerance`` outside of
     free space count as free, and are treated as the nearest point of free space. A point within ``tolerance`` of a
-    point where obstacles touch is treated as that point.
+    point where obstacles touch is treated as the latter, which lies on both sides of the contact.
 
-    Obstacles may overlap, touch, and leave the bounds. Coordinates are rounded to a grid of a thousandth of
-    ``tolerance``, so that walls that touch up to rounding do touch. Walls and gaps thinner than a hundredth of
-    ``tolerance`` vanish from ``free_space``, on which all distances, sight and proofs are based. Where several walls
-    or gaps meet, any thinner than half of ``tolerance`` may vanish; far from the origin, than twice ``tolerance``.
+    Obstacles may overlap, touch, and leave the bounds; the interior of their union is blocked. Coordinates are
+    rounded to a grid of a thousandth of ``tolerance``, so that walls that touch up to rounding do touch. Walls and
+    gaps thinner than a hundredth of ``tolerance`` vanish from ``free_space``, on which all distances and proofs are
+    based. Where several meet, any thinner than half of ``tolerance`` may vanish; far from the origin, than twice.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -89,15 +89,11 @@ class Workspace:
             bounds, obstacles = as_bounds(bounds), as_polygons("Obstacle", obstacles)
             box, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *obstacles], 8 * grid_of(bounds))
             region = region_of(shapely.difference(box, shapely.union_all(merged)), bounds)
-        set_fields(self, bounds=bounds, obstacles=tuple(obstacles), squeeze=squeeze, free_space=region.polygon)
-        set_fields(self, boundary=region.boundary, _is_in_place=region.is_in_place)
-        self._prepare()
+        set_fields(self, bounds=bounds, obstacles=tuple(obstacles), squeeze=squeeze, boundary=region.boundary)
+        self.__setstate__({"free_space": region.polygon, "_is_in_place": region.is_in_place})
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         set_fields(self, **state)
-        self._prepare()
-
-    def _prepare(self) -> None:
         # GEOS builds an index in the first query, which must not happen in two threads at a time.
         shapely.prepare(self.free_space)
         shapely.intersects_xy(self.free_space, *self.bounds.lo)
@@ -250,8 +246,7 @@ class Workspace:
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments: Any = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
         visible[moving] = shapely.covers(self._grown(2 * tolerance), segments)
-        # Grown free space lacks thin walls and opens contacts: test segments exactly that leave free space or come
-        # near a contact.
+        # Grown free space lacks thin walls and opens contacts: test some segments exactly.
         kept = visible[moving]
         moving, segments = moving[kept], segments[kept]
         own = prepared_geometry(self, "free", lambda: shapely.transform(self.free_space, np.copy))

@@ -100,8 +100,7 @@ def team_dof(robots: Sequence[Robot]) -> int:
 def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
     """Return the signed turns, the shorter way, from headings ``theta0`` to ``theta1``; counterclockwise is positive.
 
-    All code takes the direction of a turn from here. Half a turn, or up to 1e-10 of a full turn more, is
-    counterclockwise, so that rounded or wrapped headings keep their direction.
+    Half a turn, or up to 1e-10 of a full turn more, counts as counterclockwise, whatever the rounding of headings.
     """
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * (turns - np.ceil(turns - _HALF_TURN))
