@@ -24,8 +24,8 @@ class ReflexCorners:
     """Corners of free space at which shortest paths can turn."""
 
     points: Float[np.ndarray, "corners 2"]
-    # Unit vectors along both walls at each corner; free space lies counterclockwise from the first to the second. Both
-    # are 0 if a path can turn on any side: at goals, and where obstacles touch if paths may pass between them.
+    # Unit vectors along both walls at each corner; free space lies counterclockwise from the first to the second.
+    # Both are 0 if a path can turn on any side: at goals, and where obstacles touch if paths may pass between them.
     walls: Float[np.ndarray, "2 corners 2"]
     slack: float  # tolerance of tests on which side of a line through a corner a point lies
 

@@ -37,9 +37,7 @@ class Locator:
     shape: tuple[int, int]
     first: Int[np.ndarray, "cells_plus_one"]
     triangle: Int[np.ndarray, "entries"]
-    lines: Float[
-        np.ndarray, "triangles 3 3"
-    ]  # inward unit normal of each side, and its product with the side's points
+    lines: Float[np.ndarray, "triangles 3 3"]  # inward unit normal of each side, and distance of its line from 0
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Return each point's triangle, or one nearby (-1: none), and the signed distance to its nearest side."""
@@ -62,7 +60,7 @@ class Locator:
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
-    """Points rounded to the grid, a triangle that contains each, and whether the point lies on each side of it."""
+    """Points rounded to the grid, a triangle that contains each, and whether each side contains the point."""
 
     x: Float[np.ndarray, "n 2"]
     triangle: Int[np.ndarray, "n"]

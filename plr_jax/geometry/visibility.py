@@ -125,7 +125,7 @@ def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, "n"]:
 def _expansion(
     triangulation: Triangulation, views: Viewpoints, first: _Cones
 ) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    """Yield, step by step, cones that end at walls, vertices seen, and triangles visited."""
+    """Advance cones of sight through triangles; yield cones that end at walls, vertices seen, triangles visited."""
     pending = [first[begin : begin + _MOST] for begin in range(0, len(first), _MOST)]
     while pending:
         cones = pending.pop()
