@@ -7,7 +7,7 @@ those of point robots by ``Workspace.is_visible`` against all walls.
 
 import math
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -55,14 +55,13 @@ class MotionTest:
         self._longest = max(2 * cell, size) if size > 0 else np.inf  # a point is tested by `is_visible` instead
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
         # Clearance at each center, and edges within reach: those of cell i from _first[i] to _first[i + 1].
-        segments: Any = shapely.linestrings(workspace.boundary.segments)
-        tree = shapely.STRtree(segments)
         counts, edges, clearance = [], [], []
         for begin in range(0, len(centers), _CENTERS):
             require_time(deadline, _PURPOSE)
             part = centers[begin : begin + _CENTERS]
-            points: Any = shapely.points(part)
-            near, edge = tree.query(points, predicate="dwithin", distance=reach)
+            near, edge = workspace.edge_tree.query(
+                np.asarray(shapely.points(part)), predicate="dwithin", distance=reach
+            )
             edges.append(edge[np.argsort(near, kind="stable")].astype(np.int32))
             counts.append(np.bincount(near, minlength=len(part)))
             clearance.append(workspace.clearance(part))

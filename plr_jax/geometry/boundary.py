@@ -55,8 +55,7 @@ class Boundary:
 
     @cached_property
     def tree(self) -> shapely.STRtree:
-        segments: Any = shapely.linestrings(self.segments)
-        return shapely.STRtree(segments)
+        return shapely.STRtree(np.asarray(shapely.linestrings(self.segments)))
 
     @cached_property
     def contacts(self) -> Int[np.ndarray, "contacts"]:
@@ -131,8 +130,8 @@ def vertices_near_edges(
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
     """Return all pairs of a vertex and an edge within the tolerance, except edges with their own ends."""
     segments = vertices[edges[some_edges]]
-    some_vertices = some_vertices[_near_any(vertices[some_vertices, None], segments, tolerance)]
-    near = _near_any(segments, vertices[some_vertices, None], tolerance)
+    some_vertices = some_vertices[boxes_near(vertices[some_vertices, None], segments, tolerance)]
+    near = boxes_near(segments, vertices[some_vertices, None], tolerance)
     some_edges, segments = some_edges[near], segments[near]
     lines: Any = shapely.linestrings(segments)
     points = shapely.points(vertices[some_vertices])
@@ -142,9 +141,10 @@ def vertices_near_edges(
     return vertex[apart], edge[apart]
 
 
-def _near_any(
+def boxes_near(
     x: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], reach: float
 ) -> Bool[np.ndarray, "n"]:
+    """Return whether the bounding box of each group of points is within ``reach`` of the box around all others."""
     lo, hi = others.min(axis=(0, 1), initial=np.inf) - reach, others.max(axis=(0, 1), initial=-np.inf) + reach
     return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)
 
@@ -308,7 +308,7 @@ def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
 
 def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
     try:
-        triangles: Any = shapely.get_parts(shapely.constrained_delaunay_triangles(region))
+        triangles = shapely.constrained_delaunay_triangles(region)
     except shapely.errors.GEOSException:  # GEOS fails on some polygons whose rings touch: halve the region
         if len(parts := polygons_of(region)) == 1:
             lo, hi = np.array(region.bounds).reshape(2, 2)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import shapely
@@ -41,8 +41,8 @@ class FamilySamples:
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilySamples":
         # 1. Choose the samples.
         x, weight, area = (lo + hi) / 2, np.ones(len(lo)), np.prod(hi[0] - lo[0])
-        boxes: Any = shapely.box(*lo.T, *hi.T)
-        at_wall = np.unique(triangulation.boundary.tree.query(boxes, predicate="intersects")[0])
+        at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
+        at_wall = np.unique(at_wall)
         elsewhere = np.setdiff1d(np.arange(len(lo)), at_wall)
         weight[elsewhere] = triangulation.locator.find(x[elsewhere])[1] >= -triangulation.tolerance
         weight[at_wall] = 0.0
@@ -104,12 +104,10 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
-    """Convex pieces of the free parts of boxes, and the corners where paths from them to goals may turn first."""
-
     sight: Sight  # for any goal
     lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`
     first_piece: Int[np.ndarray, "boxes_plus_one"]
-    pieces: Pieces
+    pieces: Pieces  # the convex parts of the free space in each box
     triangle: Int[np.ndarray, "pieces"]  # that contains each piece; -1 for a box that no wall reaches into
     center: Float[np.ndarray, "pieces 2"]  # a point inside each piece
     radius: Float[np.ndarray, "pieces"]  # largest distance of the piece's points from its center

@@ -155,10 +155,9 @@ class Sight:
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
-        """Return whether a shortest path from some point of each convex piece may turn at its source.
+        """Return whether a shortest path from some point of each convex piece may turn at its source, if visible.
 
-        The source is a corner, which the point is assumed to see, or the goal, where the answer is True. With
-        ``from_all``, return whether paths from every point of the piece may turn there, without any tolerance.
+        With ``from_all``, return whether paths from every point of the piece may turn there, without any tolerance.
         """
         turn = self.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal

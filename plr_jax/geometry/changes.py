@@ -8,7 +8,7 @@ follows the change, except for a few passes over arrays of all edges.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import ragged_indices, take_ragged
-from plr_jax.geometry.boundary import Boundary, match_boundary
+from plr_jax.geometry.boundary import Boundary, boxes_near, match_boundary
 from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, mutually_visible_pairs
 from plr_jax.geometry.triangulation import Triangulation, next_half_edge, triangulation_of
 from plr_jax.geometry.vectors import pseudo_angle
@@ -67,14 +67,12 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
     segments = change.new.segments[change.is_new]
     if len(segments):
-        triangles, tolerance = old.triangles, old.tolerance
-        lo, hi = triangles.min(axis=1) - tolerance, triangles.max(axis=1) + tolerance
-        first, last = segments.min(axis=(0, 1)), segments.max(axis=(0, 1))
-        near = np.flatnonzero(((lo <= last) & (hi >= first)).all(axis=1) & kept)
-        polygons: Any = shapely.polygons(triangles[near])
-        lines: Any = shapely.linestrings(segments)
-        row, _ = shapely.STRtree(lines).query(polygons, predicate="dwithin", distance=tolerance)
-        kept[near[row]] = False
+        near = np.flatnonzero(boxes_near(old.triangles, segments, old.tolerance) & kept)
+        polygons, tree = (
+            shapely.polygons(old.triangles[near]),
+            shapely.STRtree(np.asarray(shapely.linestrings(segments))),
+        )
+        kept[near[tree.query(polygons, predicate="dwithin", distance=old.tolerance)[0]]] = False
     half_kept = np.repeat(kept, 3)
     wall = np.where(old.wall >= 0, change.edge[old.wall], -1)
     has_triangle = np.zeros(len(change.new.edges), bool)

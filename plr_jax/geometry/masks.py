@@ -80,9 +80,7 @@ def pixel_rings(free: Mask) -> PixelRings:
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
-    """The corners and some middles of edges of outlines, which may become vertices of simplified outlines."""
-
-    points: Float[np.ndarray, "n 2"]
+    points: Float[np.ndarray, "n 2"]  # corners and some middles of edges of outlines
     ring: Int[np.ndarray, "n"]  # the outline of each point; its first corner is repeated as its last point
     is_corner: Bool[np.ndarray, "n"]
     end: Int[np.ndarray, "n"]  # the next point that a segment must not pass: a contact, or the last one of the ring

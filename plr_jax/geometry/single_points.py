@@ -1,7 +1,7 @@
 """Location and visibility of single points, in plain Python.
 
-Calls of NumPy on short arrays are slow: a query of one point is ten times faster in Python floats. The arithmetic is
-that of batches, and where rounding could matter, the functions for batches decide. So results are equal to the bit.
+A query of one point is ten times faster in Python floats than in NumPy. The arithmetic is that of batches, and where
+rounding could matter, the functions for batches decide. So results are equal to the bit.
 """
 
 from bisect import bisect_right

@@ -60,11 +60,9 @@ class Locator:
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
-    """Points rounded to the grid, a triangle that contains each, and whether each side contains the point."""
-
-    x: Float[np.ndarray, "n 2"]
-    triangle: Int[np.ndarray, "n"]
-    on_side: Bool[np.ndarray, "n 3"]
+    x: Float[np.ndarray, "n 2"]  # rounded to the grid
+    triangle: Int[np.ndarray, "n"]  # that contains each point
+    on_side: Bool[np.ndarray, "n 3"]  # whether the point lies on each side of its triangle
 
     def __getitem__(self, rows: Int[np.ndarray, "some"] | Bool[np.ndarray, "n"] | slice) -> "LocatedPoints":
         return LocatedPoints(self.x[rows], self.triangle[rows], self.on_side[rows])
@@ -96,8 +94,8 @@ class Triangulation:
         width = (hi - lo) / count
         corner = lo + width * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
         cells: Any = shapely.box(*(corner - self.tolerance).T, *(corner + width + self.tolerance).T)
-        polygons: Any = shapely.polygons(triangles)
-        cell, triangle = shapely.STRtree(polygons).query(cells, predicate="intersects")
+        tree = shapely.STRtree(np.asarray(shapely.polygons(triangles)))
+        cell, triangle = tree.query(cells, predicate="intersects")
         order = np.argsort(cell, kind="stable")
         first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
         normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
@@ -232,8 +230,8 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     (x0, y0), (x1, y1) = lo - (hi - lo).max(), hi + (hi - lo).max()
     vertices = np.concatenate([boundary.vertices, [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
     # 2. Compute the Delaunay triangulation of the vertices, with counterclockwise triangles.
-    parts: Any = shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(vertices)))
-    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+    triangles = shapely.delaunay_triangles(shapely.multipoints(vertices))
+    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     clockwise = u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]
     corners[clockwise] = corners[clockwise, ::-1]
