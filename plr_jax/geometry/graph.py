@@ -71,7 +71,7 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.nd
 def first_visible(
     lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Return, for each point, the ``count`` visible candidates of least path length (or -1), and their path lengths.
+    """Return, for each point, the ``count`` visible candidates of least path length (else -1), and their lengths.
 
     ``lengths`` are modified in place. NaN means no candidate, ``inf`` a candidate that leads nowhere. The first round
     tests ``at_once`` candidates of each point, each later round ``2 * at_once`` times more; use 1 for expensive tests.
