@@ -198,6 +198,7 @@ def _nearest(ends: Ends) -> tuple[Columns, Columns]:
 
 
 def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
+    # ``reach`` is at most 0, since the distance of two boxes that do not overlap may exceed the gaps tested here.
     headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
     first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
     rim_a, rim_b = np.hypot(*a.size), np.hypot(*b.size)

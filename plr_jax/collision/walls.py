@@ -59,9 +59,8 @@ class MotionTest:
         for begin in range(0, len(centers), _CENTERS):
             require_time(deadline, _PURPOSE)
             part = centers[begin : begin + _CENTERS]
-            near, edge = workspace.edge_tree.query(
-                np.asarray(shapely.points(part)), predicate="dwithin", distance=reach
-            )
+            points = np.asarray(shapely.points(part))
+            near, edge = workspace.edge_tree.query(points, predicate="dwithin", distance=reach)
             edges.append(edge[np.argsort(near, kind="stable")].astype(np.int32))
             counts.append(np.bincount(near, minlength=len(part)))
             clearance.append(workspace.clearance(part))

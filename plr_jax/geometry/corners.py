@@ -115,7 +115,7 @@ class TurnPoints:
     that path and the nearer wall at the corner; a path from any other point could be shortened.
     """
 
-    vertex: Int[np.ndarray, "turns"]  # index of each corner, counted from 1, since the goal is 0
+    vertex: Int[np.ndarray, "turns"]  # index of each corner in a list of goals, then corners
     points: Float[np.ndarray, "turns 2"]
     distance: Float[np.ndarray, "turns"]  # from each corner to the goal
     normal: Float[np.ndarray, "2 turns 2"]  # inward normals of the two sides of each cone; 0 if it is the whole plane
