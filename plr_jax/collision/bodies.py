@@ -1,11 +1,10 @@
 """Separation tests for convex bodies in straight motion, by bisection of the motions until a test is certain.
 
 In one unit of time, a position moves at constant velocity and a heading turns at a constant rate, the shorter way.
-Touching is no collision. A test (*kernel*) looks for an axis that separates two bodies during an interval of their
-motions; the axis is fixed, or turns with one body. The gap along it deviates from its linear interpolation by at most
-an eighth of its largest second derivative. So the smaller gap at the two ends, less this *bulge*, is a lower bound.
-Each bisection divides the bulge by four. It is 0 if nothing turns, and the result is then exact. An interval that is
-still uncertain after the last bisection counts as a collision.
+A test (*kernel*) looks for an axis that separates two bodies during an interval of their motions; the axis is fixed,
+or turns with one body. The gap along the axis deviates from its linear interpolation by at most an eighth of its
+largest second derivative, the *bulge*. So the smaller gap at the two ends, less the bulge, is a lower bound. Each
+bisection divides the bulge by four; it is 0 if nothing turns. Motions that stay uncertain count as collisions.
 """
 
 import math
@@ -24,23 +23,23 @@ _CORNERS = 1 << 16  # corners of bodies at a time, between two checks of the clo
 _FEW = 24  # corners up to which the lowest one is searched exhaustively
 Column: TypeAlias = Float[np.ndarray, "n"]
 Columns: TypeAlias = tuple[Column, Column]
+Booleans: TypeAlias = Bool[np.ndarray, "n"]
+Verdict: TypeAlias = tuple[Booleans, Booleans]  # motions that certainly stay apart, and that certainly do not
+Sides: TypeAlias = Float[np.ndarray, "sides n"]
+Corners: TypeAlias = Float[np.ndarray, "2 _ n"]
+Ends: TypeAlias = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 
 
 class MovingBodies(NamedTuple):
-    """Bodies in straight motion, one per column; ``size`` is the half sides of boxes ``(2, n)``, or vertices."""
+    """Convex bodies in straight motion, one per column."""
 
-    size: Float[np.ndarray, "*size n"]
+    size: Float[np.ndarray, "*size n"]  # half length and half width of boxes (2, n), or vertices (2, vertices, n)
     x: Column
     y: Column
     theta: Column
     dx: Column
     dy: Column
     turn: Column
-
-    @property
-    def num_corners(self) -> int:
-        """Number of vertices; for boxes, the number of half sides."""
-        return len(self.size) if self.size.ndim == 2 else self.size.shape[1]
 
     def take(self, columns: np.ndarray | slice) -> "MovingBodies":
         return MovingBodies(self.size[..., columns], *(column[columns] for column in self[1:]))
@@ -56,7 +55,7 @@ class MovingBodies(NamedTuple):
 
 
 def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
-    """Return a robot's motions from ``q0`` to ``q1``, with an empty ``size``; headings are 0 if it has none."""
+    """Return a robot's straight motions from ``q0`` to ``q1``; the shape is to be set by ``with_size``."""
     heading, turn = np.zeros(len(q0)), np.zeros(len(q0))
     if robot.dof == 3:
         heading, turn = q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])
@@ -64,16 +63,11 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
     return MovingBodies(np.empty((0, len(q0))), q0[:, 0], q0[:, 1], heading, dx, dy, turn)
 
 
-Booleans: TypeAlias = Bool[np.ndarray, "n"]
-Verdict: TypeAlias = tuple[Booleans, Booleans]  # motions that certainly keep the distance, that certainly do not
-SeparationKernel: TypeAlias = Callable[[MovingBodies, MovingBodies, float], Verdict]
-
-
 def bisect(
-    kernel: SeparationKernel, a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
+    kernel: Callable[..., Verdict], a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
 ) -> Booleans:
-    """Return which bodies certainly stay ``reach`` apart (negative: an allowed overlap) throughout their motions."""
-    k, m = a.num_corners, b.num_corners
+    """Return which pairs of bodies certainly stay ``reach`` apart (negative: an allowed overlap) in their motions."""
+    k, m = a.size.shape[-2], b.size.shape[-2]
     size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # distances need all pairs of corners
     apart = np.ones(len(a.x), dtype=bool)
     # Depth-first order in small batches bounds the memory.
@@ -97,7 +91,7 @@ def bisect(
 
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b: Column) -> Columns:
-    """Bound how far the gap along an axis turning with ``a``, and with ``b``, falls below its smaller end value."""
+    """Bound how far the gap along an axis that turns with ``a``, or with ``b``, falls below its end values."""
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
@@ -114,17 +108,9 @@ def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
     return nx, np.divide(dx, speed, out=np.ones_like(dx), where=speed > 0)
 
 
-Sides = Float[np.ndarray, "sides n"]
-Corners = Float[np.ndarray, "2 _ n"]
-Ends = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
-
-
 def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Return which motions certainly keep two convex bodies ``reach`` apart, and which certainly do not.
-
-    Sizes are counterclockwise vertices ``(2, vertices, n)``. Tested are the normals of all sides, which turn with
-    their body, that of the relative motion and, if ``reach`` is positive, the direction between the nearest points.
-    """
+    """Return which motions certainly keep two convex bodies ``reach`` apart, and which certainly do not."""
+    # Axes: the normals of all sides, that of the relative motion, and the direction between the nearest points.
     ends = _corners_at(a, b, 0.0), _corners_at(a, b, 1.0)
     gaps = [[_side_gaps(p, q), _side_gaps(q, p)] for p, q in ends]
     rim_a, rim_b = (np.hypot(*body.size).max(axis=0) for body in (a, b))
@@ -162,7 +148,7 @@ def _offset(a: MovingBodies, b: MovingBodies, end: float) -> Columns:
 
 
 def _side_gaps(p: Corners, q: Corners) -> Sides:
-    """Return the gaps between two bodies along the normals of the first body's sides; a point has none."""
+    """Return the gaps between two bodies along the normals of the sides of the first one."""
     sides = p.shape[1] if p.shape[1] > 1 else 0
     dx, dy = (np.roll(p, -1, axis=1) - p)[:, :sides]
     length = np.hypot(dx, dy)
@@ -212,7 +198,7 @@ def _nearest(ends: Ends) -> tuple[Columns, Columns]:
 
 
 def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Return which motions certainly keep two boxes ``reach`` (at most 0) apart, and which certainly do not."""
+    # ``reach`` is at most 0, since the distance of two boxes that do not overlap may exceed the gaps tested here.
     headings = [(_heading(a, end), _heading(b, end)) for end in (0.0, 1.0)]
     first, last = (_along_sides(a, b, end, *headings[int(end)]) for end in (0.0, 1.0))
     rim_a, rim_b = np.hypot(*a.size), np.hypot(*b.size)
@@ -232,7 +218,6 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
-    """Return which motions certainly keep a box ``a`` ``reach`` from a point ``b``, and which certainly do not."""
     ends, distances = [], []
     for end in (0.0, 1.0):
         (x, y), (c, s) = _offset(a, b, end), _heading(a, end)
@@ -267,7 +252,7 @@ def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Co
 
 
 def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
-    """Return the distance of each segment to a box around the origin; if they cross, minus the depth of overlap."""
+    """Return the distance of each segment to a box around the origin; if they overlap, minus the depth."""
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]
     length = np.hypot(dx, dy)

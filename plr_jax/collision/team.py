@@ -1,8 +1,7 @@
 """Collision tests of a team along simultaneous straight motions: with the workspace, and between robots.
 
 During a motion, a robot stays in a circle around the motion's midpoint. Along a path, only robots with overlapping
-circles are tested exactly, each kind in one batch. The tolerance of the exact tests covers the rounding of the
-circles.
+circles are tested exactly. The tolerance of the exact tests covers the rounding of the circles.
 """
 
 import math
@@ -85,7 +84,7 @@ class TeamTrajectory:
 
 
 def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, "m"]:
-    """Return the rows in which two robots may meet, if their reference points stay within given circles."""
+    """Return the indices ``i`` for which two robots may meet if their reference points stay in the i-th circles."""
     reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
     return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)
 
@@ -96,7 +95,7 @@ def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
-    """Return, for each row but the last, a circle around all motions from its positions to the next row's."""
+    """Return, for each step but the last, a circle around all straight motions from its positions to the next."""
     around = _around(q)
     return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
 
@@ -119,9 +118,8 @@ def motions_apart(
 ) -> Apart:
     """Return whether two robots keep clear of one another in motions ``a0`` to ``a1`` and ``b0`` to ``b1``.
 
-    Shapes ``(..., dof)`` broadcast. An overlap up to ``tolerance`` counts as touching, which is allowed. The result
-    is exact for two round robots, and if nothing turns. Else a motion within about 1e-7 of a robot's size of a
-    collision may be rejected, but no collision is accepted.
+    Shapes ``(..., dof)`` broadcast. An overlap up to ``tolerance`` is allowed. The result is exact if nothing turns,
+    or both robots are round; else a motion within about 1e-7 of a robot's size of a collision may be rejected.
     """
     require_time(deadline, "all motions were tested")
     motions = a0, a1, b0, b1
@@ -190,7 +188,7 @@ class JointMotionTest:
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return which motions of robot ``i`` collide with robots ``other`` in motions ``motion`` of their path."""
+        """Return whether the k-th motion of robot ``i`` collides with motion ``motion[k]`` of robot ``other[k]``."""
         others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)

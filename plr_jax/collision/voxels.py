@@ -19,7 +19,7 @@ Which = Int[np.ndarray, "m"]
 
 
 def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
-    """Return whether some point of a blocked voxel is nearer than a radius to each box, exact up to rounding.
+    """Return whether a blocked voxel is nearer to each box than a radius, exact up to rounding.
 
     With ``lo`` and ``hi`` swapped: whether a single blocked voxel is nearer than the radius to all points of a box.
     """
@@ -43,7 +43,7 @@ def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Number
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers, Numbers]]:
-    """Yield rows of voxels, along the last axis, within ``radius`` of a box: the box's index, and both end voxels."""
+    """Yield the rows of voxels, along the last axis, within ``radius`` of a box: the box, first and last voxel."""
     first, last = _touching(grid, lo - radius, hi + radius)
     num = np.maximum(last - first + 1, 0)[:-1]
     for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):
@@ -99,7 +99,7 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers]]:
-    """Yield the indices of boxes, and for each a blocked voxel nearer to it than ``radius``, in batches."""
+    """Yield batches of pairs of a box and a blocked voxel that is nearer to the box than ``radius``."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         some = np.flatnonzero(grid.num_blocked(begin, end))
         row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
@@ -110,7 +110,7 @@ def _blocked_voxels_within(
 
 
 def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, "n"]:
-    """Return the least squared distance of each straight motion to the voxel of its column."""
+    """Return the least squared distance between the i-th motion and the i-th voxel."""
     lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
     hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
     change = q1 - q0
@@ -172,7 +172,7 @@ class _Traversal:
     def _cross(
         self, rows: Int[np.ndarray, "some"], live: Bool[np.ndarray, "some corners"]
     ) -> Bool[np.ndarray, "..."]:
-        """Move across the next faces; return which of the voxels around the new points each motion can be in."""
+        """Advance motions to the next faces that they cross; return which voxels around them they can then be in."""
         step, layers = self.step[:, rows], self.layers[:, rows]
         crossed, face = self._crossed_next(rows)
         around = self._free_around(rows, np.where(crossed, step, layers))
@@ -191,9 +191,9 @@ class _Traversal:
         self.at[:, rows] += np.where(crossed, step, 0)
         return np.take_along_axis(reached, self.corner | beyond, axis=1)
 
-    def _free_around(self, rows: Int[np.ndarray, "some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
-        """Return, for each motion, which of the ``2**dim`` voxels at offsets 0 or ``span`` per axis are free."""
-        at = self.strides @ self.at[:, rows]
+    def _free_around(self, motions: Int[np.ndarray, "some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
+        """Return which of the ``2**dim`` voxels around the point of each motion are free."""
+        at = self.strides @ self.at[:, motions]
         return self.grid.padded.ravel()[at[:, None] + (span.T * self.strides) @ self.bits.T]
 
     def _crossed_next(self, rows: Int[np.ndarray, "some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:

@@ -7,7 +7,7 @@ those of point robots by ``Workspace.is_visible`` against all walls.
 
 import math
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -55,14 +55,12 @@ class MotionTest:
         self._longest = max(2 * cell, size) if size > 0 else np.inf  # a point is tested by `is_visible` instead
         reach = size + self._longest / 2 + cell if size > 0 else 0.0
         # Clearance at each center, and edges within reach: those of cell i from _first[i] to _first[i + 1].
-        segments: Any = shapely.linestrings(workspace.boundary.segments)
-        tree = shapely.STRtree(segments)
         counts, edges, clearance = [], [], []
         for begin in range(0, len(centers), _CENTERS):
             require_time(deadline, _PURPOSE)
             part = centers[begin : begin + _CENTERS]
-            points: Any = shapely.points(part)
-            near, edge = tree.query(points, predicate="dwithin", distance=reach)
+            points = np.asarray(shapely.points(part))
+            near, edge = workspace.edge_tree.query(points, predicate="dwithin", distance=reach)
             edges.append(edge[np.argsort(near, kind="stable")].astype(np.int32))
             counts.append(np.bincount(near, minlength=len(part)))
             clearance.append(workspace.clearance(part))
@@ -70,19 +68,11 @@ class MotionTest:
         self._clearance = np.concatenate(clearance)
 
     def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
-        """Return whether motions from ``q0`` to ``q1`` are free all along, up to ``workspace.tolerance``.
+        """Return whether motions between finite configurations are free all along, up to ``workspace.tolerance``.
 
         Exact for points, discs and motions without turns. A turning robot within about 1e-7 of its size from a wall
         may be rejected, but never passes a wall. Robots without a heading ignore a third coordinate.
         """
-        dof = (2, 3)[self.robot.dof - 2 :]
-        for name, q in (("q0", q0), ("q1", q1)):
-            if np.ndim(q) != 2 or np.shape(q)[1] not in dof:
-                raise ValueError(f"{name} must have shape (n, {dof[0]}), got {np.shape(q)}.")
-            if not np.isfinite(q).all():
-                raise ValueError(f"{name} must be finite.")
-        if len(q0) != len(q1):
-            raise ValueError(f"Motions need as many starts as ends, got {len(q0)} and {len(q1)}.")
         free = np.empty(len(q0), dtype=bool)
         for begin in range(0, len(q0), _CHUNK):
             rows = slice(begin, begin + _CHUNK)

@@ -24,22 +24,21 @@ _COLLARS, _REGIONS = 256, 8  # strips, and unions of strips, that are united in 
 # Most chords per quarter circle around corners of inflated obstacles: a path along them is 0.16 % too short. Fewer
 # suffice if a path around one corner is too short by at most this share of the longer side.
 _MOST_CHORDS, _SHORTENING = 8, 2e-5
-
+LARGEST_COORDINATE = 1e100  # below it, products of two areas do not overflow; above its inverse, no underflow
+_COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter side
+_PREPARED = threading.local()
 Vertices: TypeAlias = Float[np.ndarray, "vertices 2"]
 Edges: TypeAlias = Int[np.ndarray, "edges 2"]
 
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """The boundary of a polygonal region: vertices, and edges ``(start, end)`` with the region on their left.
-
-    A *sector* is a range of directions at a vertex that lead into the region; a vertex where the region touches
-    itself has several. Sector ``e`` opens counterclockwise from edge ``e``, at its start, to the edge that arrives
-    from vertex ``sector_end[e]``.
-    """
+    """The boundary of a polygonal region: vertices, and edges ``(start, end)`` with the region on their left."""
 
     vertices: Vertices
     edges: Edges
+    # *Sector* ``e`` is a range of directions into the region at the start of edge ``e``: from this edge
+    # counterclockwise to the edge that arrives from vertex ``sector_end[e]``.
     sector_end: Int[np.ndarray, "edges"]
 
     @cached_property
@@ -48,27 +47,23 @@ class Boundary:
 
     @cached_property
     def normal(self) -> Float[np.ndarray, "edges 2"]:
-        """Unit normal of each edge, pointing into the region."""
-        start, end = self.segments.transpose(1, 0, 2)
-        return left_normal(end - start)
+        return left_normal(self.segments[:, 1] - self.segments[:, 0])
 
     @cached_property
     def offset(self) -> Float[np.ndarray, "edges"]:
-        """Scalar product of each edge's ``normal`` with any point of the edge."""
         return (self.normal * self.segments.sum(axis=1)).sum(axis=1) / 2
 
     @cached_property
     def tree(self) -> shapely.STRtree:
-        segments: Any = shapely.linestrings(self.segments)
-        return shapely.STRtree(segments)
+        return shapely.STRtree(np.asarray(shapely.linestrings(self.segments)))
 
     @cached_property
     def contacts(self) -> Int[np.ndarray, "contacts"]:
-        """Indices of the vertices with more than one sector, where the region touches itself."""
+        """Indices of the vertices where the region touches itself."""
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
 
     def is_reflex(self) -> Bool[np.ndarray, "edges"]:
-        """Return whether the sector of the region that opens at each edge is wider than half a turn."""
+        """Return whether the region's interior angle at the start of each edge is greater than pi."""
         corner = self.vertices[self.edges[:, 0]]
         to_start = self.vertices[self.edges[:, 1]] - corner
         to_end = self.vertices[self.sector_end] - corner
@@ -104,8 +99,7 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
     pieces = np.sort(edges.min(axis=1) * np.int64(len(vertices)) + edges.max(axis=1))
     if (is_beside | is_beyond).any() or (pieces[1:] == pieces[:-1]).any():
         return None
-    # 3. A sector closes at the arriving edge that comes first counterclockwise. Leaving and arriving edges alternate
-    #    around a vertex, so this is the successor of the leaving edge.
+    # 3. Leaving and arriving edges alternate around a vertex, so a sector ends at the successor of the leaving edge.
     at, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
     direction = vertices[other] - vertices[at]
     order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
@@ -119,7 +113,7 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
 def match_boundary(
     vertices: Vertices, edges: Edges, old: Boundary
 ) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
-    """Return, for each vertex and for each edge, the index of the equal one in ``old``; -1 if there is none."""
+    """Return, for each vertex and each edge of ``old``, the index of the equal new one; -1 if there is none."""
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T
@@ -135,16 +129,10 @@ def vertices_near_edges(
     some_edges: Int[np.ndarray, "some_edges"],
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
     """Return all pairs of a vertex and an edge within the tolerance, except edges with their own ends."""
-    none = np.empty(0, int)
-    if not (len(some_vertices) and len(some_edges)):
-        return none, none
     segments = vertices[edges[some_edges]]
-    if len(some_edges) < len(edges) or len(some_vertices) < len(vertices):  # drop what is far away without a tree
-        some_vertices = some_vertices[_near_any(vertices[some_vertices, None], segments, tolerance)]
-        if not len(some_vertices):
-            return none, none
-        near = _near_any(segments, vertices[some_vertices, None], tolerance)
-        some_edges, segments = some_edges[near], segments[near]
+    some_vertices = some_vertices[boxes_near(vertices[some_vertices, None], segments, tolerance)]
+    near = boxes_near(segments, vertices[some_vertices, None], tolerance)
+    some_edges, segments = some_edges[near], segments[near]
     lines: Any = shapely.linestrings(segments)
     points = shapely.points(vertices[some_vertices])
     vertex, edge = shapely.STRtree(lines).query(points, predicate="dwithin", distance=tolerance)
@@ -153,16 +141,16 @@ def vertices_near_edges(
     return vertex[apart], edge[apart]
 
 
-def _near_any(
+def boxes_near(
     x: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], reach: float
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether the bounding box of each group of points is within reach of the box around all others."""
-    lo, hi = others.min(axis=(0, 1)) - reach, others.max(axis=(0, 1)) + reach
+    """Return whether the bounding box of each group of points is within ``reach`` of the box around all others."""
+    lo, hi = others.min(axis=(0, 1), initial=np.inf) - reach, others.max(axis=(0, 1), initial=-np.inf) + reach
     return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)
 
 
 def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
-    """Return what a disc's center must avoid: strips along edges, and fans of triangles at reflex corners."""
+    """Return the part of a region within ``radius`` of its boundary, which the center of a disc must avoid."""
     offset = radius * boundary.normal
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
@@ -175,8 +163,7 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
     regions = []
     # Edges of one ring are consecutive, so most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
-        collars: Any = shapely.polygons(strips[begin : begin + _COLLARS])
-        collars = collars.tolist()
+        collars = np.asarray(shapely.polygons(strips[begin : begin + _COLLARS])).tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
             corner = boundary.vertices[boundary.edges[edge, 0]]
             rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge])
@@ -188,12 +175,7 @@ def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
     return regions[0]
 
 
-LARGEST_COORDINATE = 1e100  # below it, products of two areas do not overflow; above its inverse, no underflow
-_COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter side
-
-
 def as_polygons(name: str, shapes: Any) -> tuple[Polygon | MultiPolygon, ...]:
-    """Return valid polygons of Shapely geometries or rings ``(n, 2)``; errors call them by ``name`` and index."""
     shapes = [shapes] if isinstance(shapes, BaseGeometry) else shapes
     if not isinstance(shapes, Iterable):
         raise ValueError(f"{name}s must be a list of rings (n, 2) or Shapely polygons, got {shortened(shapes)}.")
@@ -206,7 +188,7 @@ def _flatten_collections(shapes: Iterable[Any], kind: type = GeometryCollection)
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
-    """Return a valid polygon of a ring ``(n, 2)`` or a Shapely polygon or linear ring; errors call it ``name``."""
+    """Check a ring ``(n, 2)`` or a Shapely geometry, and return a valid polygon; errors call it by ``name``."""
     if isinstance(ring, LinearRing):
         ring = Polygon(ring)
     if isinstance(ring, Polygon | MultiPolygon):
@@ -269,7 +251,7 @@ def rounding_of(bounds: Box) -> float:
 
 
 def rounding_at(width: float, reach: float) -> float:
-    """Return the rounding error of coordinates up to ``reach``, at least 1e-12 of the longer side ``width``."""
+    """Return the rounding error of coordinates up to ``reach`` in a workspace whose longer side is ``width``."""
     return float(max(1e-12 * width, 1e-15 * reach))
 
 
@@ -278,7 +260,7 @@ def grid_of(bounds: Box) -> float:
 
 
 def grid_at(tolerance: float) -> float:
-    """Return the grid to which a workspace rounds vertices: a power of two, 1/1000 to 1/500 of its tolerance."""
+    """Return the spacing of the grid to which a workspace of some ``tolerance`` rounds its vertices."""
     return float(2.0 ** np.ceil(np.log2(tolerance / 1e3)))
 
 
@@ -319,14 +301,14 @@ def as_bounds(value: Box | ArrayLike) -> Box:
 
 
 def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
-    """Return the polygons of a geometry, without the points and lines that a degenerate overlay leaves."""
+    """Return the polygons of a Shapely geometry; drop points, lines and polygons without area."""
     parts: Any = shapely.get_parts(geometry)
     return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
 
 
 def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
     try:
-        triangles: Any = shapely.get_parts(shapely.constrained_delaunay_triangles(region))
+        triangles = shapely.constrained_delaunay_triangles(region)
     except shapely.errors.GEOSException:  # GEOS fails on some polygons whose rings touch: halve the region
         if len(parts := polygons_of(region)) == 1:
             lo, hi = np.array(region.bounds).reshape(2, 2)
@@ -339,7 +321,7 @@ def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
 
 
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
-    """Make vertices within the tolerance of one another equal, in all geometries at once; no vertex is dropped."""
+    """Make vertices within the tolerance of one another equal, in all geometries at once."""
     numbers, index = np.unique(shapely.get_coordinates(geometries) @ [1, 1j], return_inverse=True)
     points = np.stack([numbers.real, numbers.imag], axis=1)
     places: Any = shapely.points(points)
@@ -349,11 +331,9 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
     return list(shapely.set_coordinates(np.array(geometries, dtype=object), points[first[group]][index]))
 
 
-_PREPARED = threading.local()
-
-
 def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
-    """Return ``make()``, prepared and cached by owner, name and thread: GEOS may crash if threads share it."""
+    """Return the geometry ``make()``, prepared for queries; cache it by owner, name and thread."""
+    # GEOS may crash if threads share a prepared geometry.
     of_owners = _PREPARED.__dict__.setdefault("of_owners", WeakKeyDictionary())  # in this thread
     of_owner = of_owners.setdefault(owner, {})
     if name not in of_owner:
@@ -363,11 +343,9 @@ def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> An
 
 
 class Region(NamedTuple):
-    """Free space of a workspace, its boundary, and whether its walls moved by rounding only: none was too thin."""
-
     polygon: Polygon | MultiPolygon
     boundary: Boundary
-    is_in_place: bool
+    is_in_place: bool  # whether walls moved by rounding only; else thin walls or gaps were closed
 
 
 def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
@@ -391,7 +369,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
 
 
 def region_after_change(free: Any, bounds: Box, old: Boundary) -> Region:
-    """Return the :class:`Region` of locally changed free space, without comparing old edges with one another."""
+    """Return the region of free space whose boundary was ``old`` before a local change."""
     grid = grid_of(bounds)
     rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
     if not shapely.is_valid(rounded):  # rounding may leave a sliver without area

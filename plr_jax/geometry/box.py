@@ -18,7 +18,7 @@ from plr_jax._arrays import (
 )
 from plr_jax._types import ArrayLike
 
-_TIE = 1 - 2.0**-40  # factor that keeps rounding from moving a point that is exactly half a period away
+_TIE = 1 - 2.0**-40  # keeps rounding from moving a point that is exactly half a period away
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class Box:
 
     @property
     def single_rests(self) -> Float[np.ndarray, "2 dim"]:
-        """Distances by which the corners ``in_single`` lie outside the box along each axis, rounded down."""
+        """Distances, rounded down, by which rounding outward to 32 bits moves the lower and the upper corner."""
         lo, hi = self.in_single
         rests = np.nextafter(np.stack([self.lo - lo, hi - self.hi]).astype(np.float32), np.float32(-1))
         return np.maximum(rests, np.float32(0))

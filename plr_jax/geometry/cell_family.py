@@ -1,8 +1,8 @@
-"""Samples and convex pieces of boxes with the corners that they see, shared by distances to many goals."""
+"""Samples and convex pieces of boxes with the corners that they see, computed once for distances to many goals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import shapely
@@ -26,12 +26,9 @@ Indices: TypeAlias = Int[np.ndarray, "cells"]
 
 @dataclass(frozen=True, eq=False)
 class FamilySamples:
-    """At most one sample for each of several boxes, and the corners where paths from the sample may turn first.
+    """At most one sample point for each of several boxes, and the corners where paths from it may turn first."""
 
-    The sample is the center of the box if no wall meets the box, else the center of its largest free convex piece.
-    """
-
-    x: Corners  # the sample of each box; NaN if no part of the box is free
+    x: Corners  # center of each box, or of its largest free convex piece if a wall meets it; NaN if nothing is free
     weight: Float[np.ndarray, "boxes"]  # free share of each box's area; 0 without a sample
     sampled: Int[np.ndarray, "sampled"]  # boxes that have a sample
     placed: Float[np.ndarray, "sampled 2"]  # samples of these boxes, rounded and moved out of walls
@@ -44,8 +41,8 @@ class FamilySamples:
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilySamples":
         # 1. Choose the samples.
         x, weight, area = (lo + hi) / 2, np.ones(len(lo)), np.prod(hi[0] - lo[0])
-        boxes: Any = shapely.box(*lo.T, *hi.T)
-        at_wall = np.unique(triangulation.boundary.tree.query(boxes, predicate="intersects")[0])
+        at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
+        at_wall = np.unique(at_wall)
         elsewhere = np.setdiff1d(np.arange(len(lo)), at_wall)
         weight[elsewhere] = triangulation.locator.find(x[elsewhere])[1] >= -triangulation.tolerance
         weight[at_wall] = 0.0
@@ -85,7 +82,7 @@ class FamilySamples:
     def first_turns(
         self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, "corners"]
     ) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return samples' distances to a goal, and first vertices of paths: 0 (goal), corner + 1, or -1 (no path)."""
+        """Return each sample's distance to a goal, and where its path turns: 1 + corner, 0: nowhere, -1: no path."""
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         if len(self.first):
             way = corner_distances[self.corner] + self.length
@@ -107,12 +104,10 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
-    """Free convex pieces of boxes, and the corners that paths from them to any goal may turn at first."""
-
-    sight: Sight  # for any goal, by corner_sight
-    lists: TriangleLists  # corners that see a part of each triangle of free space, as 2 * corner + side
+    sight: Sight  # for any goal
+    lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`
     first_piece: Int[np.ndarray, "boxes_plus_one"]
-    pieces: Pieces
+    pieces: Pieces  # the convex parts of the free space in each box
     triangle: Int[np.ndarray, "pieces"]  # that contains each piece; -1 for a box that no wall reaches into
     center: Float[np.ndarray, "pieces 2"]  # a point inside each piece
     radius: Float[np.ndarray, "pieces"]  # largest distance of the piece's points from its center
@@ -137,11 +132,9 @@ class FamilyCells:
 
 
 class FamilyGoal(NamedTuple):
-    """A goal of a family: its sources (the goal, then all corners), where paths to it turn, and what it sees."""
-
-    sources: Sources
-    turns: TurnPoints
-    view: VisibilityTable
+    sources: Sources  # the goal, then all corners
+    turns: TurnPoints  # where paths to the goal turn
+    view: VisibilityTable  # the visibility polygon of the goal
 
 
 def cells_of_goals(
@@ -152,10 +145,10 @@ def cells_of_goals(
     goal_of: Indices,
     near: Indices,
 ) -> CellSources:
-    """Return the sources of cells for several goals: cell ``i`` is box ``box[i]``, for goal ``goal_of[i]``.
+    """Return, as cell ``i``, where paths from box ``box[i]`` to goal ``goal_of[i]`` may turn first.
 
-    ``near`` is a source to which a shortest path from the cell goes first, or one near it; -1 if unknown. Sources of
-    all goals are in one table: those of the first goal, then those of the second goal, and so on.
+    ``near[i]`` is the index, in the goal's ``sources``, of a point to which shortest paths go first, or of one near
+    it; -1 if unknown. In the result, the sources of the first goal precede those of the second goal, and so on.
     """
     sight, count = _sight_of_goals(shared.sight, corners, goals), 1 + len(corners.points)
     sources, table = sight.sources, sight.shadows.table

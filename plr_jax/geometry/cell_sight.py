@@ -1,12 +1,11 @@
 """The corners that each cell of a partition of the plane sees, from which shortest paths from the cell go on.
 
-The free part of a cell consists of convex *pieces*: the whole cell if no wall reaches into it, else parts of
-triangles of free space. Each piece has *sources*: the goal and the corners to which a path from some point of the
-piece may go first. When a cell is cut, its parts inherit pieces and sources. A source is dropped if no path from the
-piece turns there, or if no point of the piece sees it.
+The free part of a cell consists of convex *pieces*: the whole cell, or parts of triangles if a wall reaches into it.
+The *sources* of a piece are the goal and the corners to which a path from the piece may go first. When a cell is cut,
+its parts inherit pieces and sources, except sources that no point of the piece sees or at which no path turns.
 
-Within free space, what a viewpoint sees ends at *shadows*: rays past a corner, between the nearer wall that ends
-there and the farther wall behind it. If no shadow crosses a free convex piece, the viewpoint sees all or nothing.
+What a viewpoint sees ends at *shadows*, rays past a corner from the nearer wall that ends there to the wall behind.
+If no shadow crosses a piece, the viewpoint sees all of the piece or nothing of it.
 """
 
 from dataclasses import dataclass, replace
@@ -20,17 +19,14 @@ from plr_jax._arrays import concatenated, parts, ragged_indices, take_ragged
 from plr_jax._types import Sources
 from plr_jax.geometry.boundary import grid_at
 from plr_jax.geometry.convex_pieces import (
-    PartCorner,
-    PartIndex,
-    PartSide,
     Pieces,
     Vectors,
     areas,
     boxes_as_pieces,
     centers,
+    clip,
     clip_to_boxes,
     contain,
-    cut_parts,
     difference_of_cones,
     highest,
     lowest,
@@ -42,9 +38,11 @@ from plr_jax.geometry.vectors import pseudo_angle, turned_left
 from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
 _CHUNK = 1 << 16  # pairs of a piece and a source tested at a time
+_OF_PIECES = "cell", "triangle", "center", "distance", "best"  # fields of `CellSources` with one row per piece
 
 OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
 Indices: TypeAlias = Int[np.ndarray, "pieces"]
+Rows: TypeAlias = Int[np.ndarray, "cells"]
 Corners: TypeAlias = Float[np.ndarray, "cells 2"]
 Entries: TypeAlias = Int[np.ndarray, "entries"]
 
@@ -83,7 +81,7 @@ class Shadows:
         return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
 
     def see(self, view: Indices, pieces: Pieces, center: Vectors) -> tuple[OfPieces, OfPieces]:
-        """Return whether viewpoints see the centers of their convex pieces, and if they surely see all or nothing."""
+        """Return whether viewpoints see the centers of convex pieces, and whether they surely see all or nothing."""
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
         # 1. Find the range of keys strictly inside each piece, and whether the cut lies in it.
@@ -124,7 +122,7 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return :class:`TurnPoints` for both ways (``side``: 0 or 1) to bend around corners: ``2 * corner + side``."""
+    """Return the two ways to bend around each corner ``c`` as turn points ``2 * c`` and ``2 * c + 1``."""
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
     points = np.repeat(corners.points, 2, axis=0)
@@ -132,7 +130,7 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 
 
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
-    """List for each triangle the corners that see a part of it, as ``2 * corner + side`` (see `turns_by_side`)."""
+    """List for each triangle the bends around corners that paths from it can take, as indices in `turns_by_side`."""
     visits, (right, left) = [], turns_by_side(visibility.corners).bounds
     for side in range(2):
         view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
@@ -142,7 +140,7 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Data that decide to which sources (corners, goals) shortest paths from a convex piece may go first."""
+    """Data to decide to which sources (corners, goals) shortest paths from a convex region may go first."""
 
     sources: Sources
     view: Int[np.ndarray, "sources"]  # index of each source in the visibility table
@@ -152,19 +150,14 @@ class Sight:
     triangulation: Triangulation
     has_goal: bool
 
-    @property
-    def tolerance(self) -> float:
-        return self.shadows.table.tolerance
-
     @cached_property
     def is_wall(self) -> Bool[np.ndarray, "triangles 3"]:
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
-        """Return, for each convex piece and its source, whether a shortest path from some point may turn there.
+        """Return whether a shortest path from some point of each convex piece may turn at its source, if visible.
 
-        The source is a corner, which the point is assumed to see, or the goal, where the answer is True. With
-        ``from_all``, return whether paths from every point of the piece may turn there, without any tolerance.
+        With ``from_all``, return whether paths from every point of the piece may turn there, without any tolerance.
         """
         turn = self.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
@@ -180,27 +173,26 @@ class Sight:
 class CellSources:
     """The free convex pieces of cells, each with its sources: goal or corners to which paths from it may go first.
 
-    Pieces are sorted by ``cell``, pairs of a ``piece`` and a ``source`` by piece. If distances of sources are known,
-    the distance of any point ``x`` of a piece is at least the minimum of ``distances[s] + |x - points[s]|`` over its
-    sources ``s``, and at most the minimum over the sources that all of the piece sees, both to within :attr:`slack`.
-    Pieces without a path to the goal are then left out, so that each piece has a source.
+    If distances of sources are known, the distance of a point ``x`` of a piece is at least the minimum of
+    ``distances[s] + |x - points[s]|`` over its sources ``s``, and at most the minimum over the sources that all of
+    the piece sees, both to within :attr:`slack`. Pieces without a path to the goal are then left out.
     """
 
     sight: Sight
     num_cells: int
-    cell: Indices
+    cell: Indices  # of each piece, ascending
     pieces: Pieces
     triangle: Indices  # that contains each piece; -1 for a box that no wall reaches into
     center: Vectors  # a point inside each piece
     distance: Float[np.ndarray, "pieces"]  # of each center to the goal, or an upper bound; inf if not computed
     best: Indices  # source to which the shortest path from each center goes first, or one near it; 0 if not computed
-    piece: Int[np.ndarray, "pairs"]
+    piece: Int[np.ndarray, "pairs"]  # ascending
     source: Int[np.ndarray, "pairs"]
     by_all: Bool[np.ndarray, "pairs"]  # whether every point of the pair's piece is known to see its source
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
-        """Return the free convex pieces of boxes, each box a cell; ``lists`` holds the sources to try by triangle."""
+        """Return boxes as cells, with free convex pieces and the possible first vertices of paths, from ``lists``."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
@@ -209,23 +201,23 @@ class CellSources:
             entry, piece = take_ragged(first, triangle[chunk])
             count, part = len(cell[chunk]), pieces[:, chunk]
             unknown = np.full(count, np.inf), np.zeros(count, int), piece, source[entry], np.zeros(len(piece), bool)
-            found = cls(sight, len(lo), cell[chunk], part, triangle[chunk], centers(part), *unknown)
+            # With ``num_cells=0``, `append` leaves the indices of cells as they are.
+            found = cls(sight, 0, cell[chunk], part, triangle[chunk], centers(part), *unknown)
             chunks.append(found.prune_sources(np.ones(count, bool)))
-        found = chunks[0].append(*chunks[1:])
-        found = replace(found, num_cells=len(lo), cell=found.cell % max(1, len(lo)))
+        found = replace(chunks[0].append(*chunks[1:]), num_cells=len(lo))
         return found.merge_free_boxes(np.zeros(len(found.cell), bool), lo, hi)
 
     @property
     def slack(self) -> float:
         """Error of the bounds of distances, since free space is known to a tolerance."""
-        return 4 * self.sight.tolerance
+        return 4 * self.sight.triangulation.tolerance
 
     @property
     def sources(self) -> Sources:
         return self.sight.sources
 
     def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
-        return contain(self.pieces[:, piece], points, self.sight.tolerance)
+        return contain(self.pieces[:, piece], points, self.sight.triangulation.tolerance)
 
     def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         return self.sight.shadows.table.sees(self.sight.view[source], points)
@@ -246,21 +238,17 @@ class CellSources:
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
     def of_pieces(self, rows: Int[np.ndarray, "some"]) -> Self:
-        """Select convex pieces; the cells stay, and may become empty."""
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
         pairs, piece = take_ragged(self.first_pair, rows)
-        columns = {name: getattr(self, name)[rows] for name in ("cell", "triangle", "center", "distance", "best")}
+        columns = {name: getattr(self, name)[rows] for name in _OF_PIECES}
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
     def of_pairs(self, pairs: Int[np.ndarray, "some"] | Bool[np.ndarray, "pairs"]) -> Self:
         return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
 
     def append(self, *others: Self) -> Self:
-        several, names = (
-            (self, *others),
-            ("cell", "triangle", "center", "distance", "best", "piece", "source", "by_all"),
-        )
+        several, names = (self, *others), (*_OF_PIECES, "piece", "source", "by_all")
         columns = dict(zip(names, concatenated(several, *names), strict=True))
         pieces = np.concatenate([each.pieces for each in several], axis=1)
         # Shift the indices of cells and pieces by the numbers in the preceding objects.
@@ -268,14 +256,21 @@ class CellSources:
             columns[name] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(getattr(each, name)) for each in several])
         return replace(self, num_cells=sum(each.num_cells for each in several), pieces=pieces, **columns)
 
-    def parts(self, parent: PartIndex, axis: PartIndex, is_upper: PartSide, lo: PartCorner, hi: PartCorner) -> Self:
-        """Return boxes ``lo`` to ``hi``, each cut off its cell ``parent`` across ``axis``, as cells with sources."""
-        pieces, cell, rows, is_cut = cut_parts(self.pieces, self.first_piece, parent, axis, is_upper, lo, hi)
+    def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, "cells"], lo: Corners, hi: Corners) -> Self:
+        """Return boxes ``lo`` to ``hi`` as cells: parts of cells ``parent`` above or below cuts across ``axis``."""
+        rows, cell = take_ragged(self.first_piece, parent)
+        along, upper = axis[cell], is_upper[cell]
+        bound = np.where(upper, lo[cell, along], hi[cell, along])
+        height = (self.pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
+        reaches = np.flatnonzero(highest(height) > 0)
+        rows, cell, height = rows[reaches], cell[reaches], height[reaches]
+        pieces, is_cut = self.pieces[:, rows], lowest(height) < 0
+        pieces[:, is_cut] = clip(pieces[:, is_cut], height[is_cut])
         part = replace(self.of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces)
         return part.merge_free_boxes(is_cut, lo, hi)
 
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
-        """Make each box without walls one convex piece; drop needless sources of changed and merged pieces."""
+        """Merge the convex pieces of each box that no wall meets into one, then call :meth:`prune_sources`."""
         cells, found = np.flatnonzero(np.diff(self.first_piece) > 1), self
         rows, of = take_ragged(self.first_piece, cells)
         row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
@@ -303,14 +298,12 @@ class CellSources:
         return replace(found.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        """Drop changed pieces' sources where no path turns or that no point sees; drop pieces without a path."""
-        # 1. Compute the centers of changed pieces. A path through the old center bounds their distances, since both
-        #    centers lie in one convex piece.
+        """Drop sources (first corners of paths) that no point of a changed piece sees, or where no path turns."""
+        # 1. Compute the centers of changed pieces. Paths straight to the old centers bound their distances.
         center, has_goal = self.center.copy(), self.sight.has_goal
         center[changed] = centers(self.pieces[:, changed])
         found = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
-        # 2. Test which pairs may matter, and whether the center or all of the piece sees the source. Pairs that are
-        #    not tested stay and count as visible from the center.
+        # 2. Test whether the center or all of a piece sees a source. What is not tested counts as seen by the center.
         pairs = np.flatnonzero(changed[self.piece] & ~(self.by_all & has_goal))
         bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
         keep, by_center, by_all = np.ones(len(self.piece), bool), np.ones(len(self.piece), bool), self.by_all.copy()
@@ -326,10 +319,7 @@ class CellSources:
         return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
-        """Compute the distances of changed centers, and drop sources that are nowhere in their piece the best.
-
-        That is, another source, or a path through the center, is shorter from every point of the piece.
-        """
+        """Drop sources (first corners of paths) of changed pieces if no point's shortest path goes through them."""
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
         piece, source = self.piece[pairs], self.source[pairs]
@@ -350,11 +340,10 @@ class CellSources:
         cones = sources.points[source], sources.distances[source], apex, offset
         lowest, _ = difference_of_cones(self.pieces[:, piece], *cones)
         keep = np.isfinite(distance)[self.piece]
-        # A rival up to the tolerance better is dropped only if no part of the piece will lose the best source, as one
-        # at which no path turns: beside a thin wall, paths from some parts turn at one of its corners, and paths from
-        # others at the next corner, whose cone is hardly lower.
+        # Drop a rival that is better by up to the tolerance only if paths from all parts of the piece can turn at the
+        # best source: beside a thin wall, some paths turn at its other corner, whose cone is hardly lower.
         by_best &= self.sight.may_bend(self.pieces, best, from_all=True)
-        keep[rivals[lowest > np.where(by_best[piece], -self.sight.tolerance, 0.0)]] = False
+        keep[rivals[lowest > np.where(by_best[piece], -self.sight.triangulation.tolerance, 0.0)]] = False
         found = replace(self, distance=distance, best=best).of_pairs(keep)
         return found.of_pieces(np.flatnonzero(np.isfinite(distance)))
 
@@ -369,14 +358,14 @@ def goal_sight(
 
 
 def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
-    """List for each triangle where its paths may go first: all goals, and the corners that see a part of it."""
+    """List where paths from each triangle may go first: to any goal, or to a corner that sees a part of it."""
     first, turns = regions.first, regions.turns.vertex[regions.turn]
     goals = np.tile(np.arange(num_goals), len(first) - 1)
     return first + num_goals * np.arange(len(first)), np.insert(turns, np.repeat(first[:-1], num_goals), goals)
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return the :class:`Sight` for any goal; each corner is two sources, one for each way to bend around it."""
+    """Return the data for paths to any goal; a corner is listed twice, once for each way to bend around it."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     shadows = Shadows.of(visibility.table)
@@ -384,7 +373,7 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
 
 
 def corners_of_cells(found: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, "entries"]]:
-    """Return pairs of a cell and a corner where its paths may turn first, and whether all of the cell sees it."""
+    """Return pairs of a cell and a corner where paths may turn first, and whether all of the cell sees the corner."""
     count = np.int64(len(found.sight.turns.points) // 2)
     of_piece, first = np.unique(found.piece * count + (found.source >> 1), return_index=True)
     piece, corner = np.divmod(of_piece, count)

@@ -1,8 +1,8 @@
-"""How the distances to a goal differ after a map has changed, by triangle and by source.
+"""Differences between the distances to a goal before and after a change of the map, for whole triangles.
 
-From a point of a triangle a path goes straight to a *source*: the goal, or a corner that sees a part of the triangle.
-If no changed wall lies between a triangle and its sources, paths bend around them as before, and the distances of all
-of them have changed by the same amount, so have the distances of all points of the triangle.
+A path from a triangle goes straight to a *source*: the goal, or a corner that sees a part of the triangle. Suppose
+that no changed wall lies between a triangle and its sources. If the distances of all its sources to the goal have
+changed by the same amount, then the distances of all its points have changed by this amount.
 """
 
 from dataclasses import dataclass
@@ -27,15 +27,13 @@ class TriangleSources:
         return TriangleSources(self.triangle[rows], self.source[rows], self.change[rows], self.is_doubted[rows])
 
     def of_triangles(self, is_wanted: Bool[np.ndarray, "triangles"]) -> "TriangleSources":
-        """Select the pairs of a triangle and a source of some triangles, sorted by triangle."""
+        """Select the pairs of the wanted triangles, and sort them by triangle."""
         rows = np.flatnonzero(is_wanted[self.triangle])
         return self[rows[np.argsort(self.triangle[rows], kind="stable")]]
 
 
 @dataclass(frozen=True, eq=False)
 class ChangedDistances:
-    """Differences between the distances to a goal before and after a map has changed."""
-
     boxes: list[Corners]  # around all walls that have changed
     source: Int[np.ndarray, "sources"]  # new index of each old source (the goal, then corners); -1 if it is gone
     source_change: Float[np.ndarray, "sources"]  # new minus old distance of each old source; NaN if it is gone

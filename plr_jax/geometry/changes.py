@@ -8,7 +8,7 @@ follows the change, except for a few passes over arrays of all edges.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import shapely
@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import ragged_indices, take_ragged
-from plr_jax.geometry.boundary import Boundary, match_boundary
+from plr_jax.geometry.boundary import Boundary, boxes_near, match_boundary
 from plr_jax.geometry.corners import CornerVisibility, corner_of_vertex, find_corners, mutually_visible_pairs
 from plr_jax.geometry.triangulation import Triangulation, next_half_edge, triangulation_of
 from plr_jax.geometry.vectors import pseudo_angle
@@ -25,16 +25,16 @@ from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_
 from plr_jax.geometry.workspace import Workspace
 
 _TURN = 4.0  # a full turn as a pseudo-angle
+Indices: TypeAlias = Int[np.ndarray, "_"]
+GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a goal, and corners that it may see
 
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Two boundaries, and the new index of each old vertex and edge, -1 if it is gone."""
-
     old: Boundary
     new: Boundary
-    vertex: Int[np.ndarray, "old_vertices"]
-    edge: Int[np.ndarray, "old_edges"]
+    vertex: Int[np.ndarray, "old_vertices"]  # new index of each old vertex; -1 if it is gone
+    edge: Int[np.ndarray, "old_edges"]  # new index of each old edge; -1 if it is gone
 
     @staticmethod
     def between(old: Boundary, new: Boundary) -> "Change":
@@ -46,44 +46,33 @@ class Change:
         is_new[self.edge[self.edge >= 0]] = False
         return is_new
 
-    @cached_property
-    def segments(self) -> Float[np.ndarray, "changed 2 2"]:
-        """The edges that are in one boundary only."""
-        return np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
-
-    @cached_property
-    def _extents(self) -> tuple[Float[np.ndarray, "parts 2"], Float[np.ndarray, "parts 2"]]:
-        points, index = np.unique(self.segments.reshape(-1, 2), axis=0, return_inverse=True)
+    def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
+        """Return the bounding box, grown by ``margin``, of each connected group of changed edges as four corners."""
+        segments = np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
+        points, index = np.unique(segments.reshape(-1, 2), axis=0, return_inverse=True)
         start, end = index.reshape(-1, 2).T
         graph = coo_array((np.ones(len(start)), (start, end)), (len(points),) * 2)
         num, part = connected_components(graph, directed=False)
         lo, hi = np.full((num, 2), np.inf), np.full((num, 2), -np.inf)
         np.minimum.at(lo, part, points)
         np.maximum.at(hi, part, points)
-        return lo, hi
-
-    def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
-        """Return corners of the bounding box, grown by ``margin``, of each connected group of changed edges."""
-        lo, hi = self._extents
         ends = zip(lo - margin, hi + margin, strict=True)
         return [np.array([(a, c), (b, c), (b, d), (a, d)]) for (a, c), (b, d) in ends]
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
-    """Return the triangulation after a change; None if, by rounding, new triangles do not fill the gap."""
+    """Return the triangulation after a change; None if rounding keeps new triangles from filling the gap."""
     # 1. Keep triangles unless they have a wall that is gone or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
     kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
     segments = change.new.segments[change.is_new]
     if len(segments):
-        triangles, tolerance = old.triangles, old.tolerance
-        lo, hi = triangles.min(axis=1) - tolerance, triangles.max(axis=1) + tolerance
-        first, last = segments.min(axis=(0, 1)), segments.max(axis=(0, 1))
-        near = np.flatnonzero(((lo <= last) & (hi >= first)).all(axis=1) & kept)
-        polygons: Any = shapely.polygons(triangles[near])
-        lines: Any = shapely.linestrings(segments)
-        row, _ = shapely.STRtree(lines).query(polygons, predicate="dwithin", distance=tolerance)
-        kept[near[row]] = False
+        near = np.flatnonzero(boxes_near(old.triangles, segments, old.tolerance) & kept)
+        polygons, tree = (
+            shapely.polygons(old.triangles[near]),
+            shapely.STRtree(np.asarray(shapely.linestrings(segments))),
+        )
+        kept[near[tree.query(polygons, predicate="dwithin", distance=old.tolerance)[0]]] = False
     half_kept = np.repeat(kept, 3)
     wall = np.where(old.wall >= 0, change.edge[old.wall], -1)
     has_triangle = np.zeros(len(change.new.edges), bool)
@@ -118,10 +107,6 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     twin[len(kept_half) + is_rim], twin[beyond] = beyond, len(kept_half) + is_rim
     wall = np.concatenate([wall[kept_half], walls_of_fill])
     return Triangulation(change.new, old.tolerance, *(each.astype(np.int32) for each in (origin, twin, wall)))
-
-
-Indices: TypeAlias = Int[np.ndarray, "_"]
-GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a goal, and corners that it may see
 
 
 def changed_visibility(
@@ -191,13 +176,13 @@ def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, 
 def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether each viewpoint may see its convex polygon: not if every wall in its direction is closer."""
+    """Return whether each viewpoint may see a convex polygon: not if every wall in that direction is closer."""
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
     angle = np.sort(pseudo_angle(cx * dx + cy * dy, cx * dy - cy * dx), axis=1)
-    # From outside, the polygon spans all directions but the widest gap between its corners, which is at least half a
-    # turn. If no gap is that wide, the viewpoint is inside.
+    # The polygon spans all directions but the widest gap between its corners. The gap is at least half a turn, unless
+    # the viewpoint is inside.
     gap = np.diff(angle, axis=1, append=angle[:, :1] + _TURN)
     each, widest = np.arange(len(view)), gap.argmax(axis=1)
     first, last = angle[each, (widest + 1) % angle.shape[1]], angle[each, widest]
@@ -219,7 +204,7 @@ def may_see_polygons(
 
 
 def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
-    """Join tables with the edges of the new boundary; each comes with viewpoints to take, and their new indices."""
+    """Join tables of the old or new boundary in one; each comes with viewpoints to take, and their new indices."""
     num = sum(len(which) for _, which, _ in parts)
     points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
     for table, which, place in parts:

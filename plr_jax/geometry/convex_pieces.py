@@ -1,4 +1,4 @@
-"""Arrays of convex polygons (*pieces*): clipping, areas, and extremes of differences of distance functions over them.
+"""Arrays of convex polygons (*pieces*): clipping, areas, and extremes of differences of distance functions on them.
 
 Coordinates are stored as ``(2, pieces, corners)``, corners counterclockwise; shorter pieces repeat their last corner.
 """
@@ -8,8 +8,6 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import take_ragged
-
 Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
 Numbers: TypeAlias = Float[np.ndarray, "pieces"]
 Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
@@ -17,15 +15,14 @@ Extremes: TypeAlias = tuple[Numbers, Numbers]
 Values: TypeAlias = Float[np.ndarray, "pieces corners"]
 Corners: TypeAlias = Float[np.ndarray, "n 2"]
 Some: TypeAlias = Int[np.ndarray, "some"]
-PartIndex: TypeAlias = Int[np.ndarray, "parts"]
-PartSide: TypeAlias = Bool[np.ndarray, "parts"]
-PartCorner: TypeAlias = Float[np.ndarray, "parts 2"]
 _BOXES_AND_PIECES = 1 << 22  # pairs of a box and a piece that are compared at a time
+_CORNERS_OF_BOX = 4  # most pieces are boxes, which are processed apart from pieces with more corners
+_AT_ONCE = 1 << 11  # pieces processed at a time, so that their arrays stay in a core's cache
 ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clipping needs one more
 
 
 def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
-    """Return the part of each convex piece where a linear function, given by its corner values, is at least 0."""
+    """Return the part of each convex polygon where a linear function, given by corner values, is at least 0."""
     inside = height >= 0  # somewhere in each piece, by assumption
     after = next_corner(height)
     crosses = inside != (after >= 0)
@@ -67,7 +64,7 @@ def boxes_as_pieces(lo: Corners, hi: Corners) -> Float[np.ndarray, "2 n room"]:
 
 
 def contain(pieces: Pieces, x: Float[np.ndarray, "pieces k 2"], tolerance: float) -> Bool[np.ndarray, "pieces k"]:
-    """Return whether each convex piece contains its ``k`` points, or is within ``tolerance`` of them."""
+    """Return whether each convex polygon contains its ``k`` points, or is within ``tolerance`` of them."""
     near = np.ones(x.shape[:2], bool)
     for along, at in zip(pieces, np.moveaxis(x, 2, 0), strict=True):
         near &= at >= lowest(along)[:, None] - tolerance
@@ -83,33 +80,8 @@ def contain(pieces: Pieces, x: Float[np.ndarray, "pieces k 2"], tolerance: float
     return near
 
 
-def cut_parts(
-    pieces: Pieces,
-    first_piece: Int[np.ndarray, "cells_plus_one"],
-    parent: PartIndex,
-    axis: PartIndex,
-    is_upper: PartSide,
-    lo: PartCorner,
-    hi: PartCorner,
-) -> tuple[Float[np.ndarray, "2 some room"], Some, Some, Bool[np.ndarray, "some"]]:
-    """Clip the convex pieces of cells to boxes ``lo`` to ``hi``, each cut off its cell ``parent`` across one axis.
-
-    Return the pieces by box (the area may be 0), the box and the original piece of each, and whether it was cut.
-    """
-    rows, part = take_ragged(first_piece, parent)
-    along, upper = axis[part], is_upper[part]
-    bound = np.where(upper, lo[part, along], hi[part, along])
-    height = (pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
-    reaches = np.flatnonzero(highest(height) > 0)
-    rows, part, height = rows[reaches], part[reaches], height[reaches]
-    is_cut = lowest(height) < 0
-    result = pieces[:, rows]
-    result[:, is_cut] = clip(result[:, is_cut], height[is_cut])
-    return result, part, rows, is_cut
-
-
 def clip_to_boxes(pieces: Pieces, lo: Corners, hi: Corners) -> tuple[Float[np.ndarray, "2 some room"], Some, Some]:
-    """Intersect convex pieces with boxes; return parts of positive area by box, and the box and piece of each."""
+    """Intersect convex polygons with boxes; return parts of positive area, with the box and polygon of each."""
     (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
     at_once, found = max(1, _BOXES_AND_PIECES // max(1, len(x0))), [np.zeros((2, 0), np.int64)]
     for begin in range(0, len(lo), at_once):
@@ -143,22 +115,10 @@ def highest(values: Values) -> Numbers:
     return np.ascontiguousarray(values.T).max(axis=0)
 
 
-# Extremes over a piece of the difference of two cones ``offset + |x - apex|``, or of a cone and a plane.
-#
-# Two cones: the extremes lie on the boundary. The gradient of the difference, a difference of unit vectors, vanishes
-# only on the line through both apexes outside of their segment, where the difference is constant. On an edge the
-# difference is stationary where both apexes appear at the same angle to the edge.
-# A cone and a plane: the difference is convex, so largest at a corner, and smallest on an edge or at the apex.
-
-
-_CORNERS_OF_BOX = 4  # most pieces are boxes, which are processed apart from pieces with more corners
-_AT_ONCE = 1 << 11  # pieces processed at a time, so that their arrays stay in a core's cache
-
-
 def difference_of_cones(
     pieces: Pieces, apex: Vectors, offset: Numbers, other_apex: Vectors, other_offset: Numbers
 ) -> Extremes:
-    """Return the extremes over each piece of ``offset + |x - apex|`` minus the same for the other apex."""
+    """Return the minimum and maximum on each piece of ``offset + |x - apex| - other_offset - |x - other_apex|``."""
     lowest, highest = np.empty(len(offset)), np.empty(len(offset))
     is_box = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))
     for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_box)), (pieces.shape[2], np.flatnonzero(~is_box))):
@@ -170,6 +130,9 @@ def difference_of_cones(
 
 
 def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
+    # The extremes lie on the boundary. The gradient, a difference of unit vectors, vanishes only on the line through
+    # both apexes outside of their segment, where the difference is constant. On an edge the difference is stationary
+    # where both apexes appear at the same angle to the edge.
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)
@@ -184,7 +147,8 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
 
 
 def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers) -> Extremes:
-    """Return the extremes over each piece of ``offset + |x - apex|`` minus ``slope . x + intercept``."""
+    """Return the minimum and maximum on each piece of ``offset + |x - apex| - (slope . x + intercept)``."""
+    # The difference is convex, so largest at a corner, and smallest on an edge or at the apex.
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, (sx, sy) = x - apex[:, 0], y - apex[:, 1], slope.T
     from_apex = offset - intercept - (slope * apex).sum(axis=1)
@@ -202,7 +166,7 @@ def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vect
 
 
 def _corners_and_edges(pieces: Pieces) -> tuple[Float[np.ndarray, "kept pieces"], ...]:
-    """Return x and y of corners, x and y of unit vectors along edges, and edge lengths: axes (corners, pieces)."""
+    """Return x and y of corners, x and y of unit vectors along edges, and edge lengths, each (corners, pieces)."""
     x, y = pieces.transpose(0, 2, 1)
     new = ((x[1:] != x[:-1]) | (y[1:] != y[:-1])).any(axis=1)
     count = 1 + int(np.flatnonzero(new).max(initial=0)) + 1

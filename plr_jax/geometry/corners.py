@@ -16,24 +16,21 @@ from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_
 from plr_jax.geometry.workspace import Workspace
 
 Indices: TypeAlias = Int[np.ndarray, "*#batch"]
+_PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
 class ReflexCorners:
-    """Corners of free space at which shortest paths can turn.
-
-    ``walls`` are unit vectors along the two walls at each corner; free space lies counterclockwise from the first to
-    the second. They are 0 for points that a path can turn around on any side: the goal, and points between touching
-    obstacles that paths may pass. ``slack`` is the tolerance of tests on which side of a line through a corner a
-    point lies.
-    """
+    """Corners of free space at which shortest paths can turn."""
 
     points: Float[np.ndarray, "corners 2"]
+    # Unit vectors along both walls at each corner; free space lies counterclockwise from the first to the second.
+    # Both are 0 if a path can turn on any side: at goals, and where obstacles touch if paths may pass between them.
     walls: Float[np.ndarray, "2 corners 2"]
-    slack: float
+    slack: float  # tolerance of tests on which side of a line through a corner a point lies
 
     def with_goal(self, *goals: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        """Return the corners with one or more goals in front of them."""
+        """Return the corners with goals inserted before the first corner."""
         points = np.concatenate([np.stack(goals), self.points])
         return ReflexCorners(points, np.insert(self.walls, [0] * len(goals), 0.0, axis=1), self.slack)
 
@@ -45,17 +42,14 @@ class ReflexCorners:
         return self.is_tangent_to(corner, self.points[other])
 
     def is_tangent_to(self, corner: Indices, x: Float[np.ndarray, "*#batch 2"]) -> Bool[np.ndarray, "..."]:
-        """Return whether both walls of each corner lie on one side of the line from it to a point.
-
-        Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
-        """
+        """Return whether both walls of each corner lie on one side of the line from it to a point."""
+        # Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
         x, y = np.moveaxis(x - self.points[corner], -1, 0)
         opens, closes = (wall[corner, 0] * y - wall[corner, 1] * x for wall in self.walls)
         return (np.minimum(opens, closes) >= -self.slack) | (np.maximum(opens, closes) <= self.slack)
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
-    """Return the reflex corners, with ``squeeze`` also points where obstacles touch, and viewpoints at them."""
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)
@@ -70,12 +64,10 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
-    """Corners where paths can turn, viewpoints there, what they see, and edges of the visibility graph."""
-
     corners: ReflexCorners
-    views: Viewpoints
+    views: Viewpoints  # at the corners
     table: VisibilityTable
-    edges: Int[np.ndarray, "edges 2"]
+    edges: Int[np.ndarray, "edges 2"]  # of the visibility graph, without a goal
 
     @cached_property
     def of_vertex(self) -> Int[np.ndarray, "vertices"]:
@@ -93,7 +85,7 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return once each pair of corners that see one another, on a line tangent to the walls at one of them."""
+    """Return each pair of corners that see one another on a line tangent to the walls at one of the two."""
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
     # Visibility is not symmetric: at a point contact, a corner may be seen from a sector that it does not look into.
@@ -104,7 +96,7 @@ def mutually_visible_pairs(
 
 
 def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:
-    """Return the index of the corner at each vertex of a boundary, -1 where there is none."""
+    """Return the index of the corner at each vertex of a boundary; -1 if paths cannot turn there."""
     corner = np.full(len(boundary.vertices), -1)
     corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
@@ -117,29 +109,27 @@ def _sorted_unique(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
 
 @dataclass(frozen=True, eq=False)
 class TurnPoints:
-    """The corners at which a shortest path to one goal can turn first, and the cone of points from which it can come.
+    """The corners at which a shortest path to one goal can turn first, each with the cone from which paths come.
 
-    The path onward from a corner is known. So the path before lies between the straight extension of the path onward
-    and the corner's far wall: in front of two lines, up to ``slack``. Any other path could be shortened. ``normal``
-    holds the normals of the two lines; zero where a path can come from any point. ``vertex`` is the index of each
-    corner, where the goal is 0, and ``distance`` its distance to the goal.
+    The shortest path from a corner to the goal is known. The cone of a corner lies between the backward extension of
+    that path and the nearer wall at the corner; a path from any other point could be shortened.
     """
 
-    vertex: Int[np.ndarray, "turns"]
+    vertex: Int[np.ndarray, "turns"]  # index of each corner in a list of goals, then corners
     points: Float[np.ndarray, "turns 2"]
-    distance: Float[np.ndarray, "turns"]
-    normal: Float[np.ndarray, "2 turns 2"]
-    slack: float
+    distance: Float[np.ndarray, "turns"]  # from each corner to the goal
+    normal: Float[np.ndarray, "2 turns 2"]  # inward normals of the two sides of each cone; 0 if it is the whole plane
+    slack: float  # points up to this far outside a cone count as inside
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """Unit vectors along the right and left bound of each cone; zero where a path can come from any point."""
+        """Unit vectors along the right and left side of each corner's cone; 0 if the cone is the whole plane."""
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
 
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
-        """Return path lengths from each point through each corner to the goal; NaN if no path bends there."""
+        """Return the length of a path from each point straight to each corner, then to the goal; NaN off its cone."""
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
@@ -148,7 +138,7 @@ class TurnPoints:
         return length
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
-        """Return the first corner of each point's shortest path that turns (-1: none), and the path's length."""
+        """Return where the shortest path with a turn from each point turns first (-1: no path), and its length."""
         way, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
         )
@@ -161,7 +151,7 @@ def find_turn_points(
     parents: Int[np.ndarray, "vertices"],
     num_goals: int = 1,
 ) -> TurnPoints:
-    """Return where shortest paths to goals can turn first; ``parents``: the next vertex on the path from each."""
+    """Return where shortest paths to goals can turn first; ``parents[v]`` follows vertex ``v`` on its path."""
     vertex = num_goals + np.flatnonzero(np.isfinite(distances[num_goals:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points
@@ -180,17 +170,14 @@ def find_turn_points(
     return TurnPoints(vertex, points[useful], distances[vertex], normal[:, useful], vertices.slack)
 
 
-_PAIRS = 1 << 18  # pairs of a point and a turn point in memory at a time
-
-
 @dataclass(frozen=True, eq=False)
 class TurnRegions:
-    """The corners where paths from triangle ``t`` may turn first: ``turn[first[t] : first[t + 1]]`` of ``turns``."""
+    """The corners where paths to a goal may turn first, listed for each triangle of free space."""
 
     turns: TurnPoints
     triangulation: Triangulation
     first: Int[np.ndarray, "triangles_plus_one"]
-    turn: Int[np.ndarray, "entries"]
+    turn: Int[np.ndarray, "entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
@@ -213,7 +200,7 @@ class TurnRegions:
 
 
 def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]) -> TriangleLists:
-    """List the viewpoints of each triangle, given pairs (viewpoint, triangle) in any order, some repeated."""
+    """List the viewpoints of each triangle, given pairs (viewpoint, triangle) of which some may be equal."""
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
     triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
@@ -223,7 +210,7 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-    """Return points not at vertices, and the one or two triangles of each: ``triangle[first[i] : first[i + 1]]``."""
+    """Return the points that are not vertices, and the one or two triangles of each, as (points, first, triangle)."""
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     held = num_sides < 2

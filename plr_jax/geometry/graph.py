@@ -16,15 +16,16 @@ if TYPE_CHECKING:
     import networkx
 
 _CHUNK = 1 << 18  # lengths computed at a time
+# A visibility test of points and candidates for the first vertex of a path from each, both by index.
+Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
+FirstVisible: TypeAlias = tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]  # candidates, -1 for none; path lengths
 
 
 @dataclass(frozen=True, eq=False)
 class Graph:
-    """An undirected graph of points, with each edge once; ``measure`` gives edge lengths, if not Euclidean."""
-
     vertices: Float[np.ndarray, "v dim"]
-    edges: Int[np.ndarray, "e 2"]
-    measure: Callable[[Points, Points], Float[np.ndarray, "e"]] | None = None
+    edges: Int[np.ndarray, "e 2"]  # each edge once
+    measure: Callable[[Points, Points], Float[np.ndarray, "e"]] | None = None  # lengths of edges; None: Euclidean
 
     @cached_property
     def lengths(self) -> Float[np.ndarray, "e"]:
@@ -55,8 +56,7 @@ def dijkstra(
 ) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
     """Return each vertex's distance from the nearest source (``inf``: no path), and predecessor (negative: none)."""
     several = np.ndim(source) > 0
-    found = sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True, min_only=several)
-    return found[0], found[1]
+    return sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True, min_only=several)[:2]
 
 
 def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.ndarray, "dim"], vertex: int) -> Points:
@@ -68,19 +68,13 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.nd
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
-# A visibility test of points and candidates for the first vertex of a path from each, both by index.
-Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-FirstVisible: TypeAlias = tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]  # candidates, -1 for none; path lengths
-
-
 def first_visible(
     lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Return, for each point, the ``count`` visible candidates of least path length, and these lengths.
+    """Return, for each point, the ``count`` visible candidates of least path length (else -1), and their lengths.
 
     ``lengths`` are modified in place. NaN means no candidate, ``inf`` a candidate that leads nowhere. The first round
-    tests ``at_once`` candidates of each point, each later round ``2 * at_once`` times more; use 1 if tests are
-    expensive. Where a point sees fewer than ``count``, candidates are -1 and lengths ``inf``.
+    tests ``at_once`` candidates of each point, each later one ``2 * at_once`` times more; use 1 for expensive tests.
     """
     found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
     pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
@@ -110,7 +104,7 @@ def first_visible(
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Apply :func:`first_visible` to slices of points, to save memory; ``lengths(rows)`` are those of a slice."""
+    """Apply :func:`first_visible` to slices of points, to save memory; ``lengths(rows)`` returns those of a slice."""
     found, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
     for begin in range(0, n, step):
@@ -124,9 +118,9 @@ def first_visible_in_parts(
 def first_visible_ragged(
     lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
 ) -> FirstVisible:
-    """Return each point's visible candidate of least path length, as an index of ``lengths``, and its length.
+    """Return, for each point, the index in ``lengths`` of its visible candidate of least path length, and the length.
 
-    ``lengths`` through each point's ``counts`` candidates, in order, are modified in place. ``sees`` tests indices.
+    ``lengths``, modified in place, lists the first point's ``counts[0]`` candidates, then those of the next point.
     """
     found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)

@@ -16,19 +16,22 @@ from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, round
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
 
 # Pixel ``(row, column)`` is the square ``[column, column + 1] x [row, row + 1]``. Free pixels are 4-connected, others
-# 8-connected, and everything outside the grid is blocked. Horizontal and vertical runs alternate along an outline, so
-# every vertex is a corner.
+# 8-connected, and everything outside the grid is blocked.
 _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
+_LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
+_ALL_AROUND = np.ones((3, 3), dtype=bool)
+CLEARANCE = 0.25  # pixels that links without a common end keep from one another
+Indices: TypeAlias = Int[np.ndarray, "m"]
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True, eq=False)
 class PixelRings:
-    """Outlines of pixels as closed rings of corners ``(x, y)``, free pixels on the left."""
+    """Outlines of pixels as closed rings of corners, free pixels on the left."""
 
-    points: Float[np.ndarray, "n 2"]  # ring r is points[start[r] : start[r + 1]]
+    points: Float[np.ndarray, "n 2"]  # corners of ring r: points[start[r] : start[r + 1]]
     start: Int[np.ndarray, "rings_and_1"]
-    is_contact: Bool[np.ndarray, "n"]  # free pixels touch only diagonally; two rings meet there, or one ring twice
+    is_contact: Bool[np.ndarray, "n"]  # whether two rings meet at a corner, or one ring twice, between free pixels
 
 
 def pixel_rings(free: Mask) -> PixelRings:
@@ -75,28 +78,20 @@ def pixel_rings(free: Mask) -> PixelRings:
     return PixelRings(np.stack([x, y], axis=1)[order].astype(float), start, is_contact[order])
 
 
-# A simplified outline is a chain of links (segments) between *stations* of the exact one: its corners, and the
-# middles of the steps of staircases, through which inclined walls are drawn. Each link and the stretch of outline
-# that it replaces are within the tolerance of one another. The longest possible links are taken greedily. Links
-# that come near others or surround another ring are undone: the outline stays exact there, so connectivity is
-# preserved. See Imai and Iri, "Polygonal approximations of a curve", 1988; for the longest link from a point, by
-# wedges of directions, Sklansky and Gonzalez, Pattern Recognition 12, 1980.
-CLEARANCE = 0.25  # pixels that links without a common end keep from one another
-Indices: TypeAlias = Int[np.ndarray, "m"]
-
-
 @dataclass(frozen=True, eq=False)
 class _Stations:
-    """Possible ends of the links of simplified rings: corners, middles of steps, and the first corner again."""
-
-    points: Float[np.ndarray, "n 2"]
-    ring: Int[np.ndarray, "n"]
+    points: Float[np.ndarray, "n 2"]  # corners and some middles of edges of outlines
+    ring: Int[np.ndarray, "n"]  # the outline of each point; its first corner is repeated as its last point
     is_corner: Bool[np.ndarray, "n"]
-    end: Int[np.ndarray, "n"]  # the next station that a link must not pass: a contact, or the last one of the ring
+    end: Int[np.ndarray, "n"]  # the next point that a segment must not pass: a contact, or the last one of the ring
 
 
 def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
-    """Simplify outlines: straight segments replace stretches that stay within ``tolerance`` pixels of them."""
+    """Replace stretches of outlines by straight segments that stay within ``tolerance`` pixels of them."""
+    # A simplified outline is a chain of *links*, segments between *stations* of the exact outline: its corners, and
+    # the middles of the steps of staircases, through which inclined walls are drawn. The longest possible links are
+    # taken greedily (Imai and Iri, "Polygonal approximations of a curve", 1988). Links that come near others or
+    # surround another ring are undone, so connectivity is preserved.
     if tolerance == 0 or not len(outlines.points):
         return outlines
     stations, is_contact = _stations_of(outlines)
@@ -118,7 +113,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
-    """Return the stations of outlines, and which of them are contacts; a ring with contacts starts at its first."""
+    """Return the possible vertices of simplified outlines, and whether two outlines, or one twice, meet at each."""
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
     ring, place = ragged_indices(size)
     shift = np.zeros(num_rings, dtype=int)
@@ -126,7 +121,6 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
     shift[ring[contacts]] = place[contacts]
     corner = outlines.start[ring] + (place + shift[ring]) % size[ring]
     following = outlines.start[ring] + (place + 1 + shift[ring]) % size[ring]
-
     at = 2 * np.arange(len(ring)) + ring
     first, last = at[outlines.start[:-1]], at[outlines.start[1:] - 1] + 2
     source = np.empty(2 * len(ring) + num_rings, dtype=int)
@@ -136,7 +130,6 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
     is_corner = np.ones(len(source), dtype=bool)
     is_corner[at + 1] = False
     is_contact = outlines.is_contact[source] & is_corner
-
     is_end = is_contact.copy()
     is_end[first], is_end[last] = False, True
     ends = np.flatnonzero(is_end)
@@ -155,11 +148,9 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
-    """Return the farthest station ahead to which a straight link from each may go, near all corners between.
-
-    The corners passed narrow the directions of a link to a wedge around the first corner beyond the tolerance. A link
-    must also be as long as the distance of the farthest of these corners.
-    """
+    """Return the farthest point ahead to which a segment from each point of an outline may replace the outline."""
+    # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
+    # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
     points, farthest = stations.points, np.minimum(np.arange(len(stations.points)) + 1, stations.end)
     begin = np.flatnonzero(stations.end > np.arange(len(points)))
     axis, least, most, length = np.zeros((4, len(begin)))
@@ -174,7 +165,6 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
         turn = (angle - axis + np.pi) % (2 * np.pi) - np.pi
         fits = (is_open | ((least <= turn) & (turn <= most))) & (length <= distance)
         farthest[begin[fits]] = at[fits]
-
         is_corner = stations.is_corner[at]
         narrows = is_corner & (distance > tolerance)
         axis = np.where(narrows & is_open, angle, axis)
@@ -195,7 +185,7 @@ def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Indices
 
 
 def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float | int) -> Bool[np.ndarray, "m"]:
-    """Return which links leave the exact outline and come near another link, or cut off another ring."""
+    """Return which segments of simplified outlines come too near another segment or cut off another outline."""
     first, last = _links(stations, is_kept)
     num_corners = np.append(0, np.cumsum(stations.is_corner))
     is_inexact = num_corners[last] > num_corners[first + 1]
@@ -206,7 +196,7 @@ def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: fl
 
 
 def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
-    """Return which segments come within ``CLEARANCE`` pixels of another one; common ends alone do not count."""
+    """Return which segments come within ``CLEARANCE`` pixels of another one elsewhere than at a common end."""
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
     a, b = a[a < b], b[a < b]
@@ -222,7 +212,7 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
 
 
 def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, "m"]:
-    """Return which links have another ring between themselves and the outline that they replace."""
+    """Return which segments, from points ``first`` to ``last``, have another outline between them and their own."""
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
@@ -230,10 +220,6 @@ def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.
     point, link = shapely.STRtree(between).query(points, predicate="within")
     other = stations.ring[firsts[point]] != stations.ring[first[link]]
     return np.isin(np.arange(len(first)), link[other])
-
-
-_ALL_AROUND = np.ones((3, 3), dtype=bool)
-_LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
 
 
 def placed_region(
@@ -260,7 +246,8 @@ def placed_region(
 
 
 def rounded_one_by_one(region: Any, grid: float) -> Any:
-    """Round each vertex of pixels' outlines to a grid; no edges meet, since they keep a quarter of a pixel apart."""
+    """Round each vertex of a region of pixels to a multiple of ``grid``, much smaller than a pixel."""
+    # No edges meet, since they are a quarter of a pixel apart.
     return shapely.transform(region, lambda points: np.floor(points / grid + 0.5) * grid)
 
 
@@ -292,7 +279,7 @@ def as_mask(free: ArrayLike) -> Mask:
 
 
 def region_of_mask(free: Mask, tolerance: float | int) -> Any:
-    """Return the simplified free pixels as a Shapely MultiPolygon, in units of pixels, the first row lowest."""
+    """Return free pixels as a Shapely MultiPolygon with simplified outlines, in units of pixels."""
     outlines = pixel_rings(free)
     # Find the component of free pixels on the left of each ring.
     begin = outlines.points[outlines.start[:-1]].astype(int)
@@ -313,7 +300,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
 
 
 def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
-    """Remove blocked, then free components of at most ``num_pixels`` pixels; return grid and component count."""
+    """Remove blocked, then free components of at most ``num_pixels`` pixels; also return how many were removed."""
     count = 0
     for value, structure in ((False, _ALL_AROUND), (True, None)):
         label = _labels(free == value, structure)
@@ -331,7 +318,7 @@ def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> I
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
-    """Return the rings as Shapely rings, split where a ring touches itself, and the original ring of each."""
+    """Split rings where they touch themselves; return Shapely rings, and the index of the original ring of each."""
     order, ring = np.arange(len(rings.points)), np.repeat(np.arange(len(rings.start) - 1), np.diff(rings.start))
     loop = ring.copy()
     num_loops = len(rings.start) - 1
@@ -349,7 +336,7 @@ def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
 
 
 def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, "n"]) -> list[list[int]]:
-    """Split a ring where it returns to a contact, a corner at which two free pixels touch; return indices by loop."""
+    """Split a ring where it returns to a corner at which two free pixels touch; return indices of points by loop."""
     loops, path, place = [], [], {}
     for i, (point, meets) in enumerate(zip(map(tuple, points.tolist()), is_contact.tolist(), strict=True)):
         if meets and point in place:

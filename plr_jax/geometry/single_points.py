@@ -1,8 +1,7 @@
 """Location and visibility of single points, in plain Python.
 
-A call of NumPy takes about a microsecond, however short the arrays are. So a query of one point is ten times faster
-in Python floats. The arithmetic is that of batches, and where rounding could matter, the functions for batches
-decide. So the results are equal to the bit.
+A query of one point is ten times faster in Python floats than in NumPy. The arithmetic is that of batches, and where
+rounding could matter, the functions for batches decide. So results are equal to the bit.
 """
 
 from bisect import bisect_right
@@ -16,22 +15,20 @@ from plr_jax.geometry.corners import CornerVisibility
 from plr_jax.geometry.triangulation import Triangulation
 from plr_jax.geometry.visibility import VisibilityTable
 
-# Largest batch that is answered point by point. On the maze and den520d, 32 points take 0.3 and 0.3 ms one by one,
-# and 0.5 and 0.8 ms as a batch; 32 pairs 0.9 and 2.8 ms, and 1.9 and 5.6 ms as a batch.
-FEW = 32
+FEW = 32  # largest batch that is answered point by point: on the maze and den520d, then half as long as a batch
 _NEAR = 4  # tolerances. Farther from all vertices of its triangles, rounding cannot change what a segment crosses.
 
 
 class Place(NamedTuple):
-    """A point rounded to the grid, its triangle, and the triangle across the side it lies on, else its own again."""
+    """A point of free space, rounded to the workspace's grid, and the triangles that contain the point."""
 
     x: float
     y: float
     triangle: int
-    beyond: int
+    beyond: int  # the triangle across a side if the point lies on that side, else `triangle`
 
     def take(self, first: Int[np.ndarray, "_"], entries: Int[np.ndarray, "_"]) -> Int[np.ndarray, "_"]:
-        """Return ``entries[first[t] : first[t + 1]]`` of the place's triangles ``t``."""
+        """Return the entries ``first[t]`` to ``first[t + 1]`` of the triangles ``t`` that contain the point."""
         own = entries[first[self.triangle] : first[self.triangle + 1]]
         if self.beyond == self.triangle:
             return own
@@ -48,7 +45,7 @@ class PointLocator:
         self._grid, self._tolerance = triangulation.grid, triangulation.tolerance
 
     def place(self, x: float, y: float) -> Place | None:
-        """Locate a point. None (batch functions decide) outside free space, or close to two sides of a triangle."""
+        """Locate a point; return None outside free space and close to two sides of a triangle."""
         across, along = (x - self._x0) / self._width, (y - self._y0) / self._height
         if not (0 <= across < self._columns and 0 <= along < self._rows):
             return None
@@ -81,7 +78,7 @@ class PointLocator:
         return Place(x, y, triangle, beyond if side == 0 else triangle)
 
     def is_free_segment(self, start: Place, end: Place) -> bool | None:
-        """Return whether a segment is free. None (the batch functions decide) if its line passes near a vertex."""
+        """Return whether a segment is free; None if it passes too near a vertex to tell."""
         if start.triangle == end.triangle:
             return True
         corners, x, y, dx, dy = self._corners, start.x, start.y, end.x - start.x, end.y - start.y
@@ -142,6 +139,6 @@ class CornerSight(PointSight):
 
 
 def _flat(values: Shaped[np.ndarray, "..."]) -> memoryview:
-    """Return the entries of an array in one row, as a view from which Python reads numbers faster."""
+    # Python reads numbers faster from this view than from an array.
     flat: Any = np.ascontiguousarray(values).reshape(-1)
     return memoryview(flat)

@@ -20,6 +20,10 @@ from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
 Triangles: TypeAlias = Int[np.ndarray, "triangles 3"]
 HalfEdges: TypeAlias = Int[np.ndarray, "half_edges"]
+_FEW = 4  # up to so many points, searching all triangles is faster than building a locator
+_MOST_STEPS = 100  # limit of the walk from triangle to triangle; one or two steps are usual
+_STEPS_INSIDE = 0, 1, 2, 4  # grid spacings by which a point on a wall is moved inside until a triangle contains it
+_BITS = 46  # bits of integer coordinates: they resolve the grid to which a workspace rounds
 # ``(first, entries)``: the entries of triangle ``t`` are ``entries[first[t] : first[t + 1]]``.
 TriangleLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]
 
@@ -33,9 +37,7 @@ class Locator:
     shape: tuple[int, int]
     first: Int[np.ndarray, "cells_plus_one"]
     triangle: Int[np.ndarray, "entries"]
-    lines: Float[
-        np.ndarray, "triangles 3 3"
-    ]  # of sides: inward unit normal, and its scalar product with their points
+    lines: Float[np.ndarray, "triangles 3 3"]  # inward unit normal of each side, and distance of its line from 0
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
         """Return each point's triangle, or one nearby (-1: none), and the signed distance to its nearest side."""
@@ -56,19 +58,11 @@ class Locator:
         return found, best
 
 
-_FEW = 4  # up to so many points, searching all triangles is faster than building a locator
-_MOST_STEPS = 100  # limit of the walk from triangle to triangle; one or two steps are usual
-_STEPS_INSIDE = 0, 1, 2, 4  # grid spacings by which a point on a wall is moved inside until a triangle contains it
-_BITS = 46  # bits of integer coordinates: they resolve the grid to which a workspace rounds
-
-
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
-    """Rounded points, a triangle that contains each, and on which edges of that triangle the point lies."""
-
-    x: Float[np.ndarray, "n 2"]
-    triangle: Int[np.ndarray, "n"]
-    on_side: Bool[np.ndarray, "n 3"]
+    x: Float[np.ndarray, "n 2"]  # rounded to the grid
+    triangle: Int[np.ndarray, "n"]  # that contains each point
+    on_side: Bool[np.ndarray, "n 3"]  # whether the point lies on each side of its triangle
 
     def __getitem__(self, rows: Int[np.ndarray, "some"] | Bool[np.ndarray, "n"] | slice) -> "LocatedPoints":
         return LocatedPoints(self.x[rows], self.triangle[rows], self.on_side[rows])
@@ -100,8 +94,8 @@ class Triangulation:
         width = (hi - lo) / count
         corner = lo + width * np.stack(np.meshgrid(*map(np.arange, count), indexing="ij"), axis=-1).reshape(-1, 2)
         cells: Any = shapely.box(*(corner - self.tolerance).T, *(corner + width + self.tolerance).T)
-        polygons: Any = shapely.polygons(triangles)
-        cell, triangle = shapely.STRtree(polygons).query(cells, predicate="intersects")
+        tree = shapely.STRtree(np.asarray(shapely.polygons(triangles)))
+        cell, triangle = tree.query(cells, predicate="intersects")
         order = np.argsort(cell, kind="stable")
         first = np.searchsorted(cell[order], np.arange(len(cells) + 1))
         normal = left_normal(np.roll(triangles, -1, axis=1) - triangles)
@@ -111,13 +105,8 @@ class Triangulation:
         return Locator(lo, width, shape, first, triangle[order].astype(np.int32), lines)
 
     @cached_property
-    def is_contact(self) -> Bool[np.ndarray, "triangles 3"]:
-        """Whether the region touches itself at each corner of the triangles."""
-        return np.isin(self.origin, self.boundary.contacts).reshape(-1, 3)
-
-    @cached_property
     def grid(self) -> float:
-        """Grid spacing: vertices, and points before they are located, are rounded to multiples of it."""
+        """Spacing of the grid to which vertices are rounded, as are points before they are located."""
         return grid_at(self.tolerance)
 
     def on_grid(self, x: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
@@ -128,7 +117,7 @@ class Triangulation:
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
         """Return the triangle of each grid point, and 1, 0 or -1 if the point is inside, on or outside each side.
 
-        The exact search starts at ``triangle``, if given. Points outside the region get a nearby one.
+        The exact search starts at ``triangle``, if given. A point outside the region gets a nearby triangle.
         """
         turn, pending = np.ones((len(x), 3)), np.arange(len(x))
         if triangle is not None:
@@ -158,7 +147,7 @@ class Triangulation:
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to the grid and locate them; points outside the region move onto the nearest wall.
 
-        A point within tolerance of a vertex where the region touches itself moves there, on all its triangle's sides.
+        Points near a vertex where the region touches itself move there, and count as on all sides of their triangle.
         """
         boundary, given, x = self.boundary, x, self.on_grid(x)
         triangle, turn = self.locate(x)
@@ -180,7 +169,7 @@ class Triangulation:
                 x[now], triangle[now], turn[now] = place[inside], in_triangle[inside], turns[inside]
         if len(boundary.contacts):
             away = np.linalg.norm(self.triangles[triangle] - given[:, None], axis=2)
-            away[~self.is_contact[triangle]] = np.inf
+            away[~np.isin(self.origin.reshape(-1, 3)[triangle], boundary.contacts)] = np.inf
             near = np.flatnonzero(away.min(axis=1) <= self.tolerance)
             x[near], turn[near] = self.triangles[triangle[near], away[near].argmin(axis=1)], 0.0
         return LocatedPoints(x, triangle, turn == 0)
@@ -188,7 +177,10 @@ class Triangulation:
     def are_joined(
         self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
     ) -> Bool[np.ndarray, "n"]:
-        """Return whether free paths near segments join pairs of points, if ``squeeze`` also through contacts."""
+        """Return whether a free path within ``tolerance`` of the segment from each ``a`` to ``b`` joins the two.
+
+        The path may pass a vertex where the region touches itself only if ``squeeze``, or if it begins or ends there.
+        """
         # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts.
         lines: Any = shapely.linestrings
         num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), lines(np.stack([a.x, b.x], axis=1))
@@ -238,8 +230,8 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     (x0, y0), (x1, y1) = lo - (hi - lo).max(), hi + (hi - lo).max()
     vertices = np.concatenate([boundary.vertices, [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]])
     # 2. Compute the Delaunay triangulation of the vertices, with counterclockwise triangles.
-    parts: Any = shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(vertices)))
-    corners = shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]
+    triangles = shapely.delaunay_triangles(shapely.multipoints(vertices))
+    corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     clockwise = u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]
     corners[clockwise] = corners[clockwise, ::-1]

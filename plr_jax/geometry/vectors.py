@@ -5,9 +5,12 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+_SPLIT = 2.0**27 + 1  # Dekker's constant, which splits a double into two halves of 26 bits
+_DOUBT = 2.0**-50  # relative rounding error of a difference of two products, with a margin
 Scalars: TypeAlias = Float[np.ndarray, "*#batch"]
 Batch: TypeAlias = Float[np.ndarray, "*batch"]
 Vectors: TypeAlias = Float[np.ndarray, "*batch 2"]
+Vector: TypeAlias = Float[np.ndarray, "2"]
 
 
 def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batch 2"]) -> Float[np.ndarray, "..."]:
@@ -15,12 +18,8 @@ def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#bat
     return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
 
 
-_SPLIT = 2.0**27 + 1  # Dekker's constant, which splits a double into two halves of 26 bits
-_DOUBT = 2.0**-50  # relative rounding error of a difference of two products, with a margin
-
-
 def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Batch:
-    """Return cross products, with exact signs for coordinates that are 45-bit integers times one power of two."""
+    """Return cross products; signs are exact if all coordinates are 45-bit integers times one power of two."""
     # Dekker, "A floating-point technique for extending the available precision" (1971).
     p, q = ux * vy, uy * vx
     result = np.asarray(p - q)
@@ -76,12 +75,7 @@ def turn_between(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batc
     return np.asarray(np.arctan2(cross_product(u, v), (u * v).sum(axis=-1)) % (2 * np.pi))
 
 
-def arc(
-    center: Float[np.ndarray, "2"],
-    start: Float[np.ndarray, "2"],
-    end: Float[np.ndarray, "2"],
-    num_chords: int | np.integer,
-) -> Float[np.ndarray, "points 2"]:
+def arc(center: Vector, start: Vector, end: Vector, num_chords: int | np.integer) -> Float[np.ndarray, "points 2"]:
     """Return the ends of equal chords of the counterclockwise arc between two offsets from a center."""
     angle = np.linspace(0.0, turn_between(start, end), num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)

@@ -21,7 +21,9 @@ from plr_jax.geometry.vectors import cross_product, orientation, pseudo_angle, t
 # leaves a triangle through an edge. If the edge is a wall, the cone ends there. Else the opposite corner of the next
 # triangle splits the cone in two, one for each exit edge, unless the corner lies outside the cone or on a bound.
 # Cones of many viewpoints advance together. The tests are exact, since vertices and viewpoints lie on a grid.
-_MOST = 1 << 18  # cones that advance at a time, which limits memory
+_MOST, _VIEWS = 1 << 18, 1 << 12  # cones that advance at a time, and viewpoints processed at a time
+_BLUR = 1e-14  # rounding error of a pseudo-angle, with a margin
+_NARROW = 1e-3  # radians: a gap between sectors must be wider to hold a cut
 Vectors: TypeAlias = Float[np.ndarray, "views 2"]
 Rays: TypeAlias = Float[np.ndarray, "2 n"]
 Indices: TypeAlias = Int[np.ndarray, "n"]
@@ -33,11 +35,11 @@ Visits: TypeAlias = Int[np.ndarray, "2 visits"]  # pairs (viewpoint, triangle)
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Points on the grid of vertices, and the sectors (ranges of directions) they look into, or all."""
+    """Points that look in all directions, or only into *sectors*, ranges of directions between two walls."""
 
     points: Vectors
     owner: Int[np.ndarray, "sectors"]  # the point to which each sector belongs: at the start of its edge, or inside
-    edge: Int[np.ndarray, "sectors"]  # the boundary edge at which each sector opens, counterclockwise
+    edge: Int[np.ndarray, "sectors"]  # the boundary edge at the right of each sector
 
     def __getitem__(self, rows: slice | Int[np.ndarray, "some"]) -> "Viewpoints":
         place = np.full(len(self.points), -1)
@@ -46,23 +48,23 @@ class Viewpoints:
         return Viewpoints(self.points[rows], place[self.owner[kept]], self.edge[kept])
 
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """Return a vector from the point along the wall at which each sector opens."""
+        """Return a vector along the wall at the right of each sector, from the point to which the sector belongs."""
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
 
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
         return boundary.vertices[self.closing(boundary)] - self.points[self.owner]
 
     def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, "sectors"]:
-        """Return whether the point of each sector is the first vertex of its edge."""
+        """Return whether each sector belongs to the start of its edge, not to a point inside of the edge."""
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
     def closing(self, boundary: Boundary) -> Int[np.ndarray, "sectors"]:
-        """Return the index of the far vertex of the wall at which each sector closes."""
+        """Return the vertex at the far end of the wall at the left of each sector."""
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 
 def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> Viewpoints:
-    """Return points of free space, rounded to the grid, as viewpoints; no two may be equal."""
+    """Return distinct points of free space, rounded to the grid, as viewpoints."""
     boundary, place = triangulation.boundary, triangulation.place(x)
     starts, points = (each @ [1, 1j] for each in (boundary.vertices[boundary.edges[:, 0]], place.x))
     owner = index_of(points, starts)
@@ -75,12 +77,10 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
-    """Cones of sight: viewpoint, half-edge at which it ends so far, vertex on its right bound, bounds as vectors."""
-
-    view: Indices
-    half_edge: Indices
-    vertex: Indices
-    right: Rays
+    view: Indices  # the viewpoint at each cone's apex
+    half_edge: Indices  # through which each cone leaves a triangle
+    vertex: Indices  # on the right bound
+    right: Rays  # vectors along the right bounds
     left: Rays
 
     def __len__(self) -> int:
@@ -96,9 +96,9 @@ class _Cones:
 
 
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
-    """Pair viewpoints with the triangles of which they see a part inside their cones; some pairs repeat.
+    """Pair viewpoints with the triangles of which they see a part within given directions; some pairs repeat.
 
-    ``right`` and ``left`` are unit vectors along a cone's bounds, at most half a turn apart; zero for all directions.
+    The directions reach from unit vectors ``right`` counterclockwise to ``left``, at most half a turn; all if zero.
     """
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
     # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
@@ -125,7 +125,7 @@ def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, "n"]:
 def _expansion(
     triangulation: Triangulation, views: Viewpoints, first: _Cones
 ) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    """Yield, step by step, cones that end at walls, vertices seen, and triangles visited."""
+    """Advance cones of sight through triangles; yield cones that end at walls, vertices seen, triangles visited."""
     pending = [first[begin : begin + _MOST] for begin in range(0, len(first), _MOST)]
     while pending:
         cones = pending.pop()
@@ -175,34 +175,26 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     return _Cones(view, half_edge, right, (vertices[right] - points).T, (vertices[left] - points).T)
 
 
-_VIEWS = 1 << 12  # viewpoints processed at a time
-_BLUR = 1e-14  # rounding error of a pseudo-angle, with a margin
-_NARROW = 1e-3  # radians: a gap between sectors must be wider to hold a cut
-
-
 @dataclass(frozen=True, eq=False)
 class VisibilityTable:
-    """Visibility polygons of viewpoints; rows ``first[v]`` to ``first[v + 1]`` belong to viewpoint ``v``."""
+    """The visibility polygons of viewpoints, as intervals of directions in which one boundary edge is nearest."""
 
     boundary: Boundary
     tolerance: float  # of the workspace; vertices, viewpoints and query points lie on its grid
     points: Vectors
     cut: Vectors  # unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured
-    first: Int[np.ndarray, "views+1"]
-    key: Float[np.ndarray, "rows"]  # 4 v plus the pseudo-angle at which the row's interval starts, ascending
-    edge: Int[np.ndarray, "rows"]  # nearest boundary edge in the interval; -1 where the viewpoint does not look
-    vertex: Int[np.ndarray, "rows"]  # in the direction at which the interval starts; -1 at the cut
+    first: Int[np.ndarray, "views+1"]  # intervals first[v] to first[v + 1] are those of viewpoint v
+    key: Float[np.ndarray, "intervals"]  # 4 v plus the pseudo-angle at which an interval starts, ascending
+    edge: Int[np.ndarray, "intervals"]  # nearest boundary edge; -1 where the viewpoint does not look
+    vertex: Int[np.ndarray, "intervals"]  # in the direction at which an interval starts; -1 at the cut
 
     @property
     def blur(self) -> float:
-        """Upper bound of the rounding error of keys."""
+        """Upper bound of the rounding errors of the pseudo-angles in ``key``."""
         return _BLUR + np.spacing(8.0 * len(self.points))
 
     def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, "n"]:
-        """Return whether viewpoint ``v[i]`` sees point ``x[i]`` of free space.
-
-        If the segment grazes several corners, the answer may be False; then the last of these sees the point.
-        """
+        """Return whether viewpoint ``v[i]`` sees point ``x[i]``; if corners are grazed, only the last of them may."""
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
         dx, dy = (x - self.points[v]).T
@@ -223,7 +215,7 @@ class VisibilityTable:
         return seen
 
     def _side_of_start(self, row: Indices, v: Indices, x: Points, key: Numbers) -> Numbers:
-        """Return on which side of an interval's start points lie: positive to its left, 0 on it, negative right."""
+        """Return whether points lie left of (positive), on, or right of (negative) the ray where intervals start."""
         inside = (row > self.first[v]) & (row < self.first[v + 1])
         side = np.where(row > self.first[v], -1.0, 1.0)
         side[inside] = key[inside] - self.key[row[inside]]
@@ -244,17 +236,15 @@ class VisibilityTable:
 
 
 def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
-    views = np.cumsum([0] + [len(table.points) for table in tables])
-    rows = np.cumsum([0] + [len(table.key) for table in tables])
-    first = [table.first[:-1] + begin for table, begin in zip(tables, rows, strict=False)]
-    key = [table.key + 4.0 * begin for table, begin in zip(tables, views, strict=False)]
-    points, cut, edge, vertex = concatenated(tables, "points", "cut", "edge", "vertex")
-    first, key = np.append(np.concatenate(first), rows[-1]), np.concatenate(key)
+    points, cut, key, edge, vertex = concatenated(tables, "points", "cut", "key", "edge", "vertex")
+    first = np.append(0, np.cumsum(np.concatenate([np.diff(table.first) for table in tables])))
+    views = np.cumsum([0] + [len(table.points) for table in tables[:-1]])
+    key += 4.0 * np.repeat(views, [len(table.key) for table in tables])
     return VisibilityTable(tables[0].boundary, tables[0].tolerance, points, cut, first, key, edge, vertex)
 
 
 def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
-    """Return the visibility polygons of viewpoints, and pairs of a viewpoint and a vertex it sees, some repeated."""
+    """Return visibility polygons, and all pairs of a viewpoint and a vertex that it sees, some repeated."""
     tables, seen, num_views = [], [], len(views.points)
     with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
         for begin in range(0, max(1, num_views), _VIEWS):
@@ -266,8 +256,7 @@ def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[Visi
 
 
 def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
-    # 1. Collect the cones that end at walls and the visible vertices. The corners of the triangles at a viewpoint are
-    #    visible, among them the vertex at which it lies.
+    # 1. Collect the cones that end at walls and the visible vertices, among them corners of triangles at viewpoints.
     boundary, each, cones = triangulation.boundary, np.arange(len(views.points)), _first_cones(triangulation, views)
     corners = triangulation.origin.reshape(-1, 3)[cones.half_edge // 3]
     ended, seen = [cones[:0]], [np.stack([np.repeat(cones.view, 3), corners.ravel()])]

@@ -27,14 +27,12 @@ Numbers = Int[np.ndarray, "dim n"]
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Voxels that fill a box; the read-only array ``free`` says which of them are free."""
-
-    free: Bool[np.ndarray, "..."]
+    free: Bool[np.ndarray, "..."]  # read-only
     bounds: Box
 
     @classmethod
     def of(cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = _AXES) -> "VoxelGrid":
-        """Check arguments and return the grid; ``bounds=None``: voxels have side 1, the first with a corner at 0."""
+        """Check arguments and return the grid; without bounds, voxels have side 1 and begin at the origin."""
         voxels = np.array(free, order="C")  # flat tables need this order
         if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
             number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
@@ -79,7 +77,7 @@ class VoxelGrid:
 
     @cached_property
     def padded(self) -> Bool[np.ndarray, "..."]:
-        """``free`` with a layer of blocked voxels around it, so that voxel numbers, which start at 1, are indices."""
+        """``free`` with a layer of blocked voxels around it; voxel numbers, which start at 1, are its indices."""
         return np.pad(self.free, 1)
 
     def numbers(self, x: Coordinates) -> tuple[Numbers, Numbers]:
@@ -123,7 +121,7 @@ class VoxelGrid:
         return first, last
 
     def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, "n"]:
-        """Return whether closed boxes meet an edge or corner around which faces do not connect all free voxels."""
+        """Return whether closed boxes meet an edge or corner where free voxels touch, but no faces connect them."""
         (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
         touches = np.zeros(lo.shape[1], bool)
         for across, contacts in self._contacts:
@@ -135,7 +133,7 @@ class VoxelGrid:
 
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
-        """Edges, corners and so on around which faces do not connect all free voxels, by the axes across them."""
+        """Edges and corners where free voxels touch, but no faces connect them, listed by the axes across them."""
         found, shape = [], self.padded.shape
         for num_across in range(2, self.dim + 1):
             is_parted = disconnected_sets(num_across)
@@ -177,7 +175,7 @@ class Sums:
 
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
-    """Extend each set ``live`` of the voxels around a point by all free ones that faces connect to it."""
+    """Extend each set ``live`` of voxels around a point by the free voxels that are connected to it through faces."""
     # The last axis is in the order of ``itertools.product((0, 1), repeat=dim)``.
     flat = live.shape
     shape = (-1, *[2] * (flat[1].bit_length() - 1))
@@ -191,8 +189,8 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
-    """Return whether faces do not connect each set of voxels around a point; bits of its index tell the members."""
-    num = 2**num_axes
+    """Return whether each set of the ``2**num_axes`` voxels around a point has parts that share no face."""
+    num = 2**num_axes  # bit i of a set's index says whether voxel i belongs to the set
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     one = np.zeros_like(free)
     one[np.arange(len(free)), free.argmax(axis=1)] = True

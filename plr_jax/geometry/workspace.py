@@ -44,15 +44,14 @@ _MANY_EDGES = 1000  # with more edges, a tree finds the nearest one faster than 
 class Workspace:
     """Bounds and polygonal obstacles in the plane.
 
-    Free space is closed: it includes the boundary of obstacles and the bounds, and points within ``tolerance`` of
-    them. Such a point is treated as the nearest point of free space; if it is within ``tolerance`` of a point where
-    obstacles touch, as that point, on both of its sides.
+    Free space is closed: it includes the boundary of obstacles and the bounds. Points up to ``tolerance`` outside of
+    free space count as free, and are treated as the nearest point of free space. A point within ``tolerance`` of a
+    point where obstacles touch is treated as the latter, which lies on both sides of the contact.
 
-    Obstacles may overlap, touch, and leave the bounds; together they cover the interior of their union. Coordinates
-    are rounded to a grid of a thousandth of ``tolerance``, so that walls that touch up to rounding do touch. Walls
-    and gaps thinner than a hundredth of ``tolerance`` vanish. Where several meet, those thinner than half of it may
-    vanish; far from the origin, those thinner than twice the tolerance. Distances, sight and proofs are those of
-    ``free_space``, where they have vanished.
+    Obstacles may overlap, touch, and leave the bounds; the interior of their union is blocked. Coordinates are
+    rounded to a grid of a thousandth of ``tolerance``, so that walls that touch up to rounding do touch. Walls and
+    gaps thinner than a hundredth of ``tolerance`` vanish from ``free_space``, on which all distances and proofs are
+    based. Where several meet, any thinner than half of ``tolerance`` may vanish; far from the origin, than twice.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -90,15 +89,11 @@ class Workspace:
             bounds, obstacles = as_bounds(bounds), as_polygons("Obstacle", obstacles)
             box, *merged = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *obstacles], 8 * grid_of(bounds))
             region = region_of(shapely.difference(box, shapely.union_all(merged)), bounds)
-        set_fields(self, bounds=bounds, obstacles=tuple(obstacles), squeeze=squeeze, free_space=region.polygon)
-        set_fields(self, boundary=region.boundary, _is_in_place=region.is_in_place)
-        self._prepare()
+        set_fields(self, bounds=bounds, obstacles=tuple(obstacles), squeeze=squeeze, boundary=region.boundary)
+        self.__setstate__({"free_space": region.polygon, "_is_in_place": region.is_in_place})
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         set_fields(self, **state)
-        self._prepare()
-
-    def _prepare(self) -> None:
         # GEOS builds an index in the first query, which must not happen in two threads at a time.
         shapely.prepare(self.free_space)
         shapely.intersects_xy(self.free_space, *self.bounds.lo)
@@ -165,8 +160,11 @@ class Workspace:
 
     @property
     def tolerance(self) -> float:
-        """Distance from free space up to which points are free: 1e-9 of the longer side; more far from the origin."""
-        return 1e3 * rounding_of(self.bounds)  # at least 1e-12 of the largest coordinate
+        """Distance from free space up to which points count as free, in workspace units.
+
+        It is 1e-9 of the bounds' longer side, or 1e-12 of the largest coordinate if that is more.
+        """
+        return 1e3 * rounding_of(self.bounds)
 
     @cached_property
     def triangulation(self) -> Triangulation:
@@ -179,7 +177,7 @@ class Workspace:
         return "triangulation" in self.__dict__
 
     def use_triangulation(self, triangulation: Triangulation) -> None:
-        """Set ``triangulation``, if it was derived from that of the workspace before a change of the map."""
+        """Set ``triangulation`` to a known one instead of computing it; the triangles must fill free space."""
         set_fields(self, triangulation=triangulation)
 
     def _grown(self, tolerance: float) -> Any:
@@ -248,8 +246,7 @@ class Workspace:
         moving = np.flatnonzero(visible & (a != b).any(axis=1))
         segments: Any = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
         visible[moving] = shapely.covers(self._grown(2 * tolerance), segments)
-        # Grown free space lacks thin walls and opens contacts: test segments exactly that leave free space or come
-        # near a contact.
+        # Grown free space lacks thin walls and opens contacts: test some segments exactly.
         kept = visible[moving]
         moving, segments = moving[kept], segments[kept]
         own = prepared_geometry(self, "free", lambda: shapely.transform(self.free_space, np.copy))

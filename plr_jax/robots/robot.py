@@ -100,8 +100,7 @@ def team_dof(robots: Sequence[Robot]) -> int:
 def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
     """Return the signed turns, the shorter way, from headings ``theta0`` to ``theta1``; counterclockwise is positive.
 
-    All code takes the direction of a turn from here. Half a turn, or up to 1e-10 of a full turn more, is
-    counterclockwise, so that rounded or wrapped headings keep their direction.
+    Half a turn, or up to 1e-10 of a full turn more, counts as counterclockwise, whatever the rounding of headings.
     """
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * (turns - np.ceil(turns - _HALF_TURN))
@@ -123,11 +122,7 @@ def between(
 
 
 def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return the path's rows before and after times ``when``, and the share of the motion between that is done.
-
-    Times are clipped to the nondecreasing ``times`` of rows. The share is 0 at a row (of equal times, the last), 1 at
-    the end.
-    """
+    """Return a path's rows before and after given times, and the share of the motion between that is done then."""
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
     row = np.minimum(np.searchsorted(times, when, side="right") - 1, max(last - 1, 0))
@@ -145,7 +140,7 @@ def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, 
 
 
 def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
-    """Return the robot's core (without its rounding) at a configuration, as a Shapely geometry."""
+    """Return the core of a robot at a configuration, without the radius around it, as a Shapely geometry."""
     corners = placed(robot, robot.core, q)
     return (shapely.Point, shapely.LineString, shapely.Polygon)[min(len(corners), 3) - 1](corners)
 

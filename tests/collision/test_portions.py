@@ -54,7 +54,7 @@ def test_few_bodies_are_judged_at_a_time_however_long_they_are_in_doubt(corners,
     judged = []
 
     def undecided(a, b, reach):
-        judged.append(len(a.x) * (a.num_corners * b.num_corners if reach > 0 else a.num_corners + b.num_corners))
+        judged.append(len(a.x) * (corners * corners if reach > 0 else corners + corners))
         return np.zeros(len(a.x), dtype=bool), np.zeros(len(a.x), dtype=bool)
 
     q0, q1 = columns(3)

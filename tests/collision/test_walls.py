@@ -108,17 +108,3 @@ def test_a_bar_that_does_not_turn_by_the_hull_that_it_sweeps():
     hulls = shapely.convex_hull(shapely.multipoints(np.concatenate(ends, axis=1)))
     expected = shapely.covers(ROOM.free_space, hulls)
     np.testing.assert_array_equal(MotionTest(ROOM, BAR)(q0, q1), expected)
-
-
-@pytest.mark.parametrize(
-    ("robot", "q0", "q1", "message"),
-    [
-        (BAR, np.zeros((1, 2)), np.zeros((1, 2)), r"q0 must have shape \(n, 3\), got \(1, 2\)"),
-        (DISC, np.zeros((1, 4)), np.zeros((1, 4)), r"q0 must have shape \(n, 2\)"),
-        (DISC, np.zeros((1, 2)), np.full((1, 2), np.nan), "q1 must be finite"),
-        (DISC, np.array([[np.inf, 0]]), np.zeros((1, 2)), "q0 must be finite"),
-    ],
-)
-def test_what_is_no_motion_is_refused(robot, q0, q1, message):
-    with pytest.raises(ValueError, match=message):
-        MotionTest(ROOM, robot)(q0, q1)

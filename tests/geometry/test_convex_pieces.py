@@ -11,7 +11,6 @@ from plr_jax.geometry.convex_pieces import (
     clip_to_boxes,
     cone_above_plane,
     contain,
-    cut_parts,
     difference_of_cones,
 )
 
@@ -68,25 +67,6 @@ def test_what_a_box_leaves_is_what_shapely_leaves(seed):
     exact = shapely.intersection(polygons(pieces), shapely.box(*lo, *hi))
     assert (areas(cut) > 0).all()
     check_left(cut[:, areas(cut) > 1e-9], exact[shapely.area(exact) > 1e-9])
-
-
-@given(SEEDS)
-def test_parts_of_cells_have_what_shapely_leaves_of_the_cells_pieces(seed):
-    rng = np.random.default_rng(seed)
-    pieces = random_pieces(rng, 12)
-    first = np.array([0, 5, 5, 12])  # three cells, one without pieces
-    parent, axis, is_upper = rng.integers(3, size=6), rng.integers(2, size=6), rng.random(6) < 0.5
-    ends, bound = np.array([np.full((6, 2), -50.0), np.full((6, 2), 50.0)]), rng.uniform(0, 10, 6)
-    ends[np.where(is_upper, 0, 1), np.arange(6), axis] = bound
-    found, part, piece, is_cut = cut_parts(pieces, first, parent, axis, is_upper, *ends)
-    assert (np.diff(part) >= 0).all()
-    np.testing.assert_array_equal(np.searchsorted(first, piece, side="right") - 1, parent[part])
-    np.testing.assert_array_equal(found[:, ~is_cut], pieces[:, piece[~is_cut]])
-    left = np.zeros((6, 12))
-    left[part, piece] = areas(found)
-    exact = shapely.area(shapely.intersection(polygons(pieces), shapely.box(*ends[0].T, *ends[1].T)[:, None]))
-    exact[np.repeat(np.arange(3), np.diff(first)) != parent[:, None]] = 0
-    np.testing.assert_allclose(left, exact, atol=1e-9)
 
 
 # --- cones -----------------------------------------------------------------------------------------------
