@@ -19,6 +19,7 @@ from plr_jax.plr.sampling import Sampler
 from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree
 
 Coefficients: TypeAlias = Float[np.ndarray, "n terms"]
+Parameters: TypeAlias = Float[np.ndarray, "n count"]
 
 
 class Rules(NamedTuple):
@@ -64,9 +65,7 @@ class LeafModel(ABC):
         """Return the value of each leaf's function at one point, for finite coefficients."""
 
     @abstractmethod
-    def leaf_parameters(
-        self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner
-    ) -> Float[np.ndarray, "n count"]:
+    def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
         """Return the numbers that a query reads for each leaf, for coordinates relative to ``corner``."""
 
     @abstractmethod

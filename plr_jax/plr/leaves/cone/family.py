@@ -26,7 +26,7 @@ from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, LeafOptions, change_sources, query_resolution
-from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree, tree_of_axes
+from plr_jax.plr.tree import Cells, Tree, leaf_order, tree_of_axes
 
 _LEAST_HALVINGS, _MOST_HALVINGS = 7, 9  # of the grid of samples, along each axis
 _SAMPLES_A_LEAF = 16  # least number of samples for each expected leaf
@@ -238,16 +238,14 @@ def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float,
                     both = halves[0] + halves[1]
                     cheaper = both < here
                     here[cheaper], axis_here[cheaper] = both[cheaper], axis
-    axes, leaves, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
+    axes, leaves, here = [], [], np.zeros(1, np.int64)
     while len(here):
         axis = choice[here].astype(np.int64)
-        is_leaf, depth = axis < 0, len(axes)
+        is_leaf = axis < 0
         axes.append(axis)
         leaves.append(here[is_leaf])
-        paths.append(path[is_leaf])
         here = lattice.child[axis[~is_leaf], here[~is_leaf]].ravel()
-        path = (path[~is_leaf, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
-    return SampledTree(axes, np.concatenate(leaves)[np.argsort(np.concatenate(paths))])
+    return SampledTree(axes, np.concatenate(leaves)[leaf_order(axes)])
 
 
 _ATTEMPTS, _FULL = 10, 0.985  # prices to try for one goal; used share of the limits at which a tree is large enough
@@ -316,14 +314,6 @@ def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], sh
     return LeafOptions(*map(np.concatenate, zip(*options, strict=True)))
 
 
-class FamilyTree(NamedTuple):
-    """A tree, the file form of its leaves, and each leaf's index in the oracle's ``sources``; -1 without a path."""
-
-    tree: Tree
-    stored: StoredCones
-    source: Int[np.ndarray, "leaves"]
-
-
 @dataclass(frozen=True, eq=False)
 class FamilyTask:
     """A builder of cone leaves for oracles of one family (goals of one workspace)."""
@@ -335,7 +325,7 @@ class FamilyTask:
     limits: Limits
     num_leaves: float
 
-    def __call__(self, oracle: FamilyFn) -> FamilyTree | None:
+    def __call__(self, oracle: FamilyFn) -> tuple[Tree, StoredCones, Int[np.ndarray, "leaves"]] | None:
         """Return the largest tree of cones within the limits for an oracle; None if no sample reaches its goal."""
         goal = goal_samples(oracle, self.shared)
         if (goal.source < 0).all():
@@ -352,7 +342,7 @@ class FamilyTask:
                 return files.num_bytes(source, self.limits) <= self.limits.max_bytes
 
             source = change_sources(source, options, float(total), float(most), has_room)
-        return FamilyTree(tree_of_axes(tree.axes, 2), files.stored(source), source)
+        return tree_of_axes(tree.axes, 2), files.stored(source), source
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:

@@ -8,7 +8,7 @@
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self, TypeAlias
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -17,11 +17,7 @@ from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
-from plr_jax.plr.best_partition import (
-    BoxLevel,
-    PricedTree,
-    PriceSearch,
-)
+from plr_jax.plr.best_partition import BoxLevel, PricedTree, PriceSearch
 from plr_jax.plr.cell_memory import distances_in_cells
 from plr_jax.plr.certificate import Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits
@@ -118,17 +114,12 @@ def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
     """Return each box's source if all of the box sees it and uses no other source, so the cone is exact; else -1."""
-    only, first = np.full(visible.num_cells, -1), visible.first_pair[visible.first_piece]
-    is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # one pair for each piece, or none
-    is_box = is_box[np.diff(first)[is_box] > 0]
-    if not len(is_box):
-        return only
-    of_pairs = np.stack([visible.source, -visible.source, visible.by_all])
-    smallest, largest, by_all = np.minimum.reduceat(of_pairs, first[:-1][np.diff(first) > 0], axis=1)
-    row = (np.cumsum(np.diff(first) > 0) - 1)[is_box]
-    alone = (smallest == -largest)[row] & (by_all[row] > 0)
-    only[is_box[alone]] = smallest[row[alone]]
-    return only
+    first = visible.first_pair[visible.first_piece]
+    count, own = np.diff(first), np.append(visible.source, -1)[first[:-1]]
+    agrees = visible.by_all & (visible.source == np.repeat(own, count))
+    num_agreeing = np.diff(np.append(0, np.cumsum(agrees))[first])
+    is_sole = (count > 0) & (count == np.diff(visible.first_piece)) & (count == num_agreeing)
+    return np.where(is_sole, own, -1)
 
 
 def option_errors(
@@ -159,24 +150,6 @@ LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the dom
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
 
 
-@dataclass(frozen=True, eq=False)
-class LeafBoxes:
-    """The leaves of a tree in order: each leaf's ``box``, an index in the level ``depth``, and source (-1: none)."""
-
-    source: Int[np.ndarray, "leaves"]
-    depth: Int[np.ndarray, "leaves"]
-    box: Int[np.ndarray, "leaves"]
-
-
-def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> tuple[Tree, LeafBoxes]:
-    """Return a tree in the canonical form of files, and its leaves in that order."""
-    found = tree_of(tree_of_axes(tree.axes, 2).leaves)
-    order = tree.order[found.order]
-    depth, box = np.repeat(np.arange(len(tree.leaves)), list(map(len, tree.leaves))), np.concatenate(tree.leaves)
-    source = np.concatenate([level.boxes.source[of] for level, of in zip(levels, tree.leaves, strict=False)])
-    return found, LeafBoxes(source[order], depth[order], box[order])
-
-
 class LeafOptions(NamedTuple):
     """The sources to choose from for leaves that do not entirely see their best source: pairs of leaf and source.
 
@@ -200,9 +173,12 @@ class LeafOptions(NamedTuple):
     area: Float[np.ndarray, "options"]
 
 
-def boxes_of_leaves(levels: list[BoxLevel], leaves: LeafBoxes) -> ConeBoxes:
-    first, *others = (level.boxes[leaves.box[leaves.depth == depth]] for depth, level in enumerate(levels))
-    return first.append(*others)[np.argsort(np.argsort(leaves.depth, kind="stable"))]
+def boxes_of_levels(levels: list[BoxLevel], number: Int[np.ndarray, "some"]) -> ConeBoxes:
+    """Return boxes by their numbers, which count boxes of the first level, then of the second, and so on."""
+    first = np.cumsum([0, *(len(level.key) for level in levels)])
+    depth = np.searchsorted(first, number, side="right") - 1
+    parts = [level.boxes[number[depth == each] - first[each]] for each, level in enumerate(levels)]
+    return parts[0].append(*parts[1:])[np.argsort(np.argsort(depth, kind="stable"))]
 
 
 def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
@@ -283,18 +259,6 @@ def change_sources(
 _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
 
-class ConeTree(NamedTuple):
-    """A tree, and its leaves in the order of its traversal: their file form, and their boxes."""
-
-    tree: Tree
-    stored: StoredCones
-    boxes: ConeBoxes
-
-
-Run: TypeAlias = Callable[[PricedTree, Callable[[PricedTree], PricedTree | None]], PricedTree]
-"""Function that repeats a step on a tree until the step returns None, and returns the last tree."""
-
-
 def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None]) -> PricedTree:
     """Repeat a step until it returns None, without a progress bar; interrupts (Ctrl-C) pass through."""
     while (larger := step(tree)) is not None:
@@ -302,21 +266,29 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
     return tree
 
 
-def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
+def best_cones_of_goal(
+    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Callable[..., PricedTree]
+) -> tuple[Tree, StoredCones, ConeBoxes]:
     """Find the best cone leaves for one goal, whose sources in the slightly enlarged domain are ``visible``."""
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
     levels = [BoxLevel.of(box, box.cells.hashes())]
     files = ConeFiles(visible.sources, domain)
 
-    def size(tree: PricedTree) -> int:
-        return files.num_bytes(tree_of_leaves(levels, tree)[1].source, limits) * (_ROOM + 1) // _ROOM
+    def in_order(priced: PricedTree) -> tuple[Tree, Int[np.ndarray, "leaves"]]:
+        tree = tree_of(tree_of_axes(priced.axes, 2).leaves)  # in the canonical form of files
+        first = np.cumsum([0, *(len(level.key) for level in levels)])
+        numbers = np.concatenate([begin + leaf for begin, leaf in zip(first, priced.leaves, strict=False)])
+        return tree, numbers[priced.order][tree.order]
 
-    search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
-    tree, leaves = tree_of_leaves(levels, run(search.first(), search.next))
+    def size(priced: PricedTree) -> int:
+        source = np.concatenate([level.boxes.source for level in levels])[in_order(priced)[1]]
+        return files.num_bytes(source, limits) * (_ROOM + 1) // _ROOM
 
     def fits(source: Int[np.ndarray, "leaves"]) -> bool:
         return files.num_bytes(source, limits) <= limits.max_bytes
 
-    boxes = boxes_of_leaves(levels, leaves)
-    return ConeTree(tree, files.stored(prefer_visible_sources(boxes, pattern, fits)), boxes)
+    search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
+    tree, numbers = in_order(run(search.first(), search.next))
+    boxes = boxes_of_levels(levels, numbers)
+    return tree, files.stored(prefer_visible_sources(boxes, pattern, fits)), boxes

@@ -22,9 +22,8 @@ from plr_jax.plr.leaves.cone.changed_leaves import ConeLeaves
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.leaves.cone.search import (
     ConeBoxes,
-    LeafBoxes,
     best_cones_of_goal,
-    boxes_of_leaves,
+    boxes_of_levels,
     fit_boxes,
     prefer_visible_sources,
     query_resolution,
@@ -115,10 +114,9 @@ def updated_cones(
     best = _best_tree_within_limits(search)
     if best is None:
         visible = oracle.cell_sources(grown_domain(leaves.domain))
-        found = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_quietly)
-        rebuilt = np.arange(len(found.boxes.cells))
-        unknown = LeafBounds(*np.zeros((2, len(rebuilt))))
-        return UpdatedCones(found.tree, found.stored, unknown, rebuilt, found.boxes.visible, None)
+        tree, stored, boxes = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_quietly)
+        unknown = LeafBounds(*np.zeros((2, len(boxes.cells))))
+        return UpdatedCones(tree, stored, unknown, np.arange(len(boxes.cells)), boxes.visible, None)
     new = search.files.stored(search.prefer_visible_sources(best, pattern))
     old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
     stays, rebuilt = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
@@ -224,14 +222,9 @@ class ConeSearch:
         return fit_boxes(domain, negligible, cells, visible)
 
     def visible(self, node: Int[np.ndarray, "some"]) -> CellSources:
-        first, parts = len(self.leaves.tree.child), [self.boxes(node[node < len(self.leaves.tree.child)]).visible]
-        places = [np.flatnonzero(node < first)]
-        for level in self.levels:
-            place = np.flatnonzero((node >= first) & (node < first + len(level.key)))
-            parts.append(level.boxes.visible.of_cells(node[place] - first))
-            places.append(place)
-            first += len(level.key)
-        return parts[0].append(*parts[1:]).of_cells(np.argsort(np.concatenate(places)))
+        number = node - len(self.leaves.tree.child)
+        old, new = self.boxes(node[number < 0]), boxes_of_levels(self.levels, number[number >= 0])
+        return old.visible.append(new.visible).of_cells(np.argsort(np.argsort(number >= 0, kind="stable")))
 
     def needs_no_refinement(self, price: float) -> bool:
         """Return whether more leaves would not pay: most leaves are kept, and few of these cost over the price."""
@@ -286,11 +279,8 @@ class ConeSearch:
 
     def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
         """Return each leaf's source (a corner or the goal); new leaves get one that they see, where possible."""
-        first = np.cumsum([len(self.leaves.tree.child), *(len(level.key) for level in self.levels)])
-        place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
-        leaf = found.leaves[place]
-        depth = np.searchsorted(first, leaf, side="right") - 1
-        leaves = LeafBoxes(source[place], depth, leaf - first[depth])
+        number, source = found.leaves - len(self.leaves.tree.child), self.source(found.leaves)
+        place = np.flatnonzero(number >= 0)
 
         def changed(of_new: Int[np.ndarray, "boxes"]) -> Int[np.ndarray, "leaves"]:
             sources = source.copy()
@@ -300,9 +290,9 @@ class ConeSearch:
         def fits(of_new: Int[np.ndarray, "boxes"]) -> bool:
             return self.files.num_bytes(changed(of_new), self.limits) <= self.limits.max_bytes
 
-        if not len(leaf):
+        if not len(place):
             return source
-        return changed(prefer_visible_sources(boxes_of_leaves(self.levels, leaves), pattern, fits))
+        return changed(prefer_visible_sources(boxes_of_levels(self.levels, number[place]), pattern, fits))
 
     def node_costs(self, found: FoundTree) -> NodeCosts:
         boxes = [level.boxes for level in self.levels]
