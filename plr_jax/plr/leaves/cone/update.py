@@ -5,7 +5,7 @@ same price; elsewhere the optimal leaves are searched as in a construction. If t
 rises and leaves merge. If room is left, the price falls and the leaves with the largest errors are searched again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +30,7 @@ from plr_jax.plr.leaves.cone.search import (
     run_quietly,
 )
 from plr_jax.plr.sampling import Pattern, sample_pattern
-from plr_jax.plr.tree import Tree, grown_domain, leaf_order, tree_of_axes
+from plr_jax.plr.tree import Rows, Tree, grown_domain, leaf_order, tree_of_axes
 
 _ASKED, _SPARE = 128, 1e-6  # leaves at which the old oracle is tested; tolerance in units of the largest distance
 _MARGIN = 1.0  # pruning margin of expand
@@ -46,7 +46,7 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 
 @dataclass(frozen=True, eq=False)
-class NodeCosts:
+class NodeCosts(Rows):
     """The best cone that each node of a tree could have as a leaf: integral of the error, largest error, and apex."""
 
     integral: Float[np.ndarray, "nodes"]  # inf if unknown
@@ -62,11 +62,11 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     """Compute the errors that nodes would have as leaves, and a penalty per leaf at which few leaves would merge."""
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
-    (integral, peak), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
-    for nodes, visible in sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain):
-        boxes = fit_boxes(domain, negligible, tree.cells[nodes], visible)
-        integral[nodes], peak[nodes], source[nodes] = boxes.integral, boxes.peak, boxes.source
-    costs = integral + _peak_share(tree, limits) * peak
+    levels = sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain)
+    boxes = (fit_boxes(domain, negligible, tree.cells[nodes], visible) for nodes, visible in levels)
+    first, *others = (NodeCosts(each.integral, each.peak, each.source, np.nan) for each in boxes)
+    nodes = first.append(*others)
+    costs = nodes.costs(_peak_share(tree, limits))
     total, count = costs.copy(), np.ones(len(costs))
     for split in tree.splits[::-1]:
         total[split], count[split] = (
@@ -75,8 +75,7 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     inner = np.flatnonzero(count > 1)
     worth = (costs - total)[inner] / (count - 1)[inner]
     worth = worth[worth > 0]
-    price = float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), _NO_PRICE)
-    return NodeCosts(integral, peak, source, price)
+    return replace(nodes, price=float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), _NO_PRICE))
 
 
 def _peak_share(tree: Tree, limits: Limits) -> float:
@@ -118,7 +117,7 @@ def updated_cones(
         unknown = LeafBounds(*np.zeros((2, len(boxes.cells))))
         return UpdatedCones(tree, stored, unknown, np.arange(len(boxes.cells)), boxes.visible, None)
     new = search.files.stored(search.prefer_visible_sources(best, pattern))
-    old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
+    old = np.append(leaves.tree.leaf_of_node, -1)[np.minimum(best.leaves, len(leaves.tree.child))]
     stays, rebuilt = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
     old = old[stays]
     # A kept cone rose with its offset, and moved slightly if its source is rounded differently.
@@ -129,7 +128,8 @@ def updated_cones(
     upper[stays] = leaves.bounds.upper[old] + rises + beside
     visible = search.visible(best.leaves[rebuilt])
     tree = tree_of_axes(best.axes, 2)
-    return UpdatedCones(tree, new, LeafBounds(lower, upper), rebuilt, visible, search.node_costs(best))
+    node_costs = replace(search.all_nodes[best.nodes], price=best.price)
+    return UpdatedCones(tree, new, LeafBounds(lower, upper), rebuilt, visible, node_costs)
 
 
 def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
@@ -208,13 +208,6 @@ class ConeSearch:
     def peak_share(self) -> float:
         return _peak_share(self.leaves.tree, self.limits)
 
-    @property
-    def num_boxes(self) -> int:
-        return sum(len(level.key) for level in self.levels)
-
-    def source(self, node: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
-        return np.concatenate([self.nodes.source, *(level.boxes.source for level in self.levels)])[node]
-
     def boxes(self, node: Int[np.ndarray, "some"]) -> ConeBoxes:
         domain, cells = self.leaves.domain, self.leaves.tree.cells[node]
         visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
@@ -273,13 +266,13 @@ class ConeSearch:
             nodes.append(place[child[here[axis[here] >= 0]]].ravel())
         node = np.concatenate(nodes)
         leaf = node[axis[node] < 0][leaf_order(walked)]
-        of_bytes = self.files.num_bytes(self.source(leaf), self.limits) / self.limits.max_bytes
+        of_bytes = self.files.num_bytes(self.all_nodes.source[leaf], self.limits) / self.limits.max_bytes
         share = max(of_bytes, len(leaf) / self.limits.max_leaves)
         return FoundTree(price, walked, node, leaf, share)
 
     def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
         """Return each leaf's source (a corner or the goal); new leaves get one that they see, where possible."""
-        number, source = found.leaves - len(self.leaves.tree.child), self.source(found.leaves)
+        number, source = found.leaves - len(self.leaves.tree.child), self.all_nodes.source[found.leaves]
         place = np.flatnonzero(number >= 0)
 
         def changed(of_new: Int[np.ndarray, "boxes"]) -> Int[np.ndarray, "leaves"]:
@@ -294,13 +287,9 @@ class ConeSearch:
             return source
         return changed(prefer_visible_sources(boxes_of_levels(self.levels, number[place]), pattern, fits))
 
-    def node_costs(self, found: FoundTree) -> NodeCosts:
-        boxes = [level.boxes for level in self.levels]
-        integral, peak, source = (
-            np.concatenate([getattr(each, name) for each in (self.nodes, *boxes)])[found.nodes]
-            for name in ("integral", "peak", "source")
-        )
-        return NodeCosts(integral, peak, source, found.price)
+    @property
+    def all_nodes(self) -> NodeCosts:
+        return self.nodes.append(*(level.boxes for level in self.levels))
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
