@@ -281,6 +281,9 @@ class ConeFiles:
         _write_ranks(body := BitWriter(), cones.source)
         return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits)
 
+    def fit(self, limits: Limits, source: Int[np.ndarray, "leaves"]) -> bool:
+        return self.num_bytes(source, limits) <= limits.max_bytes
+
     def _stored(self, source: Int[np.ndarray, "leaves"]) -> tuple[StoredCones, int]:
         leaf, sources = np.flatnonzero(source >= 0), self._sources
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1

@@ -12,7 +12,7 @@ So for one goal, the distances at all samples take one addition per pair of a sa
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
@@ -60,8 +60,7 @@ class Lattice:
 
     @property
     def num_boxes(self) -> int:
-        (*_, last), first = self.first, self.first
-        return first[last] + (1 << sum(last))
+        return sum(1 << sum(shape) for shape in self.first)
 
     def of_shape(self, values: Any, shape: Shape) -> Any:
         """Return a view of the ``values`` of boxes for one shape, as an array with the axes of the domain."""
@@ -337,11 +336,7 @@ class FamilyTask:
         if fits.is_mixed[tree.box].any():
             shortfall = LEAST_SHORTFALL * float(self.domain.width.max())
             options = _options(self.lattice, fits, tree.box, shortfall)
-
-            def has_room(source: Int[np.ndarray, "leaves"]) -> bool:
-                return files.num_bytes(source, self.limits) <= self.limits.max_bytes
-
-            source = change_sources(source, options, float(total), float(most), has_room)
+            source = change_sources(source, options, float(total), float(most), partial(files.fit, self.limits))
         return tree_of_axes(tree.axes, 2), files.stored(source), source
 
 

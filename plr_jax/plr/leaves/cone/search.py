@@ -8,6 +8,7 @@
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -267,7 +268,7 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
 
 
 def best_cones_of_goal(
-    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Callable[..., PricedTree]
+    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Callable[..., PricedTree] = run_quietly
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
     """Find the best cone leaves for one goal, whose sources in the slightly enlarged domain are ``visible``."""
     negligible = max(limits.tolerance, query_resolution(visible.distance))
@@ -285,10 +286,8 @@ def best_cones_of_goal(
         source = np.concatenate([level.boxes.source for level in levels])[in_order(priced)[1]]
         return files.num_bytes(source, limits) * (_ROOM + 1) // _ROOM
 
-    def fits(source: Int[np.ndarray, "leaves"]) -> bool:
-        return files.num_bytes(source, limits) <= limits.max_bytes
-
     search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
     tree, numbers = in_order(run(search.first(), search.next))
     boxes = boxes_of_levels(levels, numbers)
-    return tree, files.stored(prefer_visible_sources(boxes, pattern, fits)), boxes
+    source = prefer_visible_sources(boxes, pattern, partial(files.fit, limits))
+    return tree, files.stored(source), boxes

@@ -27,7 +27,6 @@ from plr_jax.plr.leaves.cone.search import (
     fit_boxes,
     prefer_visible_sources,
     query_resolution,
-    run_quietly,
 )
 from plr_jax.plr.sampling import Pattern, sample_pattern
 from plr_jax.plr.tree import Rows, Tree, grown_domain, leaf_order, tree_of_axes
@@ -113,7 +112,7 @@ def updated_cones(
     best = _best_tree_within_limits(search)
     if best is None:
         visible = oracle.cell_sources(grown_domain(leaves.domain))
-        tree, stored, boxes = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_quietly)
+        tree, stored, boxes = best_cones_of_goal(visible, leaves.domain, limits, pattern)
         unknown = LeafBounds(*np.zeros((2, len(boxes.cells))))
         return UpdatedCones(tree, stored, unknown, np.arange(len(boxes.cells)), boxes.visible, None)
     new = search.files.stored(search.prefer_visible_sources(best, pattern))
@@ -281,7 +280,7 @@ class ConeSearch:
             return sources
 
         def fits(of_new: Int[np.ndarray, "boxes"]) -> bool:
-            return self.files.num_bytes(changed(of_new), self.limits) <= self.limits.max_bytes
+            return self.files.fit(self.limits, changed(of_new))
 
         if not len(place):
             return source
