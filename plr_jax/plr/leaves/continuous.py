@@ -44,15 +44,11 @@ _RESIDUAL, _MOST_STEPS = 1e-10, 200
 
 
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
-    """Solve normal equations with a sparse symmetric positive definite matrix.
-
-    In more than 2 dimensions, factors have far more entries than the matrix, so conjugate gradients are tried first.
-    Scaled by its diagonal, the matrix is well conditioned for leaves of all sizes, if samples determine all values.
-    """
+    """Solve normal equations with a sparse symmetric positive definite matrix."""
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
 
-    if dim > _MOST_DIM_OF_FACTORS:
+    if dim > _MOST_DIM_OF_FACTORS:  # scaled by its diagonal, the matrix is well conditioned for leaves of all sizes
         scale = 1 / np.sqrt(normal.diagonal())
         values = _conjugate_gradients((diags_array(scale) @ normal @ diags_array(scale)).tocsr(), scale * moments)
         if values is not None:
@@ -104,7 +100,7 @@ class FaceTests:
         points = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
         for some in (points[:_FEW], points[_FEW:]):
             unsure = np.flatnonzero(is_new & ~free)
-            if len(some) and len(unsure):
+            if len(unsure):
                 tested = faces[unsure]
                 x = face_points(cells, tested, some)
                 across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]
@@ -177,7 +173,6 @@ class StoredValues:
         return self.offset + self.step * self.code
 
     def write(self, body: BitWriter) -> None:
-        """Append the unreachable leaves, the untied faces, and the values minus their predictions, level by level."""
         partition, space = self.partition, self.partition.space
         body.write_floats(np.array([self.offset, self.step]))
         body.write_set(partition.unreachable)
@@ -211,15 +206,12 @@ _UNPREDICTED = 1e-3  # share of _PREDICTION_WEIGHT that pulls the corners of the
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
-    """A partition with its fitted function, whose residuals are in ``fit``; ``len`` is the number of leaves.
-
-    It is full if its values had to be rounded more than usual to fit into the byte limit.
-    """
+    """A partition with its fitted function, whose residuals are in ``fit``; ``len`` is the number of leaves."""
 
     fit: CellFit
     stored: StoredValues
     num_bytes: int
-    is_full: bool
+    is_full: bool  # whether values had to be rounded more than usual to fit into the byte limit
 
     def __len__(self) -> int:
         return len(self.fit)

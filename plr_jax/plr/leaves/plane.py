@@ -43,7 +43,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
-        """Return the number of bits of ``half`` for each axis and depth."""
+        """Return, for each axis, the bits of one integer of ``half`` in cells of each depth along this axis."""
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)

@@ -1,7 +1,7 @@
-"""Find the best partitions into cone leaves within the limits of a file, for one goal.
+"""Find the best partition into cone leaves, functions ``offset + |x - source|``, for one goal and a file's limits.
 
 1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
-2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones_of_goal``).
+2. The price per leaf is found at which the tree of least error plus prices fills the file (``best_cones_of_goal``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
 """
 
@@ -26,31 +26,21 @@ from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
 from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
-# 1. Boxes and their best cones.
-
 _MOST_TRIED = 4
-"""Number of sources to try for a box: those that the centers of its largest convex pieces of free space use."""
+"""Number of sources to try for a box: sources that the centers of its largest convex pieces of free space use."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes, each with the best of a few cones ``distance of source + |x - source|``.
-
-    Attributes:
-        negligible: Error up to which a box counts as exact.
-        visible: Sources of the boxes: the goal, and corners where paths from them may turn first.
-        source: Index of the best source; -1 if nothing in the box reaches the goal.
-        error: Proven bound of the cone's largest error in the box; 0 if negligible.
-        integral: Proven bound of the integral of this error over the box, as a share of the domain's area.
-    """
+    """Boxes, each with the best of a few cones ``distance of source + |x - source|``."""
 
     domain: Box
-    negligible: float
+    negligible: float  # error up to which a box counts as exact
     cells: Cells
-    visible: CellSources
-    source: Int[np.ndarray, "boxes"]
-    error: Float[np.ndarray, "boxes"]
-    integral: Float[np.ndarray, "boxes"]
+    visible: CellSources  # sources of the boxes: the goal, and corners where paths from them may turn first
+    source: Int[np.ndarray, "boxes"]  # index of the best source; -1 if nothing in the box reaches the goal
+    error: Float[np.ndarray, "boxes"]  # proven bound of the cone's largest error in the box; 0 if negligible
+    integral: Float[np.ndarray, "boxes"]  # proven bound of the error's integral, as a share of the domain's area
     by_side: bool = False
 
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> Self:
@@ -63,8 +53,8 @@ class ConeBoxes(Rows):
     def peak(self) -> Float[np.ndarray, "boxes"]:
         """The largest error; if ``by_side``, times the side of the box (the root of its share of the domain's area).
 
-        With this factor, a wall through boxes costs the same however often they are halved, so boxes beside it are
-        halved until slivers are thin. Certified cones go without it: their classes need few leaves of large error.
+        With this factor, boxes along a wall together cost the same however often they are halved, so they are halved
+        until thin. Proven PLRs go without this factor, since they need few leaves of large error.
         """
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
 
@@ -91,7 +81,7 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
 
 
 def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources, by_side: bool = False) -> ConeBoxes:
-    """Find each box's cone of least proven error integral, of up to 4 tried; 0 if the largest is ``negligible``."""
+    """Find for each box the cone (path length by way of one source) with the least integral of its proven error."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
@@ -114,7 +104,7 @@ def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources
 
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
-    """Return each box's source if all of the box sees it and uses no other source, so the cone is exact; else -1."""
+    """Return, for each box, the corner (or goal) to which all shortest paths from the box go straight; else -1."""
     first = visible.first_pair[visible.first_piece]
     count, own = np.diff(first), np.append(visible.source, -1)[first[:-1]]
     agrees = visible.by_all & (visible.source == np.repeat(own, count))
@@ -126,7 +116,7 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
 def option_errors(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Bound the error of each option, the cone of a source in a box: largest, and integral over free space."""
+    """Bound the largest error, and its integral, if all paths from ``box[i]`` go first to ``source[i]``."""
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
@@ -141,37 +131,25 @@ def option_errors(
     return largest, np.bincount(option, error * areas(visible.pieces)[piece], len(box))
 
 
-# 3. Visible sources: among the sources that serve a box about as well, choose one that most of the box sees.
-#
-# If a wall hides a leaf's source from a point, the distance there is larger than the cone: were the source visible,
-# the path by it would be as short as the cone. So samples above the cone show where the source is hidden.
-
+# If a wall hides a leaf's source from a point, the distance there is larger than the cone. So samples above the cone
+# show where the source is hidden.
 _PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
 LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
 
 
 class LeafOptions(NamedTuple):
-    """The sources to choose from for leaves that do not entirely see their best source: pairs of leaf and source.
-
-    Attributes:
-        is_own: Whether the source is the leaf's best.
-        by_all: Whether all of the leaf sees the source.
-        error: Mean error over the leaf, at samples.
-        hidden: Share of the leaf from which a wall hides the source.
-        largest, integral: Proven largest error, and proven integral of the error over the leaf's free space.
-        area: Area of the leaf's free space.
-    """
+    """Candidates for apexes (corners, or the goal) of leaves' cones, if walls hide the best apex from some points."""
 
     leaf: Int[np.ndarray, "options"]
     source: Int[np.ndarray, "options"]
-    is_own: Bool[np.ndarray, "options"]
-    by_all: Bool[np.ndarray, "options"]
-    error: Float[np.ndarray, "options"]
-    hidden: Float[np.ndarray, "options"]
-    largest: Float[np.ndarray, "options"]
-    integral: Float[np.ndarray, "options"]
-    area: Float[np.ndarray, "options"]
+    is_own: Bool[np.ndarray, "options"]  # whether the source is the leaf's best
+    by_all: Bool[np.ndarray, "options"]  # whether all of the leaf sees the source
+    error: Float[np.ndarray, "options"]  # mean error over the leaf, at samples
+    hidden: Float[np.ndarray, "options"]  # share of the leaf from which a wall hides the source
+    largest: Float[np.ndarray, "options"]  # proven largest error
+    integral: Float[np.ndarray, "options"]  # proven integral of the error over the leaf's free space
+    area: Float[np.ndarray, "options"]  # of the leaf's free space
 
 
 def boxes_of_levels(levels: list[BoxLevel], number: Int[np.ndarray, "some"]) -> ConeBoxes:
@@ -183,7 +161,6 @@ def boxes_of_levels(levels: list[BoxLevel], number: Int[np.ndarray, "some"]) -> 
 
 
 def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
-    """Find other sources for leaf boxes that do not entirely see their source; boxes of over 64 sources get none."""
     # Pairs of a box and a source that some of its points use, and whether all of the box sees the source.
     visible, count = boxes.visible, len(boxes.visible.sources.points)
     pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
@@ -213,9 +190,9 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 def prefer_visible_sources(
     boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Return each leaf's source; prefer sources that it sees, if proven errors stay below the largest of all leaves.
+    """Return the apex (a corner, or the goal) of each leaf's cone; prefer apexes that all of the leaf sees.
 
-    ``fits`` tests whether the file stays within its limits.
+    The largest proven error does not rise. ``fits`` tests whether the file stays within its limits.
     """
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
@@ -228,9 +205,9 @@ def change_sources(
     most: float,
     fits: Callable[[Int[np.ndarray, "leaves"]], bool],
 ) -> Int[np.ndarray, "leaves"]:
-    """Change leaves to sources that they see: the most useful changes first, as many as the limits (``fits``) allow.
+    """Replace apexes of cones (sources) from which walls hide parts of their leaves, as far as the file ``fits``.
 
-    A hidden source costs ``total``, the mean error of all leaves, times a constant. No error rises above ``most``.
+    Proven errors of new cones are at most ``most``; ``total`` is the mean error of all leaves before.
     """
     leaf, is_own = options.leaf, options.is_own
     if not len(leaf):
@@ -255,8 +232,6 @@ def change_sources(
     return changed(bisect_left(range(1, len(best)), True, key=lambda count: not fits(changed(count))))
 
 
-# 2. The best trees.
-
 _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
 
@@ -270,7 +245,10 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
 def best_cones_of_goal(
     visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Callable[..., PricedTree] = run_quietly
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
-    """Find the best cone leaves for one goal, whose sources in the slightly enlarged domain are ``visible``."""
+    """Find the best cone leaves for one goal; return a tree, its leaves as stored, and their boxes, in tree order.
+
+    ``visible`` has the corners to which shortest paths from the domain may go first.
+    """
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
     levels = [BoxLevel.of(box, box.cells.hashes())]

@@ -68,9 +68,8 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     costs = nodes.costs(_peak_share(tree, limits))
     total, count = costs.copy(), np.ones(len(costs))
     for split in tree.splits[::-1]:
-        total[split], count[split] = (
-            each[tree.child[split]] + each[tree.child[split] + 1] for each in (total, count)
-        )
+        for each in (total, count):
+            each[split] = each[tree.child[split]] + each[tree.child[split] + 1]
     inner = np.flatnonzero(count > 1)
     worth = (costs - total)[inner] / (count - 1)[inner]
     worth = worth[worth > 0]
@@ -147,7 +146,7 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The tree of least error plus price per leaf. Node indices count the old tree's nodes first, then new boxes."""
+    """The tree of least error plus price per leaf; nodes and leaves are indices in ``ConeSearch.all_nodes``."""
 
     price: float
     axes: list[Int[np.ndarray, "_"]]  # split axis of each node, level by level; -1 for a leaf
@@ -219,13 +218,13 @@ class ConeSearch:
         return old.visible.append(new.visible).of_cells(np.argsort(np.argsort(number >= 0, kind="stable")))
 
     def needs_no_refinement(self, price: float) -> bool:
-        """Return whether more leaves would not pay: most leaves are kept, and few of these cost over the price."""
+        """Return whether most leaves need no new search, and few of them have an error above the price per leaf."""
         cost = self.nodes.costs(self.peak_share)[self.leaves.tree.node_of_leaf]
         known = cost[~self.is_reopened & np.isfinite(cost)]
         return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
 
     def reopen_worst_leaves(self, count: int, price: float) -> None:
-        """Mark the kept leaves of the highest costs above the price, at most ``count``, to be searched again."""
+        """Add up to ``count`` kept leaves to the search: the leaves with the largest errors above ``price``."""
         tree, integral = self.leaves.tree, self.nodes.integral
         cost = self.nodes.costs(self.peak_share)[tree.node_of_leaf]
         cost[self.is_reopened | np.isinf(cost)] = 0.0
@@ -279,15 +278,14 @@ class ConeSearch:
             sources[place] = of_new
             return sources
 
-        def fits(of_new: Int[np.ndarray, "boxes"]) -> bool:
-            return self.files.fit(self.limits, changed(of_new))
-
         if not len(place):
             return source
-        return changed(prefer_visible_sources(boxes_of_levels(self.levels, number[place]), pattern, fits))
+        boxes = boxes_of_levels(self.levels, number[place])
+        return changed(prefer_visible_sources(boxes, pattern, lambda new: self.files.fit(self.limits, changed(new))))
 
     @property
     def all_nodes(self) -> NodeCosts:
+        """The nodes of the tree before the update, followed by the boxes of all levels."""
         return self.nodes.append(*(level.boxes for level in self.levels))
 
 
