@@ -69,7 +69,8 @@ def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
         raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
     half = np.where(reachable[:, None], half, 0.0)
     if bits == FLOAT_BITS:
-        return StoredPlanes(bits, 0.0, 1.0, _bits_of_float(center) & 0xFFFFFFFF, _bits_of_float(half))
+        of_center, of_half = (x.astype(np.float32).view(np.int32).astype(np.int64) for x in (center, half))
+        return StoredPlanes(bits, 0.0, 1.0, of_center & 0xFFFFFFFF, of_half)
     # Offset and step are exact in 32 bits; ``half`` takes at most 9 bits more than ``center``.
     offset = float(np.nextafter(np.float32(center[reachable].min()), np.float32(-np.inf)))
     spread = max(center[reachable].max() - offset, np.abs(half).max(initial=0.0) * 2**-8)
@@ -77,10 +78,6 @@ def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
     code = np.rint((np.where(reachable, center, offset) - offset) / step)
     code = np.where(reachable, np.clip(code, 0, unreachable_code(bits) - 1), unreachable_code(bits))
     return StoredPlanes(bits, offset, step, code.astype(np.int64), np.rint(half / step).astype(np.int64))
-
-
-def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
-    return values.astype(np.float32).view(np.int32).astype(np.int64)
 
 
 _BUDGET_BITS = range(8, 17)  # bits of center values to choose from under a byte budget

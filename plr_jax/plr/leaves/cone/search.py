@@ -166,7 +166,7 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
     pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
     box, source = np.divmod(pair, count)
     by_all = np.bincount(index, visible.by_all, len(pair)) == np.diff(visible.first_piece)[box]
-    is_doubted = np.diff(boxes.visible.first_piece) > 0
+    is_doubted = np.diff(visible.first_piece) > 0
     is_doubted[box[by_all & (source == boxes.source[box])]] = False
     is_doubted &= np.bincount(box, minlength=len(is_doubted)) <= _MOST_OPTIONS
     box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))

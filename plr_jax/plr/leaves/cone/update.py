@@ -217,12 +217,6 @@ class ConeSearch:
         old, new = self.boxes(node[number < 0]), boxes_of_levels(self.levels, number[number >= 0])
         return old.visible.append(new.visible).of_cells(np.argsort(np.argsort(number >= 0, kind="stable")))
 
-    def needs_no_refinement(self, price: float) -> bool:
-        """Return whether most leaves need no new search, and few of them have an error above the price per leaf."""
-        cost = self.nodes.costs(self.peak_share)[self.leaves.tree.node_of_leaf]
-        known = cost[~self.is_reopened & np.isfinite(cost)]
-        return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
-
     def reopen_worst_leaves(self, count: int, price: float) -> None:
         """Add up to ``count`` kept leaves to the search: the leaves with the largest errors above ``price``."""
         tree, integral = self.leaves.tree, self.nodes.integral
@@ -294,7 +288,10 @@ def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
-    is_full = search.needs_no_refinement(price)
+    # More leaves would gain little if most leaves are kept and few of them have an error above the price.
+    cost = search.nodes.costs(search.peak_share)[search.leaves.tree.node_of_leaf]
+    kept = cost[~search.is_reopened & np.isfinite(cost)]
+    is_full = 2 * len(kept) > len(cost) and np.mean(kept > price) < _WANTING
     if share < _FAR and not is_full:
         return None
     if share < _LEFT and not is_full:  # use the room that earlier changes left
