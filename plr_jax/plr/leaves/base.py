@@ -35,7 +35,7 @@ class LeafModel(ABC):
 
     Leaf data has three forms: *stored*, as in a file, for all leaves together; *coefficients*, which determine a
     leaf's function in its box (the constant ``inf`` if the first is ``inf``); *parameters*, the numbers that a query
-    reads. Those of a model that ``is_cell_relative`` begin with the cell's number along each axis: 1 is the domain,
+    reads. If the model ``is_cell_relative``, they begin with the cell's number along each axis: 1 is the domain,
     ``2 i`` and ``2 i + 1`` halve ``i``.
     """
 

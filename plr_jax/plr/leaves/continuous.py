@@ -1,8 +1,8 @@
-"""The leaf models ``"continuous"`` and ``"smooth"``: functions that do not jump across free faces of leaves.
+"""The leaf models ``"continuous"`` and ``"smooth"``: functions that only jump across faces of leaves within walls.
 
-The unknowns are the values at the corners of all leaves; leaves on both sides of a free face share them. In each
-round the worst leaves are split, and one sparse least-squares problem fits all values again. A file stores each value
-as an integer, relative to a prediction from the values of coarser cells.
+The unknowns are values at the corners of all leaves; leaves on both sides of a *free* face, which paths can cross,
+share them. In each round the worst leaves are split, and one sparse least-squares problem fits all values again. A
+file stores each value as an integer, relative to a prediction from the values of coarser cells.
 """
 
 from collections.abc import Callable, Sequence

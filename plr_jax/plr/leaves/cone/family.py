@@ -127,7 +127,7 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
 
 @dataclass(frozen=True, eq=False)
 class BoxFits:
-    """The cone of least error for every box of a lattice, with its largest error and the integral of its error."""
+    """The best cone (path length by way of one source) for every box of a lattice, and the cone's errors."""
 
     goal: GoalSamples
     negligible: float  # largest error up to which a box counts as exact
@@ -175,7 +175,7 @@ def option_errors(
 
 
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
-    """Find each box's cone of least error among the cones that fit its halves best."""
+    """Find each box's cone (path length by way of one source) of least error, among the best cones of its halves."""
     num = lattice.num_boxes
     source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
     integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)

@@ -65,7 +65,7 @@ class ConeBoxes(Rows):
         is_upper: Bool[np.ndarray, "halves"],
         known: UInt64[np.ndarray, "known"],
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
-        """Halve boxes; return the distinct halves with keys not ``known``, their keys, and the keys of all halves."""
+        """Halve boxes; return the halves that are not ``known``, their hashes, and the hashes of all halves."""
         cells = self.cells[parent].halves(axis, is_upper)
         lo, hi = cells.grown_boxes(self.domain)
         key = cells.hashes()

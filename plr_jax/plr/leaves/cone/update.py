@@ -46,10 +46,10 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 @dataclass(frozen=True, eq=False)
 class NodeCosts(Rows):
-    """The best cone that each node of a tree could have as a leaf: integral of the error, largest error, and apex."""
+    """The apex of the best cone ``offset + |x - apex|`` for each node of a tree as a leaf, and the cone's errors."""
 
-    integral: Float[np.ndarray, "nodes"]  # inf if unknown
-    peak: Float[np.ndarray, "nodes"]
+    integral: Float[np.ndarray, "nodes"]  # of the error over the node; inf if unknown
+    peak: Float[np.ndarray, "nodes"]  # largest error
     source: Int[np.ndarray, "nodes"]
     price: float  # penalty per leaf at which the tree has about the least sum of costs and penalties
 
