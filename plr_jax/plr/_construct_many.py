@@ -129,9 +129,9 @@ def _files(
 ) -> list[bytes]:
     """Build a PLR file for each oracle with ``task``, which shares work; if it returns None, with ``alone``."""
     trees = {} if task is None else {i: tree for i, each in enumerate(oracles) if (tree := task(each)) is not None}
-    found = [DecodedFile(task.domain, leaf, tree.tree, tree.stored) for tree in trees.values()] if task else []
+    found = [DecodedFile(task.domain, leaf, tree, stored) for tree, stored, _ in trees.values()] if task else []
     if task is not None and found and task.limits.proof is not Proof.NONE:
-        sources = [tree.source for tree in trees.values()]
+        sources = [source for _, _, source in trees.values()]
         found = _certified(found, [oracles[i] for i in trees], sources, task.limits.proof)
     files = dict(zip(trees, map(encode, found), strict=True))
     return [files.get(i) or alone(oracle).to_bytes() for i, oracle in enumerate(oracles)]

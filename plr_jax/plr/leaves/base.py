@@ -19,6 +19,7 @@ from plr_jax.plr.sampling import Sampler
 from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree
 
 Coefficients: TypeAlias = Float[np.ndarray, "n terms"]
+Parameters: TypeAlias = Float[np.ndarray, "n count"]
 
 
 class Rules(NamedTuple):
@@ -34,7 +35,7 @@ class LeafModel(ABC):
 
     Leaf data has three forms: *stored*, as in a file, for all leaves together; *coefficients*, which determine a
     leaf's function in its box (the constant ``inf`` if the first is ``inf``); *parameters*, the numbers that a query
-    reads. Those of a model that ``is_cell_relative`` begin with the cell's number along each axis: 1 is the domain,
+    reads. If the model ``is_cell_relative``, they begin with the cell's number along each axis: 1 is the domain,
     ``2 i`` and ``2 i + 1`` halve ``i``.
     """
 
@@ -64,18 +65,16 @@ class LeafModel(ABC):
         """Return the value of each leaf's function at one point, for finite coefficients."""
 
     @abstractmethod
-    def leaf_parameters(
-        self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner
-    ) -> Float[np.ndarray, "n count"]:
+    def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
         """Return the numbers that a query reads for each leaf, for coordinates relative to ``corner``."""
 
     @abstractmethod
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         """Return a leaf's value at a point; the order of operations is part of the format (see ``plr/portable``).
 
-        Arguments are arrays, scalars or generated code: the leaf's ``parameters`` without the numbers of its cell,
-        and the coordinates (``place``) of the point, in the leaf's cell from 0 to 1 if the model
-        ``is_cell_relative``, else relative to the domain's rounded lower corner. ``root`` is the square root.
+        Arguments are arrays, scalars or generated code. ``parameters`` lacks the cell's number along each axis.
+        ``place`` has the point's coordinates: from 0 to 1 across the leaf's cell if the model ``is_cell_relative``,
+        else relative to the domain's rounded lower corner. ``root`` is the square root.
         """
 
     @abstractmethod
@@ -95,11 +94,10 @@ class LeafModel(ABC):
         """Raise ``ValueError`` if the model does not support domains of ``dim`` axes."""
 
     def min_samples(self, dim: int) -> int:
-        """Return the least number of samples that determine a cell's function."""
         return self.num_leaf_parameters(dim)
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Return the file size that limits the halvings of cells if no smaller ``max_bytes`` is given."""
+        """Return the file size, in bytes, that bounds the depth of cells if ``num_leaves`` is the only limit."""
         return int(2 * self.least_bytes * num_leaves)
 
     def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
@@ -177,5 +175,5 @@ def check_limits(
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
-    """Return the largest coordinates that a query rounds to 32 bits; in a far domain it first subtracts a corner."""
+    """Return the largest coordinates in a domain, relative to its lower corner if it is far from the origin."""
     return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)

@@ -1,8 +1,8 @@
-"""The leaf models ``"continuous"`` and ``"smooth"``: functions that do not jump across free faces of leaves.
+"""The leaf models ``"continuous"`` and ``"smooth"``: functions that only jump across faces of leaves within walls.
 
-The unknowns are the values at the corners of all leaves; leaves on both sides of a free face share them. In each
-round the worst leaves are split, and one sparse least-squares problem fits all values again. A file stores each value
-as an integer, relative to a prediction from the values of coarser cells.
+The unknowns are values at the corners of all leaves; leaves on both sides of a *free* face, which paths can cross,
+share them. In each round the worst leaves are split, and one sparse least-squares problem fits all values again. A
+file stores each value as an integer, relative to a prediction from the values of coarser cells.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import hash64, product_in_order, row_products
-from plr_jax._types import DistanceFn
+from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.coding import BitReader, BitWriter
@@ -32,12 +32,7 @@ from plr_jax.plr.finite_elements import (
 )
 from plr_jax.plr.frame import LARGEST, Corner
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority
-from plr_jax.plr.leaves.base import (
-    UNIT,
-    LinearLeafModel,
-    Rules,
-    largest_coordinates,
-)
+from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
@@ -49,15 +44,11 @@ _RESIDUAL, _MOST_STEPS = 1e-10, 200
 
 
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
-    """Solve normal equations with a sparse symmetric positive definite matrix.
-
-    In more than 2 dimensions, factors have far more entries than the matrix, so conjugate gradients are tried first.
-    Scaled by its diagonal, the matrix is well conditioned for leaves of all sizes, if samples determine all values.
-    """
+    """Solve normal equations with a sparse symmetric positive definite matrix."""
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
 
-    if dim > _MOST_DIM_OF_FACTORS:
+    if dim > _MOST_DIM_OF_FACTORS:  # scaled by its diagonal, the matrix is well conditioned for leaves of all sizes
         scale = 1 / np.sqrt(normal.diagonal())
         values = _conjugate_gradients((diags_array(scale) @ normal @ diags_array(scale)).tocsr(), scale * moments)
         if values is not None:
@@ -109,7 +100,7 @@ class FaceTests:
         points = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
         for some in (points[:_FEW], points[_FEW:]):
             unsure = np.flatnonzero(is_new & ~free)
-            if len(some) and len(unsure):
+            if len(unsure):
                 tested = faces[unsure]
                 x = face_points(cells, tested, some)
                 across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]
@@ -182,7 +173,6 @@ class StoredValues:
         return self.offset + self.step * self.code
 
     def write(self, body: BitWriter) -> None:
-        """Append the unreachable leaves, the untied faces, and the values minus their predictions, level by level."""
         partition, space = self.partition, self.partition.space
         body.write_floats(np.array([self.offset, self.step]))
         body.write_set(partition.unreachable)
@@ -190,25 +180,6 @@ class StoredValues:
         surplus = self.code - np.rint(space.prediction @ self.code).astype(np.int64)
         for level in _level_slices(space.level):
             body.write_signed(surplus[level])
-
-
-def read_values(body: BitReader, cells: Cells, periodic: tuple[bool, ...] = ()) -> StoredValues:
-    offset, step = body.read_floats(2).tolist()
-    if not (np.isfinite(offset) and 0 < step < np.inf):
-        raise ValueError(f"it states a step of {step} from {offset}")
-    tree = tree_of(cells)
-    if (np.diff(tree.order) < 0).any():
-        raise ValueError("its tree splits its leaves along other axes first than the tree of tied leaves does")
-    faces = shared_faces(tree, periodic)
-    partition = TiedPartition(tree, body.read_set(len(cells)), faces, np.zeros(len(faces), bool))
-    may_be_tied = partition.may_be_tied()
-    partition.tied[may_be_tied] = ~body.read_set(int(np.count_nonzero(may_be_tied)))
-    space = partition.space
-    code = np.zeros(len(space.free_dofs), np.int64)
-    for level in _level_slices(space.level):
-        surplus = body.read_signed(level.stop - level.start)
-        code[level] = surplus + np.rint(space.prediction[level] @ code).astype(np.int64)
-    return StoredValues(partition, offset, step, code)
 
 
 def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
@@ -235,26 +206,15 @@ _UNPREDICTED = 1e-3  # share of _PREDICTION_WEIGHT that pulls the corners of the
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
-    """A partition with its fitted function, whose residuals are in ``fit``; ``len`` is the number of leaves.
-
-    It is full if its values had to be rounded more than usual to fit into the byte limit.
-    """
+    """A partition with its fitted function, whose residuals are in ``fit``; ``len`` is the number of leaves."""
 
     fit: CellFit
     stored: StoredValues
     num_bytes: int
-    is_full: bool
+    is_full: bool  # whether values had to be rounded more than usual to fit into the byte limit
 
     def __len__(self) -> int:
         return len(self.fit)
-
-
-def grow_tied(order: int, sampler: Sampler, rules: Rules, limits: Limits) -> StoredValues:
-    """Grow a partition in rounds, each of which splits leaves and fits the whole function again."""
-    rounds = _Rounds(order, sampler, rules, limits)
-    root = rounds.fit_leaves(sampler.root())
-    limits.require_room(root.num_bytes)
-    return grow(root, rounds.next, limits).stored
 
 
 class _Rounds:
@@ -397,16 +357,34 @@ class Continuous(LinearLeafModel):
         return 2**dim + 1
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredValues]:
-        stored = grow_tied(self.order, sampler, rules, limits)
+        rounds = _Rounds(self.order, sampler, rules, limits)
+        root = rounds.fit_leaves(sampler.root())
+        limits.require_room(root.num_bytes)
+        stored = grow(root, rounds.next, limits).stored
         return stored.partition.tree, stored
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredValues) -> None:
         stored.write(body)
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredValues:
-        return read_values(body, cells, domain.periodic)
+        offset, step = body.read_floats(2).tolist()
+        if not (np.isfinite(offset) and 0 < step < np.inf):
+            raise ValueError(f"it states a step of {step} from {offset}")
+        tree = tree_of(cells)
+        if (np.diff(tree.order) < 0).any():
+            raise ValueError("its tree splits its leaves along other axes first than the tree of tied leaves does")
+        faces = shared_faces(tree, domain.periodic)
+        partition = TiedPartition(tree, body.read_set(len(cells)), faces, np.zeros(len(faces), bool))
+        may_be_tied = partition.may_be_tied()
+        partition.tied[may_be_tied] = ~body.read_set(int(np.count_nonzero(may_be_tied)))
+        space = partition.space
+        code = np.zeros(len(space.free_dofs), np.int64)
+        for level in _level_slices(space.level):
+            surplus = body.read_signed(level.stop - level.start)
+            code[level] = surplus + np.rint(space.prediction[level] @ code).astype(np.int64)
+        return StoredValues(partition, offset, step, code)
 
-    def coefficients(self, cells: Cells, stored: StoredValues) -> Float[np.ndarray, "leaves terms"]:
+    def coefficients(self, cells: Cells, stored: StoredValues) -> Coefficients:
         of_free_dofs = coefficient_matrix(self.order, stored.partition.space).tocsr().sorted_indices().tocoo()
         # bincount adds in a fixed order, so that all machines get the same bits.
         terms = of_free_dofs.data * stored.decode()[of_free_dofs.col]
@@ -414,44 +392,31 @@ class Continuous(LinearLeafModel):
         coefficients[stored.partition.unreachable, 0] = np.inf
         return coefficients
 
-    def basis(self, u: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n terms"]:
+    def basis(self, u: Points) -> Coefficients:
         return design(self.order, (u + 1) / 2)
 
-    def coefficients_of_planes(
-        self, center: Float[np.ndarray, "leaves"], half: Float[np.ndarray, "leaves dim"]
-    ) -> Float[np.ndarray, "leaves terms"]:
+    def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
         return plane_coefficients(self.order, center, half)
 
-    def leaf_parameters(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"], corner: Corner
-    ) -> Float[np.ndarray, "leaves count"]:
+    def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
         is_inf = np.isinf(coefficients[:, 0])
         powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(self.order, cells.dim))
         powers[is_inf, 0] = np.inf
         return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
 
     def cone_minus_leaf_bounds(
-        self,
-        lo: Float[np.ndarray, "n 2"],
-        hi: Float[np.ndarray, "n 2"],
-        coefficients: Float[np.ndarray, "n terms"],
-        pieces: Pieces,
-        apex: Float[np.ndarray, "n 2"],
-        offset: Float[np.ndarray, "n"],
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+        self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
+    ) -> tuple[Distances, Distances]:
         first, last = pieces.min(axis=2).T, pieces.max(axis=2).T
         width = hi - lo
-        value, slope, remainder = enclosing_planes(
-            self.order, coefficients, ((first + last) / 2 - lo) / width, (last - first) / 2 / width
-        )
+        middle, half = ((first + last) / 2 - lo) / width, (last - first) / 2 / width
+        value, slope, remainder = enclosing_planes(self.order, coefficients, middle, half)
         slope = slope / width
         intercept = value - (slope * (first + last)).sum(axis=1) / 2
         lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)
         return lowest - remainder, highest + remainder
 
-    def rounding_bounds(
-        self, domain: Box, cells: Cells, coefficients: Float[np.ndarray, "leaves terms"]
-    ) -> Float[np.ndarray, "leaves"]:
+    def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
         finite = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
         powers = np.abs(finite @ monomials(self.order, cells.dim))
         highest = POWERS[self.order]

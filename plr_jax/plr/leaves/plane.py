@@ -15,7 +15,7 @@ from plr_jax.plr.certificate import LeafFunctions, Proof
 from plr_jax.plr.coding import BitReader, BitWriter, floats_of_bits
 from plr_jax.plr.frame import LARGEST, MOST_ROWS, Corner, table_corners
 from plr_jax.plr.growth import Encoding, Limits, Nodes, fit_sampled, grow_best_first, largest_error, nodes_of_fit
-from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Rules, largest_coordinates
+from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.sampling import CellFit, Sampler, fill_unsampled_planes
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
@@ -43,7 +43,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
-        """Return the number of bits of ``half`` for each axis and depth."""
+        """Return, for each axis, the bits of one integer of ``half`` in cells of each depth along this axis."""
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)
@@ -69,33 +69,15 @@ def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
         raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
     half = np.where(reachable[:, None], half, 0.0)
     if bits == FLOAT_BITS:
-        return StoredPlanes(bits, 0.0, 1.0, _bits_of_float(center) & 0xFFFFFFFF, _bits_of_float(half))
-    offset, step = _offset_and_step(center[reachable], half, bits)
+        of_center, of_half = (x.astype(np.float32).view(np.int32).astype(np.int64) for x in (center, half))
+        return StoredPlanes(bits, 0.0, 1.0, of_center & 0xFFFFFFFF, of_half)
+    # Offset and step are exact in 32 bits; ``half`` takes at most 9 bits more than ``center``.
+    offset = float(np.nextafter(np.float32(center[reachable].min()), np.float32(-np.inf)))
+    spread = max(center[reachable].max() - offset, np.abs(half).max(initial=0.0) * 2**-8)
+    step = float(np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf)))
     code = np.rint((np.where(reachable, center, offset) - offset) / step)
     code = np.where(reachable, np.clip(code, 0, unreachable_code(bits) - 1), unreachable_code(bits))
     return StoredPlanes(bits, offset, step, code.astype(np.int64), np.rint(half / step).astype(np.int64))
-
-
-def _offset_and_step(
-    center: Float[np.ndarray, "reachable"], half: Float[np.ndarray, "leaves dim"], bits: int
-) -> tuple[float, float]:
-    """Choose offset and step, both exact in 32 bits, so that ``half`` takes at most ``bits + 9`` bits."""
-    offset = np.nextafter(np.float32(center.min()), np.float32(-np.inf))
-    spread = max(center.max() - float(offset), np.abs(half).max(initial=0.0) * 2**-8)
-    step = np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf))
-    return float(offset), float(step)
-
-
-def _bits_of_float(values: Float[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
-    return values.astype(np.float32).view(np.int32).astype(np.int64)
-
-
-def planes_bits(depth: Int[np.ndarray, "leaves dim"], planes: StoredPlanes) -> int:
-    stored = ~planes.unreachable
-    bits = _BITS_BITS + (0 if planes.bits == FLOAT_BITS else 64) + len(depth) * planes.bits
-    for axis, widths in enumerate(planes.widths(depth)):
-        bits += _WIDTH_BITS * len(widths) + widths[depth[stored, axis]].sum()
-    return int(bits)
 
 
 _BUDGET_BITS = range(8, 17)  # bits of center values to choose from under a byte budget
@@ -128,13 +110,10 @@ class Plane(LinearLeafModel):
         return max((1 + dim) * FLOAT_BITS // 8 * num_leaves, int(MOST_ROWS * self.least_bytes))
 
     def __post_init__(self):
-        bits = self.coefficient_bits
-        if bits is not None and not isinstance(bits, int | np.integer):
-            raise ValueError(f"coefficient_bits must be an integer, got {bits!r}.")
-        if bits not in (None, FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1)):
-            raise ValueError(
-                f"coefficient_bits must be {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}, got {bits}."
-            )
+        bits, allowed = self.coefficient_bits, (FLOAT_BITS, *range(MIN_BITS, MAX_BITS + 1))
+        if bits is not None and not (isinstance(bits, int | np.integer) and bits in allowed):
+            expected = f"an integer, {FLOAT_BITS} (floats) or {MIN_BITS} to {MAX_BITS}"
+            raise ValueError(f"coefficient_bits must be {expected}, got {bits!r}.")
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredPlanes]:
         by_proof = rules.should_split is largest_error and limits.proof is not Proof.NONE
@@ -156,8 +135,8 @@ class Plane(LinearLeafModel):
             return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)
 
         def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
-            num_bits = planes_bits(nodes.cells.depth[leaf], stored(nodes, leaf, bits))
-            return limits.file_size(nodes.cells.dim, len(leaf), num_bits)
+            self.write(body := BitWriter(), sampler.domain, nodes.cells[leaf], stored(nodes, leaf, bits))
+            return limits.file_size(nodes.cells.dim, len(leaf), body.num_bits)
 
         def rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
             return float(stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
@@ -208,9 +187,7 @@ class Plane(LinearLeafModel):
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
         return np.column_stack([center, half])
 
-    def leaf_parameters(
-        self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner
-    ) -> Float[np.ndarray, "n terms"]:
+    def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
         lo, hi = cells.boxes(domain)
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         to_center = (lo + hi) / 2 - corner

@@ -1,9 +1,9 @@
-"""Find the cone leaves to keep after a change of the map, as all their distances change by an equal amount.
+"""Find the cone leaves to keep after a change of the map: leaves in which all distances changed by the same number.
 
-The cone of a source (a corner, or the goal) is its distance to the goal plus the straight distance to it. A shortest
-path can go to a source first only if its cone is, somewhere in the leaf, as low as the leaf's proven upper bound. If
-all such paths are intact and changed by one number, no distance increased by more. If no other cone of the new map
-comes down as low, no distance increased by less. All other leaves are searched again.
+The cone of a source (a corner, or the goal) is the straight distance to the source plus the source's distance to the
+goal. A shortest path from a leaf can go to a source first only if the cone is somewhere in the leaf as low as the
+proven upper bound of distances. If the distances of all such sources rose by one number, and no change blocks the way
+to them, no distance in the leaf rose more. If no source of the new map gives shorter paths, no distance rose less.
 """
 
 from dataclasses import dataclass
@@ -28,13 +28,13 @@ Indices = Int[np.ndarray, "pairs"]
 
 @dataclass(frozen=True, eq=False)
 class ConeLeaves:
-    """A tree of cone leaves, with proven bounds of (distance - cone); ``slack`` is the uncertainty of distances."""
+    """A tree of cone leaves, functions ``offset + |x - apex|``."""
 
     domain: Box
     tree: Tree
     stored: StoredCones
-    bounds: LeafBounds
-    slack: float
+    bounds: LeafBounds  # proven bounds of the distance to the goal minus the leaf's function
+    slack: float  # uncertainty of distances
 
     @cached_property
     def offset(self) -> Float[np.ndarray, "leaves"]:
@@ -51,7 +51,7 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Return by how much all distances in each leaf changed (NaN: they may differ), and its new source or -1."""
+        """Return how much all distances in each leaf changed, NaN if differently, and its apex in ``after`` or -1."""
         from scipy.spatial import KDTree  # which no query needs
 
         apart, nearest = KDTree(before.points).query(self.stored.sources.points)
@@ -99,10 +99,10 @@ class ConeLeaves:
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Find pairs of a leaf and a source to which a shortest path from the leaf may go first.
+        """Return leaves, each with a corner (or the goal) to which a shortest path from the leaf may go first.
 
-        ``leaf`` and ``triangle`` are pairs that intersect; leaves that ``differ`` are skipped. ``pairs`` has the
-        sources of each triangle. Upper bounds of distances in a leaf have risen by ``grown``.
+        ``leaf`` and ``triangle`` are pairs that intersect; leaves marked in ``differ`` are left out. ``pairs`` has
+        the candidates of each triangle. The proven upper bounds of distances have risen by ``grown``.
         """
         first = np.searchsorted(pairs.triangle, np.arange(triangle.max(initial=-1) + 2))  # of each triangle
         rows, met = take_ragged(first, triangle)

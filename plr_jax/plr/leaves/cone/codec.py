@@ -8,7 +8,7 @@ coordinates on a lattice, such as multiples of 0.01. Other sources, such as a go
 
 from bisect import bisect_left
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -32,11 +32,11 @@ _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Apexes of cones (corners and goals) as a file stores them: fine ones first, each kind sorted by coordinates."""
+    """Apexes of cones (corners and goals) as a file stores them, in two groups, each sorted by coordinates."""
 
-    num_fine: int
-    exponent: int  # fine sources are multiples of 2**exponent
-    fraction: int  # other sources are multiples of 1 / fraction
+    num_fine: int  # size of the first group: sources that are not on the map's lattice
+    exponent: int  # coordinates in the first group are multiples of 2**exponent
+    fraction: int  # coordinates in the second group, on the lattice, are multiples of 1 / fraction
     code: Int[np.ndarray, "sources dim"]
     parent: Int[np.ndarray, "sources"]  # next source on the way to the goal; a root is its own parent
     root_offset: Float[np.ndarray, "sources"]  # of roots: distance to the goal, exact in 32 bits
@@ -88,8 +88,8 @@ def store_sources(
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
     """Return sources (obstacle corners, goals) in their file form, without duplicates, and each source's new index.
 
-    ``is_off`` may give the result of :func:`off_lattices`. If there are several ``goals`` (their indices), they are
-    the first sources and the only roots.
+    The parent of a source is the next source on the shortest path to a goal. ``is_off`` may give the result of
+    :func:`off_lattices`. ``goals``, if any, are the indices of several goals, which are the first sources.
     """
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
@@ -115,9 +115,9 @@ def store_sources(
     index[order], rows = np.cumsum(is_new) - 1, rows[first]
     parent, each = index[parents[first]], np.arange(len(first))
     root_offset = np.where(parent == each, offsets[first].astype(np.float32).astype(np.float64), 0.0)
+    of_roots = None if goals is None else goals[first[parent == each]]
     num_fine = int(np.count_nonzero(rows[:, 0] == 0))
-    stored = StoredSources(num_fine, exponent, fraction, rows[:, 1:], parent, root_offset)
-    return (stored if goals is None else replace(stored, goals=goals[first[stored.is_root]])), index
+    return StoredSources(num_fine, exponent, fraction, rows[:, 1:], parent, root_offset, of_roots), index
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
@@ -273,13 +273,16 @@ class ConeFiles:
         return files
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """Encode leaves by their sources, in tree order; -1 (none) becomes that of the leaf before, else the next."""
+        """Encode leaves by the index of each leaf's source; -1 (no path) becomes the source of an adjacent leaf."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source)
         return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits)
+
+    def fit(self, limits: Limits, source: Int[np.ndarray, "leaves"]) -> bool:
+        return self.num_bytes(source, limits) <= limits.max_bytes
 
     def _stored(self, source: Int[np.ndarray, "leaves"]) -> tuple[StoredCones, int]:
         leaf, sources = np.flatnonzero(source >= 0), self._sources

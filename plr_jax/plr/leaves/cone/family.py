@@ -1,18 +1,16 @@
 """Find the best partitions into cone leaves for many goals of one workspace, from samples that all goals share.
 
-A grid of boxes has one sample of free space each, and the corners that each sample sees are the same for all goals.
-So for one goal, the distances at all samples take one addition per pair of a sample and a corner.
+The corners that a sample sees are the same for all goals, so its distance takes one addition for each such corner.
 
-1. Every dyadic box gets the cone of the smallest mean error at its samples (``fit_boxes``). Candidates are the best
-   sources of the box's halves. Most boxes use one source at all samples and have no error.
+1. Every dyadic box gets the cone ``offset + |x - source|`` of least mean error at its samples (``fit_boxes``).
 2. Dynamic programming finds the tree that minimizes error plus a price per leaf. The price is adjusted until the
    file fills the limits (``_largest_tree``).
-3. Leaves change to sources that they see, if errors hardly grow (``change_sources``).
+3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``change_sources``).
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
@@ -26,7 +24,7 @@ from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, LeafOptions, change_sources, query_resolution
-from plr_jax.plr.tree import MAX_DEPTH, Cells, Tree, tree_of_axes
+from plr_jax.plr.tree import Cells, Tree, leaf_order, tree_of_axes
 
 _LEAST_HALVINGS, _MOST_HALVINGS = 7, 9  # of the grid of samples, along each axis
 _SAMPLES_A_LEAF = 16  # least number of samples for each expected leaf
@@ -43,16 +41,16 @@ Shape: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class Lattice:
-    """A lattice of the dyadic boxes of a domain with up to ``halvings`` halvings by axis, except narrow boxes.
+    """The boxes that result from halving a domain up to ``halvings`` times by axis, with aspect ratios of at most 4.
 
-    Large boxes come first. Boxes of one shape have successive numbers, row by row. Box 0 is the whole domain.
+    Boxes are numbered from large to small, and row by row if their shapes are equal. Each smallest box has a sample.
     """
 
     halvings: int
 
     @cached_property
     def first(self) -> dict[Shape, int]:
-        """Number of the first box of each shape."""
+        """For each shape (halvings along each axis), the lowest number of a box."""
         each = range(self.halvings + 1)
         shapes = [(i, j) for i in each for j in each if abs(i - j) <= MAX_ASPECT_BITS]
         shapes.sort(key=sum)
@@ -60,11 +58,10 @@ class Lattice:
 
     @property
     def num_boxes(self) -> int:
-        (*_, last), first = self.first, self.first
-        return first[last] + (1 << sum(last))
+        return sum(1 << sum(shape) for shape in self.first)
 
     def of_shape(self, values: Any, shape: Shape) -> Any:
-        """Return a view of the ``values`` of boxes for one shape, as an array with the axes of the domain."""
+        """Return the ``values`` of all boxes of one shape, as a view with the axes of the domain."""
         begin = self.first[shape]
         return values[begin : begin + (1 << sum(shape))].reshape(1 << shape[0], 1 << shape[1])
 
@@ -88,7 +85,7 @@ class Lattice:
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
-        """For each shape, the first sample of each box, and offsets from there to at most 64 of its samples."""
+        """Indices of samples, by shape: the first in each box, and what to add for up to 64 samples of the box."""
         found, row = {}, 1 << self.halvings
         for shape in self.first:
             size = np.array([1 << (self.halvings - along) for along in shape])
@@ -103,14 +100,14 @@ class Lattice:
         return found
 
     def by_shape(self, box: Int[np.ndarray, "some"]) -> Iterator[tuple[Shape, Int[np.ndarray, "alike"], Any, Any]]:
-        """Yield each shape, the places in ``box`` of its boxes, the indices of first samples, offsets to all."""
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
         for number in np.unique(of_shape):
-            place, shape = np.flatnonzero(of_shape == number), shapes[number]
+            alike, shape = np.flatnonzero(of_shape == number), shapes[number]
+            first_sample = self.samples[shape][0][box[alike] - starts[number]]
             rows, columns = (np.arange(1 << (self.halvings - along)) for along in shape)
-            offset = ((rows[:, None] << self.halvings) + columns).ravel()
-            yield shape, place, self.samples[shape][0][box[place] - starts[number]], offset
+            offsets_of_samples = ((rows[:, None] << self.halvings) + columns).ravel()
+            yield shape, alike, first_sample, offsets_of_samples
 
 
 class GoalSamples(NamedTuple):
@@ -122,7 +119,6 @@ class GoalSamples(NamedTuple):
 
 
 def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
-    """Return the samples for the goal of ``oracle``; ``shared`` are the samples of its family."""
     distance, source = oracle.first_turns(shared)
     reached = source >= 0
     columns = [np.nan_to_num(shared.x), np.where(reached, distance, 0.0), np.where(reached, shared.weight, 0.0)]
@@ -131,23 +127,15 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
 
 @dataclass(frozen=True, eq=False)
 class BoxFits:
-    """The cone of least error for every box of a lattice, with its largest error and the integral of its error.
-
-    Attributes:
-        negligible: Largest error up to which a box counts as exact.
-        source: Apex of each box's cone, a corner or the goal; -1 if no sample has a path.
-        integral: Integral of the error over the box, divided by the area of the domain.
-        is_mixed: Whether the samples of a box use several sources.
-        is_estimated: Whether errors come from only some of the samples of a box.
-    """
+    """The best cone (path length by way of one source) for every box of a lattice, and the cone's errors."""
 
     goal: GoalSamples
-    negligible: float
-    source: Int[np.ndarray, "boxes"]
-    integral: Float[np.ndarray, "boxes"]
+    negligible: float  # largest error up to which a box counts as exact
+    source: Int[np.ndarray, "boxes"]  # apex of each box's cone, a corner or the goal; -1 if no sample has a path
+    integral: Float[np.ndarray, "boxes"]  # of the error over the box, divided by the area of the domain
     largest: Float[np.ndarray, "boxes"]
-    is_mixed: Bool[np.ndarray, "boxes"]
-    is_estimated: Bool[np.ndarray, "boxes"]
+    is_mixed: Bool[np.ndarray, "boxes"]  # whether the samples of a box use several sources
+    is_estimated: Bool[np.ndarray, "boxes"]  # whether errors come from only some of the samples of a box
 
     def evaluate(self, lattice: Lattice, box: Int[np.ndarray, "some"]) -> None:
         """Replace estimated errors of boxes by the errors at all samples."""
@@ -167,10 +155,10 @@ def option_errors(
     source: Int[np.ndarray, "options"],
     shortfall: float = np.inf,
 ) -> Float[np.ndarray, "3 options"]:
-    """Compare distances with the cone of a source at the samples of a box; each option is such a pair.
+    """Compare distances at samples ``first[i] + offset`` with the way straight to ``source[i]`` and on to the goal.
 
-    Option ``i`` has the samples ``first[i] + offset[j]``. Return its weighted sum of errors, its largest error, and
-    the weight of samples more than ``shortfall`` above the cone, which do not see the source.
+    Return weighted sums of errors, largest errors, and the weight of samples whose distance is longer by more than
+    ``shortfall``: a wall hides the source from these samples.
     """
     result, at_once = np.zeros((3, len(first))), max(1, _AT_ONCE // len(offset))
     for begin in range(0, len(first), at_once):
@@ -187,7 +175,7 @@ def option_errors(
 
 
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
-    """Find each box's best source among the best of its halves; largest errors <= ``negligible`` count as 0."""
+    """Find each box's cone (path length by way of one source) of least error, among the best cones of its halves."""
     num = lattice.num_boxes
     source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
     integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)
@@ -228,7 +216,7 @@ class SampledTree(NamedTuple):
 
 
 def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float, max_depth: int) -> SampledTree:
-    """Return the tree of least total cost of its leaves plus a price per leaf, by dynamic programming."""
+    """Return the tree whose leaves have the least total cost plus ``price`` per leaf, by dynamic programming."""
     total, choice = costs + price, np.full(len(costs), -1, np.int8)
     for shape in list(lattice.first)[::-1]:
         if sum(shape) < max_depth:
@@ -238,16 +226,14 @@ def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float,
                     both = halves[0] + halves[1]
                     cheaper = both < here
                     here[cheaper], axis_here[cheaper] = both[cheaper], axis
-    axes, leaves, paths, here, path = [], [], [], np.zeros(1, np.int64), np.zeros(1, np.int64)
+    axes, leaves, here = [], [], np.zeros(1, np.int64)
     while len(here):
         axis = choice[here].astype(np.int64)
-        is_leaf, depth = axis < 0, len(axes)
+        is_leaf = axis < 0
         axes.append(axis)
         leaves.append(here[is_leaf])
-        paths.append(path[is_leaf])
         here = lattice.child[axis[~is_leaf], here[~is_leaf]].ravel()
-        path = (path[~is_leaf, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
-    return SampledTree(axes, np.concatenate(leaves)[np.argsort(np.concatenate(paths))])
+    return SampledTree(axes, np.concatenate(leaves)[leaf_order(axes)])
 
 
 _ATTEMPTS, _FULL = 10, 0.985  # prices to try for one goal; used share of the limits at which a tree is large enough
@@ -259,7 +245,7 @@ _BEYOND, _LARGEST_STEP = 0.1, 8.0  # an extrapolated price aims beyond the limit
 def _largest_tree(
     lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float
 ) -> SampledTree:
-    """Try prices per leaf; return the largest best tree within the limits, expected to have about ``num_leaves``."""
+    """Return the largest tree within the limits that has the least cost plus price per leaf, for some price."""
     least_share = (LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN) / num_leaves
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     limits.require_room(files.num_bytes(fits.source[:1], limits))
@@ -294,10 +280,7 @@ def _largest_tree(
 
 
 def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], shortfall: float) -> LeafOptions:
-    """Return the most frequent sources of leaves whose samples use several, and each leaf's own, with their errors.
-
-    Samples more than ``shortfall`` above a cone do not see its source.
-    """
+    """Collect candidates for each leaf's source: the sources of most of its samples, and its present source."""
     goal, options, mixed = fits.goal, [], np.flatnonzero(fits.is_mixed[box])
     count = len(goal.sources.points)
     for shape, place, first, offset in lattice.by_shape(box[mixed]):
@@ -316,17 +299,9 @@ def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], sh
     return LeafOptions(*map(np.concatenate, zip(*options, strict=True)))
 
 
-class FamilyTree(NamedTuple):
-    """A tree, the file form of its leaves, and each leaf's index in the oracle's ``sources``; -1 without a path."""
-
-    tree: Tree
-    stored: StoredCones
-    source: Int[np.ndarray, "leaves"]
-
-
 @dataclass(frozen=True, eq=False)
 class FamilyTask:
-    """A builder of cone leaves for oracles of one family (goals of one workspace)."""
+    """A function that builds the cone leaves of oracles of one family (goals of one workspace)."""
 
     shared: Any
     lattice: Lattice
@@ -335,8 +310,8 @@ class FamilyTask:
     limits: Limits
     num_leaves: float
 
-    def __call__(self, oracle: FamilyFn) -> FamilyTree | None:
-        """Return the largest tree of cones within the limits for an oracle; None if no sample reaches its goal."""
+    def __call__(self, oracle: FamilyFn) -> tuple[Tree, StoredCones, Int[np.ndarray, "leaves"]] | None:
+        """Return the largest tree within the limits, its leaves as stored, and their apexes; None without a path."""
         goal = goal_samples(oracle, self.shared)
         if (goal.source < 0).all():
             return None
@@ -347,16 +322,12 @@ class FamilyTask:
         if fits.is_mixed[tree.box].any():
             shortfall = LEAST_SHORTFALL * float(self.domain.width.max())
             options = _options(self.lattice, fits, tree.box, shortfall)
-
-            def has_room(source: Int[np.ndarray, "leaves"]) -> bool:
-                return files.num_bytes(source, self.limits) <= self.limits.max_bytes
-
-            source = change_sources(source, options, float(total), float(most), has_room)
-        return FamilyTree(tree_of_axes(tree.axes, 2), files.stored(source), source)
+            source = change_sources(source, options, float(total), float(most), partial(files.fit, self.limits))
+        return tree_of_axes(tree.axes, 2), files.stored(source), source
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:
-    """Make the builder for the family of the oracle ``first``; None if limits allow too many leaves for samples."""
+    """Return a builder for all goals in the workspace of ``first``; None if the limits allow too many leaves."""
     # Estimate the number of leaves that the limits allow.
     bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
     of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from plr_jax._arrays import shortened
 from plr_jax._types import Distances, Points, Sources
@@ -15,7 +15,7 @@ from plr_jax.geometry.convex_pieces import Pieces, difference_of_cones
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import Corner, table_corners
 from plr_jax.plr.growth import Limits, best_axis, grow, largest_error
-from plr_jax.plr.leaves.base import UNIT, Coefficients, LeafModel, Rules, largest_coordinates
+from plr_jax.plr.leaves.base import UNIT, Coefficients, LeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.leaves.cone.codec import StoredCones, read_cones, write_cones
 from plr_jax.plr.leaves.cone.search import best_cones_of_goal
 from plr_jax.plr.sampling import Sampler
@@ -56,9 +56,10 @@ class Cone(LeafModel):
         domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
         if not len(visible.cell):
             sampler.root()  # raises the error that nothing is reachable
-        found = best_cones_of_goal(visible, domain, limits, sampler.pattern, partial(grow, limits=limits))
-        sampler.memory.remember(found.boxes.cells, found.boxes.visible)  # which a proof needs
-        return found.tree, found.stored
+        run = partial(grow, limits=limits)
+        tree, stored, boxes = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
+        sampler.memory.remember(boxes.cells, boxes.visible)  # which a proof needs
+        return tree, stored
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
         write_cones(body, domain, stored)
@@ -74,9 +75,7 @@ class Cone(LeafModel):
     def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
         return coefficients[:, 0] + np.linalg.norm(x - coefficients[:, 1:], axis=1)
 
-    def leaf_parameters(
-        self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner
-    ) -> Float[np.ndarray, "n terms"]:
+    def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
         return np.column_stack([coefficients[:, 0], coefficients[:, 1:] - corner])
 
     def cone_minus_leaf_bounds(

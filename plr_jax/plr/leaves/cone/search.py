@@ -1,14 +1,15 @@
-"""Find the best partitions into cone leaves within the limits of a file, for one goal.
+"""Find the best partition into cone leaves, functions ``offset + |x - source|``, for one goal and a file's limits.
 
 1. Each box gets the cone with the smallest integral of its proven error (``ConeBoxes``).
-2. A search over all dyadic boxes finds the largest best trees within the limits (``best_cones_of_goal``).
+2. The price per leaf is found at which the tree of least error plus prices fills the file (``best_cones_of_goal``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``prefer_visible_sources``).
 """
 
 from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Self, TypeAlias
+from functools import partial
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -17,11 +18,7 @@ from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
-from plr_jax.plr.best_partition import (
-    BoxLevel,
-    PricedTree,
-    PriceSearch,
-)
+from plr_jax.plr.best_partition import BoxLevel, PricedTree, PriceSearch
 from plr_jax.plr.cell_memory import distances_in_cells
 from plr_jax.plr.certificate import Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits
@@ -29,31 +26,21 @@ from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
 from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
-# 1. Boxes and their best cones.
-
 _MOST_TRIED = 4
-"""Number of sources to try for a box: those that the centers of its largest convex pieces of free space use."""
+"""Number of sources to try for a box: sources that the centers of its largest convex pieces of free space use."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes, each with the best of a few cones ``distance of source + |x - source|``.
-
-    Attributes:
-        negligible: Error up to which a box counts as exact.
-        visible: Sources of the boxes: the goal, and corners where paths from them may turn first.
-        source: Index of the best source; -1 if nothing in the box reaches the goal.
-        error: Proven bound of the cone's largest error in the box; 0 if negligible.
-        integral: Proven bound of the integral of this error over the box, as a share of the domain's area.
-    """
+    """Boxes, each with the best of a few cones ``distance of source + |x - source|``."""
 
     domain: Box
-    negligible: float
+    negligible: float  # error up to which a box counts as exact
     cells: Cells
-    visible: CellSources
-    source: Int[np.ndarray, "boxes"]
-    error: Float[np.ndarray, "boxes"]
-    integral: Float[np.ndarray, "boxes"]
+    visible: CellSources  # sources of the boxes: the goal, and corners where paths from them may turn first
+    source: Int[np.ndarray, "boxes"]  # index of the best source; -1 if nothing in the box reaches the goal
+    error: Float[np.ndarray, "boxes"]  # proven bound of the cone's largest error in the box; 0 if negligible
+    integral: Float[np.ndarray, "boxes"]  # proven bound of the error's integral, as a share of the domain's area
     by_side: bool = False
 
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> Self:
@@ -66,8 +53,8 @@ class ConeBoxes(Rows):
     def peak(self) -> Float[np.ndarray, "boxes"]:
         """The largest error; if ``by_side``, times the side of the box (the root of its share of the domain's area).
 
-        With this factor, a wall through boxes costs the same however often they are halved, so boxes beside it are
-        halved until slivers are thin. Certified cones go without it: their classes need few leaves of large error.
+        With this factor, boxes along a wall together cost the same however often they are halved, so they are halved
+        until thin. Proven PLRs go without this factor, since they need few leaves of large error.
         """
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
 
@@ -78,7 +65,7 @@ class ConeBoxes(Rows):
         is_upper: Bool[np.ndarray, "halves"],
         known: UInt64[np.ndarray, "known"],
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
-        """Halve boxes; return the distinct halves with keys not ``known``, their keys, and the keys of all halves."""
+        """Halve boxes; return the halves that are not ``known``, their hashes, and the hashes of all halves."""
         cells = self.cells[parent].halves(axis, is_upper)
         lo, hi = cells.grown_boxes(self.domain)
         key = cells.hashes()
@@ -94,7 +81,7 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
 
 
 def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources, by_side: bool = False) -> ConeBoxes:
-    """Find each box's cone of least proven error integral, of up to 4 tried; 0 if the largest is ``negligible``."""
+    """Find for each box the cone (path length by way of one source) with the least integral of its proven error."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
@@ -117,24 +104,19 @@ def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources
 
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
-    """Return each box's source if all of the box sees it and uses no other source, so the cone is exact; else -1."""
-    only, first = np.full(visible.num_cells, -1), visible.first_pair[visible.first_piece]
-    is_box = np.flatnonzero(np.diff(first) == np.diff(visible.first_piece))  # one pair for each piece, or none
-    is_box = is_box[np.diff(first)[is_box] > 0]
-    if not len(is_box):
-        return only
-    of_pairs = np.stack([visible.source, -visible.source, visible.by_all])
-    smallest, largest, by_all = np.minimum.reduceat(of_pairs, first[:-1][np.diff(first) > 0], axis=1)
-    row = (np.cumsum(np.diff(first) > 0) - 1)[is_box]
-    alone = (smallest == -largest)[row] & (by_all[row] > 0)
-    only[is_box[alone]] = smallest[row[alone]]
-    return only
+    """Return, for each box, the corner (or goal) to which all shortest paths from the box go straight; else -1."""
+    first = visible.first_pair[visible.first_piece]
+    count, own = np.diff(first), np.append(visible.source, -1)[first[:-1]]
+    agrees = visible.by_all & (visible.source == np.repeat(own, count))
+    num_agreeing = np.diff(np.append(0, np.cumsum(agrees))[first])
+    is_sole = (count > 0) & (count == np.diff(visible.first_piece)) & (count == num_agreeing)
+    return np.where(is_sole, own, -1)
 
 
 def option_errors(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Bound the error of each option, the cone of a source in a box: largest, and integral over free space."""
+    """Bound the largest error, and its integral, if all paths from ``box[i]`` go first to ``source[i]``."""
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
@@ -149,70 +131,42 @@ def option_errors(
     return largest, np.bincount(option, error * areas(visible.pieces)[piece], len(box))
 
 
-# 3. Visible sources: among the sources that serve a box about as well, choose one that most of the box sees.
-#
-# If a wall hides a leaf's source from a point, the distance there is larger than the cone: were the source visible,
-# the path by it would be as short as the cone. So samples above the cone show where the source is hidden.
-
+# If a wall hides a leaf's source from a point, the distance there is larger than the cone. So samples above the cone
+# show where the source is hidden.
 _PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
 LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
 
 
-@dataclass(frozen=True, eq=False)
-class LeafBoxes:
-    """The leaves of a tree in order: each leaf's ``box``, an index in the level ``depth``, and source (-1: none)."""
-
-    source: Int[np.ndarray, "leaves"]
-    depth: Int[np.ndarray, "leaves"]
-    box: Int[np.ndarray, "leaves"]
-
-
-def tree_of_leaves(levels: list[BoxLevel], tree: PricedTree) -> tuple[Tree, LeafBoxes]:
-    """Return a tree in the canonical form of files, and its leaves in that order."""
-    found = tree_of(tree_of_axes(tree.axes, 2).leaves)
-    order = tree.order[found.order]
-    depth, box = np.repeat(np.arange(len(tree.leaves)), list(map(len, tree.leaves))), np.concatenate(tree.leaves)
-    source = np.concatenate([level.boxes.source[of] for level, of in zip(levels, tree.leaves, strict=False)])
-    return found, LeafBoxes(source[order], depth[order], box[order])
-
-
 class LeafOptions(NamedTuple):
-    """The sources to choose from for leaves that do not entirely see their best source: pairs of leaf and source.
-
-    Attributes:
-        is_own: Whether the source is the leaf's best.
-        by_all: Whether all of the leaf sees the source.
-        error: Mean error over the leaf, at samples.
-        hidden: Share of the leaf from which a wall hides the source.
-        largest, integral: Proven largest error, and proven integral of the error over the leaf's free space.
-        area: Area of the leaf's free space.
-    """
+    """Candidates for apexes (corners, or the goal) of leaves' cones, if walls hide the best apex from some points."""
 
     leaf: Int[np.ndarray, "options"]
     source: Int[np.ndarray, "options"]
-    is_own: Bool[np.ndarray, "options"]
-    by_all: Bool[np.ndarray, "options"]
-    error: Float[np.ndarray, "options"]
-    hidden: Float[np.ndarray, "options"]
-    largest: Float[np.ndarray, "options"]
-    integral: Float[np.ndarray, "options"]
-    area: Float[np.ndarray, "options"]
+    is_own: Bool[np.ndarray, "options"]  # whether the source is the leaf's best
+    by_all: Bool[np.ndarray, "options"]  # whether all of the leaf sees the source
+    error: Float[np.ndarray, "options"]  # mean error over the leaf, at samples
+    hidden: Float[np.ndarray, "options"]  # share of the leaf from which a wall hides the source
+    largest: Float[np.ndarray, "options"]  # proven largest error
+    integral: Float[np.ndarray, "options"]  # proven integral of the error over the leaf's free space
+    area: Float[np.ndarray, "options"]  # of the leaf's free space
 
 
-def boxes_of_leaves(levels: list[BoxLevel], leaves: LeafBoxes) -> ConeBoxes:
-    first, *others = (level.boxes[leaves.box[leaves.depth == depth]] for depth, level in enumerate(levels))
-    return first.append(*others)[np.argsort(np.argsort(leaves.depth, kind="stable"))]
+def boxes_of_levels(levels: list[BoxLevel], number: Int[np.ndarray, "some"]) -> ConeBoxes:
+    """Return boxes by their numbers, which count boxes of the first level, then of the second, and so on."""
+    first = np.cumsum([0, *(len(level.key) for level in levels)])
+    depth = np.searchsorted(first, number, side="right") - 1
+    parts = [level.boxes[number[depth == each] - first[each]] for each, level in enumerate(levels)]
+    return parts[0].append(*parts[1:])[np.argsort(np.argsort(depth, kind="stable"))]
 
 
 def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
-    """Find other sources for leaf boxes that do not entirely see their source; boxes of over 64 sources get none."""
     # Pairs of a box and a source that some of its points use, and whether all of the box sees the source.
     visible, count = boxes.visible, len(boxes.visible.sources.points)
     pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
     box, source = np.divmod(pair, count)
     by_all = np.bincount(index, visible.by_all, len(pair)) == np.diff(visible.first_piece)[box]
-    is_doubted = np.diff(boxes.visible.first_piece) > 0
+    is_doubted = np.diff(visible.first_piece) > 0
     is_doubted[box[by_all & (source == boxes.source[box])]] = False
     is_doubted &= np.bincount(box, minlength=len(is_doubted)) <= _MOST_OPTIONS
     box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
@@ -236,9 +190,9 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 def prefer_visible_sources(
     boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Return each leaf's source; prefer sources that it sees, if proven errors stay below the largest of all leaves.
+    """Return the apex (a corner, or the goal) of each leaf's cone; prefer apexes that all of the leaf sees.
 
-    ``fits`` tests whether the file stays within its limits.
+    The largest proven error does not rise. ``fits`` tests whether the file stays within its limits.
     """
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
@@ -251,9 +205,9 @@ def change_sources(
     most: float,
     fits: Callable[[Int[np.ndarray, "leaves"]], bool],
 ) -> Int[np.ndarray, "leaves"]:
-    """Change leaves to sources that they see: the most useful changes first, as many as the limits (``fits``) allow.
+    """Replace apexes of cones (sources) from which walls hide parts of their leaves, as far as the file ``fits``.
 
-    A hidden source costs ``total``, the mean error of all leaves, times a constant. No error rises above ``most``.
+    Proven errors of new cones are at most ``most``; ``total`` is the mean error of all leaves before.
     """
     leaf, is_own = options.leaf, options.is_own
     if not len(leaf):
@@ -278,21 +232,7 @@ def change_sources(
     return changed(bisect_left(range(1, len(best)), True, key=lambda count: not fits(changed(count))))
 
 
-# 2. The best trees.
-
 _ROOM = 64  # one byte in this many is reserved for changes to visible sources
-
-
-class ConeTree(NamedTuple):
-    """A tree, and its leaves in the order of its traversal: their file form, and their boxes."""
-
-    tree: Tree
-    stored: StoredCones
-    boxes: ConeBoxes
-
-
-Run: TypeAlias = Callable[[PricedTree, Callable[[PricedTree], PricedTree | None]], PricedTree]
-"""Function that repeats a step on a tree until the step returns None, and returns the last tree."""
 
 
 def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None]) -> PricedTree:
@@ -302,21 +242,30 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
     return tree
 
 
-def best_cones_of_goal(visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Run) -> ConeTree:
-    """Find the best cone leaves for one goal, whose sources in the slightly enlarged domain are ``visible``."""
+def best_cones_of_goal(
+    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Callable[..., PricedTree] = run_quietly
+) -> tuple[Tree, StoredCones, ConeBoxes]:
+    """Find the best cone leaves for one goal; return a tree, its leaves as stored, and their boxes, in tree order.
+
+    ``visible`` has the corners to which shortest paths from the domain may go first.
+    """
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
     levels = [BoxLevel.of(box, box.cells.hashes())]
     files = ConeFiles(visible.sources, domain)
 
-    def size(tree: PricedTree) -> int:
-        return files.num_bytes(tree_of_leaves(levels, tree)[1].source, limits) * (_ROOM + 1) // _ROOM
+    def in_order(priced: PricedTree) -> tuple[Tree, Int[np.ndarray, "leaves"]]:
+        tree = tree_of(tree_of_axes(priced.axes, 2).leaves)  # in the canonical form of files
+        first = np.cumsum([0, *(len(level.key) for level in levels)])
+        numbers = np.concatenate([begin + leaf for begin, leaf in zip(first, priced.leaves, strict=False)])
+        return tree, numbers[priced.order][tree.order]
+
+    def size(priced: PricedTree) -> int:
+        source = np.concatenate([level.boxes.source for level in levels])[in_order(priced)[1]]
+        return files.num_bytes(source, limits) * (_ROOM + 1) // _ROOM
 
     search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
-    tree, leaves = tree_of_leaves(levels, run(search.first(), search.next))
-
-    def fits(source: Int[np.ndarray, "leaves"]) -> bool:
-        return files.num_bytes(source, limits) <= limits.max_bytes
-
-    boxes = boxes_of_leaves(levels, leaves)
-    return ConeTree(tree, files.stored(prefer_visible_sources(boxes, pattern, fits)), boxes)
+    tree, numbers = in_order(run(search.first(), search.next))
+    boxes = boxes_of_levels(levels, numbers)
+    source = prefer_visible_sources(boxes, pattern, partial(files.fit, limits))
+    return tree, files.stored(source), boxes

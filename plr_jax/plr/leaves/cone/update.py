@@ -5,7 +5,7 @@ same price; elsewhere the optimal leaves are searched as in a construction. If t
 rises and leaves merge. If room is left, the price falls and the leaves with the largest errors are searched again.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,16 +22,14 @@ from plr_jax.plr.leaves.cone.changed_leaves import ConeLeaves
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.leaves.cone.search import (
     ConeBoxes,
-    LeafBoxes,
     best_cones_of_goal,
-    boxes_of_leaves,
+    boxes_of_levels,
     fit_boxes,
     prefer_visible_sources,
     query_resolution,
-    run_quietly,
 )
 from plr_jax.plr.sampling import Pattern, sample_pattern
-from plr_jax.plr.tree import Tree, grown_domain, leaf_order, tree_of_axes
+from plr_jax.plr.tree import Rows, Tree, grown_domain, leaf_order, tree_of_axes
 
 _ASKED, _SPARE = 128, 1e-6  # leaves at which the old oracle is tested; tolerance in units of the largest distance
 _MARGIN = 1.0  # pruning margin of expand
@@ -47,11 +45,11 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 
 @dataclass(frozen=True, eq=False)
-class NodeCosts:
-    """The best cone that each node of a tree could have as a leaf: integral of the error, largest error, and apex."""
+class NodeCosts(Rows):
+    """The apex of the best cone ``offset + |x - apex|`` for each node of a tree as a leaf, and the cone's errors."""
 
-    integral: Float[np.ndarray, "nodes"]  # inf if unknown
-    peak: Float[np.ndarray, "nodes"]
+    integral: Float[np.ndarray, "nodes"]  # of the error over the node; inf if unknown
+    peak: Float[np.ndarray, "nodes"]  # largest error
     source: Int[np.ndarray, "nodes"]
     price: float  # penalty per leaf at which the tree has about the least sum of costs and penalties
 
@@ -63,21 +61,19 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     """Compute the errors that nodes would have as leaves, and a penalty per leaf at which few leaves would merge."""
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
-    (integral, peak), source = np.zeros((2, len(tree.child))), np.empty(len(tree.child), int)
-    for nodes, visible in sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain):
-        boxes = fit_boxes(domain, negligible, tree.cells[nodes], visible)
-        integral[nodes], peak[nodes], source[nodes] = boxes.integral, boxes.peak, boxes.source
-    costs = integral + _peak_share(tree, limits) * peak
+    levels = sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain)
+    boxes = (fit_boxes(domain, negligible, tree.cells[nodes], visible) for nodes, visible in levels)
+    first, *others = (NodeCosts(each.integral, each.peak, each.source, np.nan) for each in boxes)
+    nodes = first.append(*others)
+    costs = nodes.costs(_peak_share(tree, limits))
     total, count = costs.copy(), np.ones(len(costs))
     for split in tree.splits[::-1]:
-        total[split], count[split] = (
-            each[tree.child[split]] + each[tree.child[split] + 1] for each in (total, count)
-        )
+        for each in (total, count):
+            each[split] = each[tree.child[split]] + each[tree.child[split] + 1]
     inner = np.flatnonzero(count > 1)
     worth = (costs - total)[inner] / (count - 1)[inner]
     worth = worth[worth > 0]
-    price = float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), _NO_PRICE)
-    return NodeCosts(integral, peak, source, price)
+    return replace(nodes, price=float(np.quantile(worth, _FEW)) if len(worth) else max(float(costs[0]), _NO_PRICE))
 
 
 def _peak_share(tree: Tree, limits: Limits) -> float:
@@ -115,12 +111,11 @@ def updated_cones(
     best = _best_tree_within_limits(search)
     if best is None:
         visible = oracle.cell_sources(grown_domain(leaves.domain))
-        found = best_cones_of_goal(visible, leaves.domain, limits, pattern, run_quietly)
-        rebuilt = np.arange(len(found.boxes.cells))
-        unknown = LeafBounds(*np.zeros((2, len(rebuilt))))
-        return UpdatedCones(found.tree, found.stored, unknown, rebuilt, found.boxes.visible, None)
+        tree, stored, boxes = best_cones_of_goal(visible, leaves.domain, limits, pattern)
+        unknown = LeafBounds(*np.zeros((2, len(boxes.cells))))
+        return UpdatedCones(tree, stored, unknown, np.arange(len(boxes.cells)), boxes.visible, None)
     new = search.files.stored(search.prefer_visible_sources(best, pattern))
-    old = np.append(leaves.tree.leaf_of_node, np.full(search.num_boxes, -1))[best.leaves]
+    old = np.append(leaves.tree.leaf_of_node, -1)[np.minimum(best.leaves, len(leaves.tree.child))]
     stays, rebuilt = np.flatnonzero(old >= 0), np.flatnonzero(old < 0)
     old = old[stays]
     # A kept cone rose with its offset, and moved slightly if its source is rounded differently.
@@ -131,7 +126,8 @@ def updated_cones(
     upper[stays] = leaves.bounds.upper[old] + rises + beside
     visible = search.visible(best.leaves[rebuilt])
     tree = tree_of_axes(best.axes, 2)
-    return UpdatedCones(tree, new, LeafBounds(lower, upper), rebuilt, visible, search.node_costs(best))
+    node_costs = replace(search.all_nodes[best.nodes], price=best.price)
+    return UpdatedCones(tree, new, LeafBounds(lower, upper), rebuilt, visible, node_costs)
 
 
 def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
@@ -150,7 +146,7 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The tree of least error plus price per leaf. Node indices count the old tree's nodes first, then new boxes."""
+    """The tree of least error plus price per leaf; nodes and leaves are indices in ``ConeSearch.all_nodes``."""
 
     price: float
     axes: list[Int[np.ndarray, "_"]]  # split axis of each node, level by level; -1 for a leaf
@@ -210,13 +206,6 @@ class ConeSearch:
     def peak_share(self) -> float:
         return _peak_share(self.leaves.tree, self.limits)
 
-    @property
-    def num_boxes(self) -> int:
-        return sum(len(level.key) for level in self.levels)
-
-    def source(self, node: Int[np.ndarray, "some"]) -> Int[np.ndarray, "some"]:
-        return np.concatenate([self.nodes.source, *(level.boxes.source for level in self.levels)])[node]
-
     def boxes(self, node: Int[np.ndarray, "some"]) -> ConeBoxes:
         domain, cells = self.leaves.domain, self.leaves.tree.cells[node]
         visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
@@ -224,23 +213,12 @@ class ConeSearch:
         return fit_boxes(domain, negligible, cells, visible)
 
     def visible(self, node: Int[np.ndarray, "some"]) -> CellSources:
-        first, parts = len(self.leaves.tree.child), [self.boxes(node[node < len(self.leaves.tree.child)]).visible]
-        places = [np.flatnonzero(node < first)]
-        for level in self.levels:
-            place = np.flatnonzero((node >= first) & (node < first + len(level.key)))
-            parts.append(level.boxes.visible.of_cells(node[place] - first))
-            places.append(place)
-            first += len(level.key)
-        return parts[0].append(*parts[1:]).of_cells(np.argsort(np.concatenate(places)))
-
-    def needs_no_refinement(self, price: float) -> bool:
-        """Return whether more leaves would not pay: most leaves are kept, and few of these cost over the price."""
-        cost = self.nodes.costs(self.peak_share)[self.leaves.tree.node_of_leaf]
-        known = cost[~self.is_reopened & np.isfinite(cost)]
-        return bool(2 * len(known) > len(cost) and np.mean(known > price) < _WANTING)
+        number = node - len(self.leaves.tree.child)
+        old, new = self.boxes(node[number < 0]), boxes_of_levels(self.levels, number[number >= 0])
+        return old.visible.append(new.visible).of_cells(np.argsort(np.argsort(number >= 0, kind="stable")))
 
     def reopen_worst_leaves(self, count: int, price: float) -> None:
-        """Mark the kept leaves of the highest costs above the price, at most ``count``, to be searched again."""
+        """Add up to ``count`` kept leaves to the search: the leaves with the largest errors above ``price``."""
         tree, integral = self.leaves.tree, self.nodes.integral
         cost = self.nodes.costs(self.peak_share)[tree.node_of_leaf]
         cost[self.is_reopened | np.isinf(cost)] = 0.0
@@ -280,37 +258,29 @@ class ConeSearch:
             nodes.append(place[child[here[axis[here] >= 0]]].ravel())
         node = np.concatenate(nodes)
         leaf = node[axis[node] < 0][leaf_order(walked)]
-        of_bytes = self.files.num_bytes(self.source(leaf), self.limits) / self.limits.max_bytes
+        of_bytes = self.files.num_bytes(self.all_nodes.source[leaf], self.limits) / self.limits.max_bytes
         share = max(of_bytes, len(leaf) / self.limits.max_leaves)
         return FoundTree(price, walked, node, leaf, share)
 
     def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
         """Return each leaf's source (a corner or the goal); new leaves get one that they see, where possible."""
-        first = np.cumsum([len(self.leaves.tree.child), *(len(level.key) for level in self.levels)])
-        place, source = np.flatnonzero(found.leaves >= first[0]), self.source(found.leaves)
-        leaf = found.leaves[place]
-        depth = np.searchsorted(first, leaf, side="right") - 1
-        leaves = LeafBoxes(source[place], depth, leaf - first[depth])
+        number, source = found.leaves - len(self.leaves.tree.child), self.all_nodes.source[found.leaves]
+        place = np.flatnonzero(number >= 0)
 
         def changed(of_new: Int[np.ndarray, "boxes"]) -> Int[np.ndarray, "leaves"]:
             sources = source.copy()
             sources[place] = of_new
             return sources
 
-        def fits(of_new: Int[np.ndarray, "boxes"]) -> bool:
-            return self.files.num_bytes(changed(of_new), self.limits) <= self.limits.max_bytes
-
-        if not len(leaf):
+        if not len(place):
             return source
-        return changed(prefer_visible_sources(boxes_of_leaves(self.levels, leaves), pattern, fits))
+        boxes = boxes_of_levels(self.levels, number[place])
+        return changed(prefer_visible_sources(boxes, pattern, lambda new: self.files.fit(self.limits, changed(new))))
 
-    def node_costs(self, found: FoundTree) -> NodeCosts:
-        boxes = [level.boxes for level in self.levels]
-        integral, peak, source = (
-            np.concatenate([getattr(each, name) for each in (self.nodes, *boxes)])[found.nodes]
-            for name in ("integral", "peak", "source")
-        )
-        return NodeCosts(integral, peak, source, found.price)
+    @property
+    def all_nodes(self) -> NodeCosts:
+        """The nodes of the tree before the update, followed by the boxes of all levels."""
+        return self.nodes.append(*(level.boxes for level in self.levels))
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
@@ -318,7 +288,10 @@ def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
-    is_full = search.needs_no_refinement(price)
+    # More leaves would gain little if most leaves are kept and few of them have an error above the price.
+    cost = search.nodes.costs(search.peak_share)[search.leaves.tree.node_of_leaf]
+    kept = cost[~search.is_reopened & np.isfinite(cost)]
+    is_full = 2 * len(kept) > len(cost) and np.mean(kept > price) < _WANTING
     if share < _FAR and not is_full:
         return None
     if share < _LEFT and not is_full:  # use the room that earlier changes left
