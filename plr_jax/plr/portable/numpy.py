@@ -2,13 +2,13 @@
 
 import os
 from collections.abc import Callable
-from functools import cached_property, reduce
+from functools import cache, cached_property, reduce
 from math import floor, sqrt
 from operator import add
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, Integer, UInt32
+from jaxtyping import Float, Integer, UInt32
 
 from plr_jax._arrays import as_queries, shortened
 from plr_jax._files import file_path
@@ -93,17 +93,6 @@ _UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes 
 _LARGEST = float(np.finfo(np.float64).max)
 
 
-class _Rows(dict):
-    """Rows of a table as tuples of scalars, converted at first access."""
-
-    def __init__(self, table: Float[np.ndarray, "rows count"]):
-        self._table = table
-
-    def __missing__(self, row: int) -> tuple[np.float32, ...]:
-        self[row] = numbers = tuple(self._table[row])
-        return numbers
-
-
 def point_query(
     program: Program, table: LeafTable, numbers: Float[np.ndarray, "leaves count"], *, of_leaf: bool = False
 ) -> Callable[..., Any]:
@@ -157,7 +146,7 @@ def point_query(
     elsewhere = "-1" if of_leaf else f"nan if {is_nan} else inf"
     if not of_leaf:
         parameters = [f"n{i}" for i in range(numbers.shape[1])]
-        do.statements += [f"leaf = {row}", f"{', '.join(parameters)}, = rows[leaf]"]
+        do.statements += [f"leaf = {row}", f"{', '.join(parameters)}, = row_of(leaf)"]
         row = program.value(do, offsets, [do.atom(name) for name in parameters])
     lines = [
         f"if not ({' and '.join(inside)}):",
@@ -167,7 +156,8 @@ def point_query(
         f"return {row}",
     ]
     source = "\n    ".join([f"def query({', '.join(given)}):", *lines])
-    names: dict[str, Any] = {"rows": _Rows(numbers), "descend": descend, "codes": table.table.data, **do.constants}
+    names: dict[str, Any] = {"descend": descend, "codes": table.table.data, **do.constants}
+    names["row_of"] = cache(lambda row: tuple(numbers[row]))
     names |= {"inf": np.float32(np.inf), "nan": np.float32(np.nan), "floor": floor, "sqrt": sqrt}
     names |= {"float32": np.float32, "float64": np.float64}
     exec(source, names)
@@ -224,6 +214,9 @@ class NumpyPLR:
         size = f"dim={self.dim}, num_leaves={self.num_leaves}"
         return f"NumpyPLR({self._program.leaf.name!r}, {size}{proof}, {self.domain})"
 
+    def __reduce__(self) -> Any:  # generated functions cannot be pickled
+        return NumpyPLR, (self._data,)
+
     def to_bytes(self) -> bytes:
         """Return the bytes of the file."""
         return self._data
@@ -251,7 +244,7 @@ class NumpyPLR:
             outside = as_outside(outside)
         answer = self._at_few_points(x, self._distance_query)
         if answer is None or (outside != "inf" and np.isinf(answer).any()):
-            return self._evaluate(x, self._values, (), outside)
+            return self._evaluate(x, self._values, outside)
         return np.array(answer) if type(answer) is list else answer
 
     def waypoint(self, x: ArrayLike) -> Any:
@@ -260,20 +253,15 @@ class NumpyPLR:
         Results are float32, or float64 in a domain far from the origin.
         """
         as_sourced(self._program.leaf)
-        leaf = self._at_few_points(x, self._leaf_query)
-        return self._evaluate(x, self._waypoints, (self.dim,)) if leaf is None else self._waypoint_rows.take(leaf, 0)
+        return self._of_leaves(x, self._waypoint_rows)
 
     def which(self, x: ArrayLike) -> Any:
         """Return the index of the goal that is nearest to each point ``(..., dim)``; -1 outside and for NaN.
 
         Only for cones whose file names their goals; see :meth:`PLR.which`.
         """
-        goals = self._goal_rows
-        leaf = self._at_few_points(x, self._leaf_query)
-        if leaf is not None:
-            return goals.take(leaf)
-        found = self._evaluate(x, self._goals, ())
-        return np.where(np.isfinite(found), found, -1).astype(goals.dtype)[()]
+        goal = self._of_leaves(x, self._goal_rows)
+        return np.where(goal >= 0, goal, -1).astype(np.int64)[()]
 
     def bounds(self, x: ArrayLike) -> tuple[Any, Any]:
         """Return proven lower and upper bounds of the distance at points ``(..., dim)``; see :meth:`PLR.bounds`.
@@ -282,7 +270,7 @@ class NumpyPLR:
         """
         if self._band is None:
             raise ValueError("Nothing is proven of this PLR: construct it with certified=True, or call certify.")
-        answers = self._evaluate(x, self._bounds, (2,))
+        answers = self._evaluate(x, self._bounds)
         return answers[..., 0], answers[..., 1]
 
     @cached_property
@@ -299,8 +287,13 @@ class NumpyPLR:
         return np.pad(waypoints, ((0, 1), (0, 0)), constant_values=np.nan)
 
     @cached_property
-    def _goal_rows(self) -> Int[np.ndarray, "leaves_and_outside"]:
-        return np.append(goal_of_leaves(self._program.leaf, self._program.contents.stored), -1)
+    def _goal_rows(self) -> Float[np.ndarray, "leaves_and_outside"]:
+        return np.append(goal_of_leaves(self._program.leaf, self._program.contents.stored), np.nan)
+
+    def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, "leaves_and_outside *row"]) -> Any:
+        """Return the row of the leaf of each point; for points outside the domain and NaN, the last row, of NaN."""
+        leaf = self._at_few_points(x, self._leaf_query)
+        return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)
 
     def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
         """Return the query's answer at one point, or a list for up to 8; None for other input or if one is None."""
@@ -320,17 +313,13 @@ class NumpyPLR:
         except (TypeError, ValueError):  # coordinates that are no numbers
             return None
 
-    def _evaluate(
-        self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
-    ) -> Any:
-        """Apply ``answer``, whose result at one point has the given ``shape``, to all points in chunks."""
+    def _evaluate(self, x: ArrayLike, answer: Callable[..., Any], outside: Outside = "inf") -> Any:
+        """Apply ``answer``, a function of points' offsets and leaves, to all points in chunks."""
         x, program = as_queries(x, self.dim), self._program
-        flat = x.reshape(-1, self.dim)
-        of_type = np.float64 if answer == self._waypoints and program.corner is not None else np.float32
-        answers = np.empty((len(flat), *shape), of_type)
+        flat, parts = x.reshape(-1, self.dim), []
         with np.errstate(all="ignore"):
-            for start in range(0, len(flat), _CHUNK):
-                points, part = flat[start : start + _CHUNK], answers[start : start + _CHUNK]
+            for start in range(0, max(1, len(flat)), _CHUNK):
+                points = flat[start : start + _CHUNK]
                 if program.corner is not None:
                     points = points.astype(np.float64)
                 given = list(np.ascontiguousarray(points.T))
@@ -338,19 +327,21 @@ class NumpyPLR:
                     given = program.wrap_in_double(ARRAYS, given)
                 given = [along.astype(program.precision, copy=False) for along in given]
                 if (inside := program.contains(ARRAYS, given)).all():
-                    part[...] = self._evaluate_inside(program.relative(ARRAYS, given), answer)
+                    parts.append(self._evaluate_inside(program.relative(ARRAYS, given), answer))
                     continue
                 lo = self.domain.lo.astype(program.precision)
                 moved = [np.where(inside, along, least) for along, least in zip(given, lo, strict=True)]
-                part[...] = self._evaluate_inside(program.relative(ARRAYS, moved), answer)
+                parts.append(self._evaluate_inside(program.relative(ARRAYS, moved), answer))
                 is_nan, others = np.isnan(points[~inside]).any(axis=1), np.inf
                 if outside == "clamp":
                     beyond = [along[~inside] for along in given]
                     others = self._evaluate_clamped(program.relative(ARRAYS, beyond), answer)
-                elif outside == "nan" or answer == self._waypoints:
+                elif outside == "nan":
                     others = np.nan
-                part[~inside] = np.reshape(np.where(is_nan, np.nan, others), (-1, *[1] * len(shape)))
-        return answers.reshape((*x.shape[:-1], *shape))[()]
+                others = np.where(is_nan, np.nan, others)
+                parts[-1][~inside] = others.reshape(-1, *[1] * (parts[-1].ndim - 1))
+        answers = np.concatenate(parts)
+        return answers.reshape((*x.shape[:-1], *answers.shape[1:]))[()]
 
     def _evaluate_inside(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
         offsets = self._program.offsets(ARRAYS, self._program.fold_and_wrap(ARRAYS, relative))
@@ -370,12 +361,6 @@ class NumpyPLR:
 
     def _values(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
-
-    def _waypoints(self, _: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        return self._waypoint_rows.take(leaf, 0)
-
-    def _goals(self, _: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        return self._goal_rows.take(leaf)
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         assert self._band is not None, "bounds are called only with a proof"
