@@ -78,12 +78,10 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]]
             most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (behind - begin).sum()
         if most > _MOST_ENTRIES or (shifts < 0).any():  # a left shift is not supported
             raise ValueError("A PLR is too deep for a stack: construct it with a lower max_depth, or call it alone.")
-        for number, pages in enumerate(_pages(cells, of_leaf, levels, end)):
-            if number == 0:
-                first_pages.append(pages)
-            else:
-                others.append(pages)
-                end += len(pages)
+        first, *below = _pages(cells, of_leaf, levels, end)
+        first_pages.append(first)
+        others += below
+        end += sum(map(len, below))
     if end >= _MOST_INDICES:
         raise ValueError(f"A stack needs fewer than 2**31 entries, got {end:,}: split the {len(partitions):,} PLRs.")
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])

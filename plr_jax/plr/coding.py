@@ -75,7 +75,7 @@ class BitWriter:
         return self.write(np.arange(len(widths)) % 2, widths)
 
     def write_floats(self, values: Float[np.ndarray, "n"]) -> "BitWriter":
-        return self.write(values.astype(np.float32).view(np.uint32).astype(np.int64), 32)
+        return self.write(bits_of_floats(values), 32)
 
     def write_set(self, member: Bool[np.ndarray, "n"]) -> "BitWriter":
         """Append a subset of ``range(n)``, given as a mask: its size, then the gaps between its members."""
@@ -187,6 +187,10 @@ class BitReader:
     def at_end(self) -> bool:
         """Return whether all bits were read, except for zeros that pad the last byte."""
         return len(self._bits) - self._at < 8 and not self._bits[self._at :].any()
+
+
+def bits_of_floats(values: Float[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    return values.astype(np.float32).view(np.uint32).astype(np.int64)
 
 
 def floats_of_bits(bits: Int[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

@@ -17,7 +17,7 @@ from plr_jax.plr.tree import Cells
 
 FRACTION_BITS = 23  # mantissa bits of a 32-bit float
 WORD_BITS = 32
-MIN_CLASS = 8  # smallest size class of a file, 256 bytes
+_MIN_CLASS = 8  # smallest size class of a file, 256 bytes
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, log2 of slots); MAX_FLAT_BITS for more leaves
 MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
@@ -99,7 +99,7 @@ def row_major(
 
 
 def byte_class(num_bytes: int) -> int:
-    return max(MIN_CLASS, (num_bytes - 1).bit_length())
+    return max(_MIN_CLASS, (num_bytes - 1).bit_length())
 
 
 def rows_of_class(of_class: int, least_bytes: int | float) -> int:
@@ -221,10 +221,17 @@ def corner_if_far(domain: Box) -> Corner | None:
 
 def folding_numbers(
     folding: Folding, origin: Corner
-) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
-    """Return a folding's center minus ``origin``, as a sum of two 32-bit floats, and the corners of its box.
+) -> tuple[
+    Float[np.ndarray, "2 dim"],
+    Float[np.ndarray, "2 dim"],
+    Float[np.ndarray, "dim dim"] | None,
+    tuple[tuple[int, tuple[int, ...]], ...],
+]:
+    """Return a folding's center, the corners of its box, its axes and its mirrors, for points relative to ``origin``.
 
-    Corners are infinite along periodic axes, else rounded inward to 32 bits, so points clipped to them are inside.
+    The center is a sum of two 32-bit floats. Corners are infinite along periodic axes, else rounded inward to 32
+    bits, so points clipped to them are inside. The axes, one per row, are None if they are the domain's. Each mirror
+    has the axis on whose negative side it mirrors points, and all axes that it reverses.
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)
@@ -233,13 +240,10 @@ def folding_numbers(
     lo = np.where(lo < box.lo, np.nextafter(lo, np.float32(np.inf)), lo)
     hi = np.where(hi > box.hi, np.nextafter(hi, np.float32(-np.inf)), hi)
     endless = np.array([[-np.inf], [np.inf]], np.float32)
+    reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
     return (
         np.stack([center, exact - center]).astype(np.float32),
         np.where(folding.domain.periodic, endless, [lo, hi]),
+        folding.axes.astype(np.float32) if folding.is_turned else None,
+        tuple(zip(folding.pivots, reversed_axes, strict=True)),
     )
-
-
-def mirrored_axes(folding: Folding) -> tuple[tuple[int, tuple[int, ...]], ...]:
-    """Return, for each mirror, the axis on whose negative side points are mirrored, and all axes it reverses."""
-    reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
-    return tuple(zip(folding.pivots, reversed_axes, strict=True))

@@ -12,7 +12,6 @@ compiled code. Room above 16,384 leaves, or for more slots, grows by powers of t
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import prod
 from operator import ge
@@ -36,7 +35,6 @@ from plr_jax.plr.frame import (
     folding_numbers,
     frame_of,
     max_entries,
-    mirrored_axes,
     num_pairs,
     row_major,
     rows_of_class,
@@ -79,21 +77,10 @@ class PerPointTable:
     def astype(self, dtype: Any) -> "PerPointTable":
         return replace(self, dtype=dtype)
 
-    def __iter__(self) -> Iterator[Any]:
-        return (self[i] for i in range(self.shape[0]))
-
     def __getitem__(self, key: Any) -> Any:
-        first, *rest = key if isinstance(key, tuple) else (key,)
-        if isinstance(first, slice):
-            rows = [self[(i, *rest)] for i in range(*first.indices(self.shape[0]))]
-            return self.flat.__array_namespace__().stack(rows)
-        size = prod(self.shape[1:])
-        inner = replace(self, shape=self.shape[1:], start=self.start + np.uint32(int(first) * size))
-        if rest:
-            return inner[tuple(rest)]
-        if inner.shape:
-            return inner
-        return gather(self.flat, inner.start).astype(self.dtype)
+        places = np.arange(prod(self.shape), dtype=np.uint32).reshape(self.shape)[key]
+        entries = [gather(self.flat, self.start + place).astype(self.dtype) for place in places.flat]
+        return self.flat.__array_namespace__().stack(entries) if places.ndim else entries[0]
 
 
 @jax.tree_util.register_dataclass
@@ -152,15 +139,14 @@ def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"], shi
 def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
     """Return how often to halve the domain by axis into blocks of the smallest table; ``ValueError`` if too large."""
     best, fewest = None, np.inf
-    block_bits = np.zeros_like(bits)
-    while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
-        block_bits[np.argmax(bits - block_bits)] += 1
+    for most in range(1, 1 + min(_MAX_BLOCK_BITS, int(bits.sum()))):
+        block_bits = spread_bits(bits, most)
         if num_pairs(cells, block_bits) > max_entries:
             break  # finer blocks meet more leaves
         slots = np.sum(2.0 ** block_shapes(cells, block_bits).sum(axis=1))
         size = 4 * 2.0 ** block_bits.sum() + 2 * slots
         if slots <= max_entries and size < fewest:
-            best, fewest = block_bits.copy(), size
+            best, fewest = block_bits, size
     if best is None:
         raise ValueError(
             f"Leaves are too deep for a query's tables: {bits.tolist()} splits by axis. Lower max_depth."
@@ -315,15 +301,9 @@ class Tables:
         """Return tables for points that are given relative to ``origin`` and are folded (mirrored) first."""
         if folding is None:
             return self
-        domain, (center, corners) = folding.domain.moved(-origin), folding_numbers(folding, origin)
-        window = FoldedDomain(
-            frame=jax.device_put(frame_of(domain)),
-            center=jax.device_put(center),
-            corners=jax.device_put(corners),
-            axes=jax.device_put(folding.axes.astype(np.float32)) if folding.is_turned else None,
-            mirrors=mirrored_axes(folding),
-            periodic=tuple(np.flatnonzero(domain.periodic).tolist()),
-        )
+        domain, (*arrays, mirrors) = folding.domain.moved(-origin), folding_numbers(folding, origin)
+        periodic = tuple(np.flatnonzero(domain.periodic).tolist())
+        window = FoldedDomain(*map(jax.device_put, (frame_of(domain), *arrays)), mirrors, periodic)
         return replace(self, folding=window, unresolved=unresolved_types(domain))
 
 

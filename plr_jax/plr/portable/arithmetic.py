@@ -20,7 +20,6 @@ from plr_jax.plr.frame import (
     corner_if_far,
     folding_numbers,
     frame_of,
-    mirrored_axes,
     table_corners,
 )
 from plr_jax.plr.leaves import as_sourced
@@ -110,10 +109,8 @@ class Program:
             lo, hi = domain.lo[axis], domain.hi[axis]
             self.double_periods[axis] = lo, hi, 1 / (hi - lo), np.float64(0)
         self.folding_arrays = None
-        if (folding := contents.folding) is not None:
-            (center, rest), ends = folding_numbers(folding, origin)
-            axes = list(folding.axes.astype(np.float32)) if folding.is_turned else None
-            self.folding_arrays = center, rest, axes, mirrored_axes(folding), ends
+        if contents.folding is not None:
+            self.folding_arrays = folding_numbers(contents.folding, origin)
 
     def contains(self, do: Operations, x: Point) -> Value:
         """Return whether points, given in at least :attr:`precision`, are inside the domain."""
@@ -141,7 +138,7 @@ class Program:
         """Mirror points of the domain, given by :meth:`relative`, if the file has mirrors; wrap periodic axes."""
         x = list(x)
         if self.folding_arrays is not None:
-            center, rest, axes, mirrors, ends = self.folding_arrays
+            (center, rest), ends, axes, mirrors = self.folding_arrays
             x = [do.let("seen", along - c - r) for along, c, r in zip(x, center, rest, strict=True)]
             if axes is not None:
                 x = [do.let("turned", reduce(add, [a * b for a, b in zip(row, x, strict=True)])) for row in axes]

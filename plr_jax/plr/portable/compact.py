@@ -40,10 +40,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from plr_jax.plr._file import DecodedFile
-from plr_jax.plr.coding import BitWriter
+from plr_jax.plr.coding import BitWriter, bits_of_floats
 from plr_jax.plr.frame import FRACTION_BITS, Frame, table_corners
 from plr_jax.plr.leaves import code_of_leaf
 from plr_jax.plr.portable.arithmetic import Program, distinct_rows
@@ -98,9 +98,6 @@ class _Image:
         """Position of the next part, in bits."""
         return 32 * _NUM_WORDS + self.body.num_bits
 
-    def _write_floats(self, numbers: Float[np.ndarray, "..."]) -> None:
-        self.body.write(_float_bits(numbers).ravel(), 32)
-
     def _write_domain(self) -> None:
         program, contents = self.program, self.program.contents
         ends = np.zeros((3, self.dim))
@@ -109,7 +106,7 @@ class _Image:
         rows = Frame.LO, Frame.SCALE, Frame.START, Frame.TOP
         largest = np.finfo(np.float32).max
         limits = np.clip(program.limits, -largest, largest)
-        self._write_floats(np.stack([*limits, *(program.frame[row] for row in rows), *ends], axis=1))
+        self.body.write_floats(np.stack([*limits, *(program.frame[row] for row in rows), *ends], axis=1).ravel())
         self.at_exact = self._at
         if program.corner is not None or program.leaf.name == "plane":
             box, origin = contents.domain, np.zeros(self.dim)
@@ -120,15 +117,15 @@ class _Image:
             self.body.write(np.ascontiguousarray(exact, "<f8").view("<u4").ravel().astype(np.int64), 32)
         self.at_folding = self._at
         if program.folding_arrays is not None:
-            center, rest, axes, mirrors, folded_ends = program.folding_arrays
-            self._write_floats(np.stack([center, rest], axis=1))
+            center, folded_ends, axes, mirrors = program.folding_arrays
+            self.body.write_floats(center.T.ravel())
             if axes is not None:
-                self._write_floats(np.stack(axes))
+                self.body.write_floats(axes.ravel())
             self.body.write(np.array([len(mirrors)]), 8)
             for pivot, reversed_axes in mirrors:
                 self.body.write(np.array([pivot]), 8)
                 self.body.write(np.isin(np.arange(self.dim), reversed_axes).astype(np.int64), 1)
-            self._write_floats(folded_ends.T)
+            self.body.write_floats(folded_ends.T.ravel())
         self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
     def _write_tree(
@@ -152,10 +149,11 @@ class _Image:
         records = np.concatenate([part for part, _ in parts], axis=1)
         self.body.write(records.ravel(), np.tile(widths, len(records)))
 
-    def _finish_codes(self, numbers: Float[np.ndarray, "leaves terms"], flags: int) -> bytes:
-        """Append planes, and parameters that differ from those a query computes (``numbers``); return all bytes."""
+    def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, "_"]) -> bytes:
+        """Append planes, parameters that differ from those a query computes (``numbers``), rows; return all bytes."""
+        # 1. Choose the leaves that are stored as planes.
         power = self.dim - 1 - np.arange(self.dim)
-        order = {"plane": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
+        order = {"plane": 0, "cone": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
         of_plane = np.concatenate([[0], 1 << order * power if order else 1 + np.arange(self.dim)])
         rest = np.abs(np.delete(self.numbers, of_plane, axis=1).astype(np.float64)).sum(axis=1)
         is_plane = rest <= _NEGLIGIBLE * np.abs(self.numbers[:, of_plane[1:]]).min(axis=1)
@@ -163,40 +161,28 @@ class _Image:
         bits_of_plane = self.leaf_bits + 32 * (1 + self.dim)
         is_plane &= (self.numbers[:, 0] != 0) & (is_odd.sum(axis=1) * (self.leaf_bits + 40) > bits_of_plane)
         planes = np.flatnonzero(is_plane)
-        of_planes, is_odd = self.numbers[planes][:, of_plane], is_odd & ~is_plane[:, None]
-        return self._finish(flags, planes, of_planes, is_odd, np.zeros(0))
-
-    def _finish(
-        self,
-        flags: int,
-        planes: Int[np.ndarray, "planes"],
-        of_planes: Float[np.ndarray, "planes numbers"],
-        is_odd: Bool[np.ndarray, "leaves terms"],
-        rows: Float[np.ndarray, "..."],
-    ) -> bytes:
-        """Append leaves stored as planes, exceptions (where ``is_odd``) and rows of floats; return all bytes."""
-        program, folding = self.program, self.program.folding_arrays
+        # 2. Append them, and all else.
         at_planes = self._at
-        fields = np.column_stack([planes, _float_bits(of_planes)])
-        self.body.write(fields.ravel(), np.tile([self.leaf_bits, *[32] * of_planes.shape[1]], len(fields)))
-        at_odd, (leaf, term) = self._at, np.nonzero(is_odd)
-        fields = np.column_stack([leaf, term, _float_bits(self.numbers[leaf, term])])
+        fields = np.column_stack([planes, bits_of_floats(self.numbers[planes][:, of_plane])])
+        self.body.write(fields.ravel(), np.tile([self.leaf_bits, *[32] * (1 + self.dim)], len(planes)))
+        at_odd, (leaf, term) = self._at, np.nonzero(is_odd & ~is_plane[:, None])
+        fields = np.column_stack([leaf, term, bits_of_floats(self.numbers[leaf, term])])
         self.body.write(fields.ravel(), np.tile([self.leaf_bits, 8, 32], len(fields)))
         at_rows = self._at
-        self._write_floats(rows)
+        self.body.write_floats(rows)
         self.body.write(np.zeros(3, np.int64), 8)  # a query reads 8 bytes at once
-        flags |= _FAR * (program.corner is not None)
-        if folding is not None:
+        flags |= _FAR * (self.program.corner is not None)
+        if (folding := self.program.folding_arrays) is not None:
             flags |= _FOLDED | _TURNED * (folding[2] is not None)
         data = self.body.to_bytes()
         words = [
             _MAGIC,
             4 * _NUM_WORDS + len(data) + 4,
-            self.dim | code_of_leaf(program.leaf) << 8 | flags << 16 | self.num_levels << 24,
+            self.dim | code_of_leaf(self.program.leaf) << 8 | flags << 16 | self.num_levels << 24,
             self.axis_bits | self.fraction_bits << 8 | self.leaf_bits << 16 | self.position_bits << 24,
             self.numbers.shape[1],
             self.record_bytes,
-            *_float_bits(np.array([self.offset, self.step], np.float32)),
+            *bits_of_floats(np.array([self.offset, self.step], np.float32)),
             len(planes),
             len(leaf),
             self.at_tree,
@@ -216,8 +202,7 @@ class _Image:
         self._write_tree([], [])
         self.at_fields, self.at_levels = self._at, (len(rows) - 1).bit_length()  # not a position: the width of fields
         self.body.write(row_of_leaf, self.at_levels)
-        none = np.zeros(0, np.int64)
-        return self._finish(0, none, np.zeros((0, 0)), np.zeros(self.numbers.shape, bool), rows)
+        return self._finish(0, self.numbers, rows.ravel())
 
     def with_planes(self) -> bytes:
         planes = self.program.contents.stored
@@ -239,7 +224,7 @@ class _Image:
         )
         of_leaf = widths[self.level_of_leaf]
         self.body.write((codes & ((1 << of_leaf) - 1)).ravel(), of_leaf.ravel())
-        return self._finish_codes(np.where(is_own, self.numbers, np.float32(0)), _CODED)
+        return self._finish(_CODED, np.where(is_own, self.numbers, np.float32(0)), np.zeros(0))
 
     def with_values(self, middles: "_Middles") -> bytes:
         stored = self.program.contents.stored
@@ -266,11 +251,7 @@ class _Image:
         self._write_tree([(_by_record(middles.mark), 2)], [(unit[:, None], 5), (starts, self.position_bits)])
         self.at_fields = self._at
         self.body.write(fields, widths)
-        return self._finish_codes(numbers, _CODED | _VALUES)
-
-
-def _float_bits(numbers: Float[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
-    return numbers.astype(np.float32).view(np.uint32).astype(np.int64)
+        return self._finish(_CODED | _VALUES, numbers, np.zeros(0))
 
 
 def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndarray, "records fields_of_record"]:

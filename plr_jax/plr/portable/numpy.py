@@ -8,7 +8,7 @@ from operator import add
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Integer, UInt32
+from jaxtyping import Float, Int, Integer, UInt32
 
 from plr_jax._arrays import as_queries, shortened
 from plr_jax._files import file_path
@@ -54,23 +54,15 @@ class LeafTable:
 
     def __init__(self, tree: CodedTree) -> None:
         self.tree, self.kind = tree, (1 << tree.kind_bits) - 1
+        self.children = tree.children.ravel().astype(tree.code_type)
         deepest = np.zeros(tree.dim, np.int64)
         np.maximum.at(deepest, tree.axis, tree.depth + 1)
         bits = spread_bits(deepest, _MOST_BITS)  # halvings of the domain along each axis into the grid's cells
-        cell = np.indices((1 << bits).tolist()).reshape(tree.dim, -1)
-        code = np.full(cell.shape[1], tree.root)
-        moving = np.arange(len(code))
-        while len(moving):
-            node = code[moving] >> tree.kind_bits
-            is_split = code[moving] & self.kind < tree.dim
-            below = np.zeros(len(moving), np.int64)
-            below[is_split] = (bits[tree.axis] - 1 - tree.depth)[node[is_split]]
-            moves = is_split & (below >= 0)
-            moving, node, below = moving[moves], node[moves], below[moves]
-            code[moving] = tree.children[node, (cell[tree.axis[node], moving] >> below) & 1]
-        self.bits, self.is_flat = tuple(bits.tolist()), bool((code & self.kind == tree.dim).all())
+        place = np.indices((1 << bits).tolist()).reshape(tree.dim, -1) << (FRACTION_BITS - bits)[:, None]
         # The table has the deepest node that contains each cell of the grid; the table is flat if these are leaves.
-        self.table, self.children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
+        self.table = np.full(place.shape[1], tree.root, tree.code_type)
+        self._descend(self.table, list(place), bits)
+        self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind == tree.dim).all())
 
     def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
         """Return the row of leaf parameters at each offset from the lower corner, in ``2**-23`` of the width."""
@@ -78,19 +70,26 @@ class LeafTable:
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
         code = self.table[index]
+        self._descend(code, fractions, np.full(self.tree.dim, FRACTION_BITS))
+        return code >> self.tree.kind_bits
+
+    def _descend(
+        self, code: Integer[np.ndarray, "n"], fractions: list[Integer[np.ndarray, "n"]], bits: Int[np.ndarray, "dim"]
+    ) -> None:
+        """Replace nodes of the tree by the leaves below them, or by nodes that are split no more by ``bits`` bits."""
         moving = np.flatnonzero(code & self.kind != self.tree.dim)
         while len(moving):
             node = code[moving] >> self.tree.kind_bits
-            axis = self.tree.axis[node]
+            axis, depth = self.tree.axis[node], self.tree.depth[node]
             place = np.choose(axis, [along[moving] for along in fractions])
-            bit = (place >> (FRACTION_BITS - 1 - self.tree.depth[node])) & 1
-            code[moving] = self.children[2 * node + bit]
-            moving = moving[code[moving] & self.kind != self.tree.dim]
-        return code >> self.tree.kind_bits
+            child = self.children[2 * node + (place >> (FRACTION_BITS - 1 - depth) & 1)]
+            moves = depth < bits[axis]
+            moving, child = moving[moves], child[moves]
+            code[moving] = child
+            moving = moving[child & self.kind != self.tree.dim]
 
 
 _UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes no coordinate, despite rounding
-_LARGEST = float(np.finfo(np.float64).max)
 
 
 def point_query(
@@ -117,20 +116,14 @@ def point_query(
     last = np.where(domain.periodic, unwrapped, domain.hi)
     ends = zip(given, domain.lo.tolist(), last.tolist(), strict=True)
     inside = [f"{lo!r} <= {name} <= {hi!r}" for name, lo, hi in ends]
-    origin, beyond = (np.zeros(program.dim) if program.corner is None else domain.lo).tolist(), []
-    for axis, (lo, hi) in enumerate(zip(*program.limits, strict=True)):
-        if domain.periodic[axis]:
-            beyond.append((-_LARGEST, _LARGEST))
-            continue
+    origin = (np.zeros(program.dim) if program.corner is None else domain.lo).tolist()
+    outside = []
+    for name, corner, lo, hi in zip(given, origin, *program.limits, strict=True):
         below, above = np.nextafter(lo, np.float32(-np.inf)), np.nextafter(hi, np.float32(np.inf))
-        beyond.append((origin[axis] + float(below), origin[axis] + float(above)))
-    outside = [
-        f"({name} < {least!r}) | ({name} > {most!r})" for name, (least, most) in zip(given, beyond, strict=True)
-    ]
+        outside.append(f"({name} < {corner + float(below)!r}) | ({name} > {corner + float(above)!r})")
     is_nan = " or ".join(f"{name} != {name}" for name in given)
     # 2. Search of the leaf.
-    precision = np.dtype(program.precision).name
-    of_type = "float" if precision == "float32" else "double"
+    precision, of_type = ("float32", "float") if program.corner is None else ("float64", "double")
     x = [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given]
     x = program.fold_and_wrap(do, program.relative(do, x))
     offsets = program.offsets(do, x)
