@@ -30,11 +30,10 @@ _ERASE_LINE = "\r\x1b[K"
 _NUMBER = re.compile(r"\s*[-+]?((\d+(\.\d*)?|\.\d+)(e[-+]?\d+)?|inf(inity)?|nan)\s*", re.ASCII | re.IGNORECASE)
 
 
-def _print_version(is_asked: bool) -> bool:
+def _print_version(is_asked: bool) -> None:
     if is_asked:
         typer.echo(f"plr-jax {plr_jax.__version__}")
         raise typer.Exit
-    return is_asked
 
 
 @app.callback()
@@ -146,7 +145,7 @@ def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> t
 
 
 def numbers_of(line: str) -> list[float]:
-    """Return a line's comma-separated numbers in ASCII, including ``nan`` and ``inf``; empty if a field is none."""
+    """Return the comma-separated numbers of a line, ``nan`` and ``inf`` included; none if a field is no number."""
     texts = line.split(",")
     return [float(text) for text in texts] if all(map(_NUMBER.fullmatch, texts)) else []
 

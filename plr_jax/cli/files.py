@@ -113,7 +113,6 @@ def _reader(file: Path, is_pairs: bool) -> Any:
 
 
 def _gradients(file: Path) -> Any:
-    """Return a function that maps points to gradients, NaN for NaN points."""
     import jax
 
     from plr_jax import load

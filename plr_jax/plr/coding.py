@@ -78,7 +78,7 @@ class BitWriter:
         return self.write(bits_of_floats(values), 32)
 
     def write_set(self, member: Bool[np.ndarray, "n"]) -> "BitWriter":
-        """Append a subset of ``range(n)``, given as a mask: its size, then the gaps between its members."""
+        """Append the members of a subset of ``range(n)``: their number, then the gaps between them."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
@@ -152,7 +152,7 @@ class BitReader:
         return member
 
     def read_members(self, size: int) -> Int[np.ndarray, "members"]:
-        """Read a subset of ``range(size)`` as sorted members, in memory for these only."""
+        """Read the members of a subset of ``range(size)``, sorted; ``size`` may be huge, as no mask is made."""
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")

@@ -1,37 +1,7 @@
 """Compact bytes of a PLR, which the C decoder ``decoder.h`` queries without unpacking them.
 
-A query can start to read at any position: integers of fixed widths replace the entropy codes of the file. All parts
-are sequences of bits, lowest first:
-
-    words         18 integers of 32 bits: leaf model, sizes, and positions of parts (``PLR_JAX_W_MAGIC`` and on)
-    frame         nine 32-bit floats for each axis: the domain and constants of a query (see ``FORMAT.md``)
-    exact         five 64-bit floats for each axis; only for planes, and in domains far from the origin
-    folding       mirror symmetries: center, its rounding error, axes if turned, mirrors, corners of the folded box
-    corners       only with values: the values at the corners of the domain
-    tree          a record for every 16 splits
-    levels        only with planes: for each level of the tree, the position and widths of the fields of its leaves
-    fields        integers of leaves or splits
-    planes        leaves whose plane is stored as floats, sorted: leaf number, value and slopes
-    exceptions    other parameters that do not follow from the fields, sorted: leaf number, index, float
-    rows          distinct rows of leaf parameters, as 32-bit floats
-    CRC-32        of all bytes before it, little-endian
-
-Nodes, splits and leaves are numbered in level order. So the children of split ``s`` are the nodes ``2 s + 1`` and
-``2 s + 2``. The number of a split or leaf follows from the number of splits before it. A record of the tree holds a
-bit for each child of its 16 splits (1 if the child is split), the axis of each split, and the number of splits among
-the children of all earlier records. With values, a record begins with marks, and ends with the width and the position
-of its fields. There are three encodings of leaves:
-
-- Rows, for cones, and for other leaves if that takes the fewest bytes: each leaf stores the index of a row.
-- Planes: each leaf stores the integers of the file.
-- Values, for continuous and smooth leaves. Each split halves edges of its cell, and stores the values in the
-  *middles* of these edges. A query computes the corner values of one half from them, starting from the values at the
-  corners of the domain. A mark of two bits says how a middle is stored (see :class:`_Middles`). For smooth leaves, a
-  query computes the derivatives at the corners of its leaf from the leaves around them. It takes leaves as continuous
-  where their values agree; where that is wrong, there are exceptions.
-
-Planes and exceptions make all answers equal to those of the file, bit for bit. This module computes leaf parameters
-as a query does, and stores those that differ, if only by rounding. It leaves out those too small to change an answer.
+``FORMAT.md`` describes the bytes. This module also computes the leaf parameters as the decoder will, and stores those
+that differ from the parameters of the PLR file, if only by rounding. So all answers are equal, bit for bit.
 """
 
 import math
@@ -66,18 +36,18 @@ _ROUNDING = 1e-6  # largest distance from a multiple of a power of two that coun
 
 
 def compact_bytes(program: Program) -> bytes:
-    """Return the bytes that the C decoder reads, in the smallest of the encodings that the leaf model has."""
-    choices, contents = [_Image(program).with_rows()], program.contents
+    """Return the bytes that the C decoder reads, in the smallest encoding that the PLR's leaf model has."""
+    choices, contents = [_CompactWriter(program).with_rows()], program.contents
     if program.leaf.name == "plane" and contents.stored.bits < _FLOAT_BITS:
-        choices.append(_Image(program).with_planes())
+        choices.append(_CompactWriter(program).with_planes())
     is_smooth = program.leaf.name == "smooth" and program.dim == 2
     if program.leaf.name == "continuous" or is_smooth:
-        choices.append(_Image(program).with_values(_Middles(contents, is_smooth)))
+        choices.append(_CompactWriter(program).with_values(_Middles(contents, is_smooth)))
     return min(choices, key=len)
 
 
-class _Image:
-    """A writer of compact bytes; one of the methods ``with_...`` completes and returns them."""
+class _CompactWriter:
+    """A writer of a PLR for the C decoder; methods ``with_...`` encode the leaves in one way, and end the bytes."""
 
     def __init__(self, program: Program) -> None:
         self.program, self.dim = program, program.dim
@@ -95,7 +65,7 @@ class _Image:
 
     @property
     def _at(self) -> int:
-        """Position of the next part, in bits."""
+        """Position, in bits, at which the next part of the file begins."""
         return 32 * _NUM_WORDS + self.body.num_bits
 
     def _write_domain(self) -> None:
@@ -131,10 +101,9 @@ class _Image:
     def _write_tree(
         self, marks: list[tuple[Int[np.ndarray, "records fields"], int]], places: list[tuple[Any, int]]
     ) -> None:
-        """Append a record for every 16 splits; ``marks`` are more columns at its start, ``places`` at its end.
+        """Append a record for every 16 splits of the tree, which begins with ``marks`` and ends with ``places``.
 
-        Both are lists of columns and their width in bits, empty unless the file has values in the middles of edges:
-        then marks say how these are stored, and places have the width and position of the record's fields.
+        Both are lists of an array, with a row for each record, and the width of its numbers in bits.
         """
         splits = np.flatnonzero(self.tree.child >= 0)
         is_split = self.tree.child[self.tree.child[splits][:, None] + np.arange(2)] >= 0
@@ -150,7 +119,10 @@ class _Image:
         self.body.write(records.ravel(), np.tile(widths, len(records)))
 
     def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, "_"]) -> bytes:
-        """Append planes, parameters that differ from those a query computes (``numbers``), rows; return all bytes."""
+        """Append ``rows``, and the leaf parameters that differ from ``numbers``, those that a query computes.
+
+        ``rows`` are distinct leaf parameters, to which leaves refer by index. Return all bytes.
+        """
         # 1. Choose the leaves that are stored as planes.
         power = self.dim - 1 - np.arange(self.dim)
         order = {"plane": 0, "cone": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
@@ -255,19 +227,21 @@ class _Image:
 
 
 def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndarray, "records fields_of_record"]:
-    """Concatenate the fields of the 16 splits of each record; zeros pad the last record."""
+    """Concatenate the rows of 16 successive splits, which share a record of the file; zeros pad the last record."""
     padded = np.pad(of_splits, ((0, -len(of_splits) % _RECORD), (0, 0)))
     return padded.reshape(-1, _RECORD * of_splits.shape[1])
 
 
 class _Middles:
-    """Values in the middles of the edges that splits halve, and the corner values of all nodes.
+    """Values in the middles of cell edges that the tree's splits halve, coded by their differences from means.
+
+    The mean is that of the values at both ends of the edge. Values are in steps of the file's quantization.
 
     Attributes:
-        corners: Values at the corners of each node, in units of ``2**-fraction_bits`` steps.
-        mark: For each split and middle, how its value is stored. 0: both halves have the mean of the ends of the
-            edge. 1: both have the value of ``narrow``. 2: both have the value of ``wide``. 3: each half has its own
-            ``wide``, as at walls.
+        corners: Values at the corners of the cell of each node, in units of ``2**-fraction_bits`` steps.
+        mark: How the value in the middle of each edge is stored. 0: both halves of the split have the mean. 1: both
+            have the value of ``narrow``. 2: both have the value of ``wide``. 3: each half has its own ``wide``, as
+            at walls.
         narrow: The value minus the rounded mean, in steps.
         wide: For each half, twice the value minus the rounded mean, in steps; or, as an odd number, 1 plus twice the
             value minus the mean, in units of ``2**-fraction_bits`` steps.
@@ -321,7 +295,7 @@ class _Middles:
                 self.corners[halves], self.corners[halves + 1] = lower, upper
 
     def best_widths(self) -> Int[np.ndarray, "records"]:
-        """Return each record's width for the fewest bits; change marks from 1 to 2 where a value needs more bits."""
+        """Return the width of ``narrow`` for every 16 splits that takes the fewest bits; correct ``mark`` for it."""
         narrow = 1 + np.frexp(np.abs(self.narrow))[1]
         wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
         sizes = []
@@ -334,7 +308,10 @@ class _Middles:
         return widths
 
     def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return stored integers and their widths, two for each middle; ``unit`` is the record's width by split."""
+        """Return the integers to store, two for each halved edge, and their widths in bits.
+
+        ``unit`` is the width of ``narrow`` for each split.
+        """
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
@@ -347,9 +324,9 @@ _EXACT = 2**53  # doubles hold all integers up to here
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of smooth leaves, in level order and units of ``corners``, as ``decoder.h`` finds them.
+    """Compute the polynomials of smooth leaves, in level order, from values at cell corners, as the C decoder does.
 
-    They are NaN where they depend on the order in which the decoder meets leaves, or where it gives up.
+    A coefficient is NaN if the decoder's result depends on the order of its search, or if its search is too long.
     """
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
@@ -373,9 +350,9 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """A function that computes value and derivatives of smooth leaves at a corner as ``decoder.h`` does.
+    """The C decoder's computation of the derivatives at a corner of smooth leaves, from the leaves around it.
 
-    The decoder meets the leaves around a corner in any order, so the result is NaN where it depends on the order.
+    The decoder meets these leaves in any order, so the result is NaN where it depends on the order.
     """
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
@@ -385,7 +362,10 @@ class _SmoothCorners:
         self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return the value and three derivatives at a point, and how many hanging corners in a row they depend on."""
+        """Return value and derivatives at a corner where leaves have ``value``, and the length of a chain of corners.
+
+        The chain counts corners inside edges of larger leaves, each computed from the ends of its edge.
+        """
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)
             self.known[point, value] = numbers if chain <= _LONGEST_CHAIN else [np.nan] * 4, chain
@@ -430,7 +410,10 @@ class _SmoothCorners:
     def _on_edge(
         self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
     ) -> tuple[list[float], int]:
-        """Return value, derivatives and chain length at a corner inside a larger leaf's edge, from its cubic."""
+        """Return value, derivatives and chain at a corner inside an edge of a larger leaf, from the edge's cubic.
+
+        The edge runs along axis ``edge`` from ``start`` for ``size``, and has the values ``ends``.
+        """
         across, t, scale = 2 >> edge, (point[edge] - start) / size, float((1 << FRACTION_BITS) // size)
         places = [tuple(at if axis == edge else x for axis, x in enumerate(point)) for at in (start, start + size)]
         (p, first), (q, second) = map(self, places, ends)

@@ -44,7 +44,7 @@ _TABLE_BITS = 14  # a grid of that many entries nearly fits a core's first-level
 
 
 class _ConesFromTables(Program):
-    """The steps of a query of any file of cones: its constants are JavaScript variables, set by ``readCones``."""
+    """A query that works for any file of cones: JavaScript variables stand for the constants of a file."""
 
     def __init__(self) -> None:
         domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
@@ -128,7 +128,7 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    """Generate the query functions; if ``is_proven``, the last two of a leaf's ``width`` numbers are error bounds."""
+    """Generate the query functions; if ``is_proven``, error bounds are the last two of a leaf's ``width`` numbers."""
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
@@ -174,7 +174,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the search of a point's leaf; it begins with a lookup in a grid, unless the cells are needed too."""
+    """Generate the function that finds a point's leaf and, if ``of_cells``, the leaf's cell."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),

@@ -50,7 +50,7 @@ _MOST_BITS = 16  # the table then fits a core's second-level cache
 
 
 class LeafTable:
-    """A lookup table over a regular grid, and a tree that leads to leaves smaller than the grid's cells."""
+    """A lookup table with a leaf for each cell of a grid, or a node of the tree where leaves are smaller."""
 
     def __init__(self, tree: CodedTree) -> None:
         self.tree, self.kind = tree, (1 << tree.kind_bits) - 1
@@ -65,7 +65,7 @@ class LeafTable:
         self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind == tree.dim).all())
 
     def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
-        """Return the row of leaf parameters at each offset from the lower corner, in ``2**-23`` of the width."""
+        """Return the row of leaf parameters for points given, by axis, in ``2**-23`` of the domain's width."""
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
@@ -76,7 +76,7 @@ class LeafTable:
     def _descend(
         self, code: Integer[np.ndarray, "n"], fractions: list[Integer[np.ndarray, "n"]], bits: Int[np.ndarray, "dim"]
     ) -> None:
-        """Replace nodes of the tree by the leaves below them, or by nodes that are split no more by ``bits`` bits."""
+        """Replace nodes, in place, by their descendants that contain points: leaves, or nodes of depth ``bits``."""
         moving = np.flatnonzero(code & self.kind != self.tree.dim)
         while len(moving):
             node = code[moving] >> self.tree.kind_bits
@@ -284,12 +284,12 @@ class NumpyPLR:
         return np.append(goal_of_leaves(self._program.leaf, self._program.contents.stored), np.nan)
 
     def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, "leaves_and_outside *row"]) -> Any:
-        """Return the row of the leaf of each point; for points outside the domain and NaN, the last row, of NaN."""
+        """Return the row of each point's leaf, or the last row, of NaN, for NaN and outside the domain."""
         leaf = self._at_few_points(x, self._leaf_query)
         return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)
 
     def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
-        """Return the query's answer at one point, or a list for up to 8; None for other input or if one is None."""
+        """Answer one point, or each of at most 8; return None for other input, or where ``query`` returns None."""
         if type(x) is np.ndarray:
             if x.ndim == 2 and 0 < len(x) <= _FEW:
                 answers = [self._at_few_points(point, query) for point in x.tolist()]
@@ -307,7 +307,7 @@ class NumpyPLR:
             return None
 
     def _evaluate(self, x: ArrayLike, answer: Callable[..., Any], outside: Outside = "inf") -> Any:
-        """Apply ``answer``, a function of points' offsets and leaves, to all points in chunks."""
+        """Call ``answer`` for all points in chunks, with points minus the domain's lower corner, and their leaves."""
         x, program = as_queries(x, self.dim), self._program
         flat, parts = x.reshape(-1, self.dim), []
         with np.errstate(all="ignore"):

@@ -22,7 +22,7 @@ _ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # precedence o
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """Source text of an expression; operators combine texts, with parentheses where precedence needs them."""
+    """The source text of an expression; operators join two texts, in parentheses where precedence asks for them."""
 
     text: str
     level: int  # precedence of the outermost operator
@@ -136,7 +136,7 @@ class Emitter(Operations, ABC):
 
     @abstractmethod
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 mantissa bits of a value in [1, 2): an integer in Python, else the upper bits of a word."""
+        """Return the 23 mantissa bits of a value in [1, 2): an integer in Python, else the highest bits of 32."""
 
     def used_statements(self) -> list[str]:
         """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
@@ -151,7 +151,10 @@ class Emitter(Operations, ABC):
 def write_lookup(
     do: Emitter, program: Program, of_type: str, read_leaf: Callable[..., list[Expression]], outside: list[str]
 ) -> tuple[list[Expression], list[Expression]]:
-    """Generate the search of the leaf of a point ``x`` in C or JavaScript; return offsets and leaf parameters."""
+    """Append code that finds the leaf of ``x``, the argument of a function in C or JavaScript.
+
+    Return expressions of the point minus the domain's lower corner, by axis, and of the leaf's parameters.
+    """
     x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
     if of_type == "double":
         x = program.wrap_in_double(do, x)
