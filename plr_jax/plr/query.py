@@ -232,7 +232,8 @@ def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
             number = numbers[axis].astype(np.float32).view(np.uint32)
             count = (number & _EXPONENT).view(np.float32).astype(u.dtype)
             along = u * count - (numbers[axis] - count)
-        place.append(_Unfused(_zero_if_differentiated(along, outside)))
+        # Differentiate as at 0 outside the domain, where ``0 * inf`` would give NaN.
+        place.append(_Unfused(along.__array_namespace__().where(outside, 0, along)))
     of_leaf = [_Unfused(number) for number in numbers[tables.dim * tables.leaf.is_cell_relative :]]
     return tables.leaf.value(of_leaf, place, lambda square: _Unfused(_root(square.value))).value
 
@@ -323,20 +324,6 @@ def without_fusion(value: Values) -> Values:
         return value
     constant = _constant(value)
     return straight_through(value, jnp.where(constant == constant, constant, jnp.nan))
-
-
-def _zero_if_differentiated(t: Values, outside: Flags) -> Values:
-    """Return ``t``, but differentiate as if it were 0 outside the domain, where ``0 * inf`` would give NaN."""
-    return _zeroed_tangent(t, outside) if isinstance(t, jax.Array) else t
-
-
-_zeroed_tangent = jax.custom_jvp(lambda t, outside: t)
-
-
-@_zeroed_tangent.defjvp
-def _zero_tangent(primals, tangents):
-    t, outside = primals
-    return (jnp.where(outside, jnp.zeros_like(t), t), jnp.where(outside, jnp.zeros_like(t), tangents[0]))
 
 
 def _root(square: Values) -> Values:

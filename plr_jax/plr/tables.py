@@ -244,35 +244,26 @@ def _place_pages(
     one axis after another; each half has every other slot.
     """
     finest = tuple(page_bits.tolist())
-    rooms: dict[tuple[int, ...], list[int]] = {}
+    rooms: dict[tuple[int, ...], Int[np.ndarray, _]] = {}  # starts of free rooms, by shape
     start, end = np.zeros(len(shape), np.int64), first
     order = np.flatnonzero(shape.any(axis=1))
     order = order[np.lexsort((*shape[order].T, -shape[order].sum(axis=1)))]
     for blocks in np.split(order, 1 + np.flatnonzero((shape[order[1:]] != shape[order[:-1]]).any(axis=1))):
         page = tuple(shape[blocks[0]].tolist()) if len(blocks) else ()
         while len(blocks):
-            holding = [room for room, places in rooms.items() if places and all(map(ge, room, page))]
-            room = page if rooms.get(page) else min(holding, key=sum, default=None)
+            holding = (room for room, starts in rooms.items() if len(starts) and all(map(ge, room, page)))
+            room = min(holding, key=sum, default=None)
             if room is None:
-                room, end = finest, end + (1 << sum(finest))
-                rooms.setdefault(room, []).append(end - (1 << sum(finest)))
-            # Offsets from the start of a room to all pages of this shape that it holds.
-            beside = np.zeros(1, np.int64)
-            for axis, wanted in enumerate(page):
-                step = 1 << int(below[axis] + page_bits[axis] - room[axis])
-                beside = (beside + (step * np.arange(1 << (room[axis] - wanted)))[:, None]).ravel()
-            if len(blocks) >= len(beside):
-                count = min(len(blocks) // len(beside), len(rooms[room]))
-                places, rooms[room] = np.array(rooms[room][:count]), rooms[room][count:]
-                placed, blocks = np.split(blocks, [count * len(beside)])
-                start[placed] = (places[:, None] + beside).ravel()
+                room, rooms[finest], end = finest, np.array([end]), end + (1 << sum(finest))
+            count = -(-len(blocks) >> (sum(room) - sum(page)))  # rooms that these pages need
+            places, rooms[room] = np.split(rooms[room], [count])
+            if room == page:
+                start[blocks[: len(places)]], blocks = places, blocks[len(places) :]
                 continue
-            place = rooms[room].pop()
-            for axis, wanted in enumerate(page):
-                for bits in range(room[axis], wanted, -1):
-                    room = (*room[:axis], bits - 1, *room[axis + 1 :])
-                    rooms.setdefault(room, []).append(place + (1 << int(below[axis] + page_bits[axis] - bits)))
-            start[blocks[0]], blocks = place, blocks[1:]
+            axis = next(axis for axis, wanted in enumerate(page) if room[axis] > wanted)
+            half = (*room[:axis], room[axis] - 1, *room[axis + 1 :])
+            step = 1 << int(below[axis] + page_bits[axis] - room[axis])
+            rooms[half] = np.concatenate([rooms.get(half, places[:0]), places, places + step])
     return start, end
 
 
@@ -312,7 +303,8 @@ class Tables:
             return self
         domain, (*arrays, mirrors) = folding.domain.moved(-origin), folding_numbers(folding, origin)
         periodic = tuple(np.flatnonzero(domain.periodic).tolist())
-        window = FoldedDomain(*map(jax.device_put, (frame_of(domain), *arrays)), mirrors, periodic)
+        frame, center, corners, axes = map(jax.device_put, (frame_of(domain), *arrays))
+        window = FoldedDomain(frame, center, corners, axes, mirrors, periodic)
         return replace(self, folding=window, unresolved=unresolved_types(domain))
 
 

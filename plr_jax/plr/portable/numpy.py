@@ -119,7 +119,8 @@ def point_query(
     origin = (np.zeros(program.dim) if program.corner is None else domain.lo).tolist()
     outside = []
     for name, corner, lo, hi in zip(given, origin, *program.limits, strict=True):
-        below, above = np.nextafter(lo, np.float32(-np.inf)), np.nextafter(hi, np.float32(np.inf))
+        with np.errstate(over="ignore"):  # limits of periodic axes are the largest numbers
+            below, above = np.nextafter(lo, np.float32(-np.inf)), np.nextafter(hi, np.float32(np.inf))
         outside.append(f"({name} < {corner + float(below)!r}) | ({name} > {corner + float(above)!r})")
     is_nan = " or ".join(f"{name} != {name}" for name in given)
     # 2. Search of the leaf.
