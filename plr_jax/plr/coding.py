@@ -7,6 +7,9 @@ from plr_jax._arrays import ragged_indices
 from plr_jax.plr.tree import MAX_DEPTH, Tree, tree_of_axes
 
 _BITS, _MOST_BYTES = 7, 10  # bits of the value in each byte of a varint; most bytes of a varint
+_MAX_WIDTH = 62  # most bits of an integer, so that sums and shifts fit 64 bits
+_COUNT_BITS, _ORDER_BITS = 32, 5  # bits of a set's size, and of the order of Exp-Golomb codes
+_MAX_CODED = 2**40  # limit of integers in Exp-Golomb codes, not included
 
 
 def varint(value: int) -> bytes:
@@ -51,11 +54,6 @@ class ByteReader:
     def signed_varint(self) -> int:
         code = self.varint()
         return -(code // 2) - 1 if code % 2 else code // 2
-
-
-_MAX_WIDTH = 62  # most bits of an integer, so that sums and shifts fit 64 bits
-_COUNT_BITS, _ORDER_BITS = 32, 5  # bits of a set's size, and of the order of Exp-Golomb codes
-_MAX_CODED = 2**40  # limit of integers in Exp-Golomb codes, not included
 
 
 class BitWriter:

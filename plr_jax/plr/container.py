@@ -32,6 +32,12 @@ MOST_LAYERS = 32
 _MOST_IN_BITS = 15  # most axes that fit into four bits of the header's first byte
 _FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7  # flags in the header's second byte
 _CRC = struct.Struct("<I")
+_START = 2**12  # bytes that are read before the first bytes are checked
+_ORTHOGONAL = 1e-9  # tolerance for entries of ``axes @ axes.T``
+_MOST_DECIMALS = 22  # 10**22 is the largest power of ten that a 64-bit float holds exactly
+_LARGEST = 2**53  # 64-bit floats hold all integers up to this one exactly
+_EXACT = Context(prec=40, traps=[])  # used instead of the caller's context; coordinates have at most 17 digits
+_SIZE_BYTES = 4
 
 
 @dataclass(frozen=True)
@@ -169,9 +175,6 @@ def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> 
     return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
 
 
-_START = 2**12  # bytes that are read before the first bytes are checked
-
-
 def holds_pairs(data: bytes) -> bool:
     """Return whether a file has distances between any two points, not a PLR; ``ValueError`` if it has neither."""
     return data.startswith(GRID_MAGIC) or Header.read(data).leaf_code == PAIRS_CODE
@@ -184,9 +187,6 @@ def read_bytes(path: str | os.PathLike) -> bytes:
         if data.startswith((MAGIC, GRID_MAGIC)):  # another file may be endless, such as a device
             data += file.read(MOST_BYTES + 1 - len(data))
         return data
-
-
-_ORTHOGONAL = 1e-9  # tolerance for entries of ``axes @ axes.T``
 
 
 def folding_to_bytes(folding: Folding) -> bytes:
@@ -217,11 +217,6 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
     if folding.cutting_mirrors != mirrors:
         raise ValueError("its folding has a mirror that does not cut the domain")
     return folding
-
-
-_MOST_DECIMALS = 22  # 10**22 is the largest power of ten that a 64-bit float holds exactly
-_LARGEST = 2**53  # 64-bit floats hold all integers up to this one exactly
-_EXACT = Context(prec=40, traps=[])  # used instead of the caller's context; coordinates have at most 17 digits
 
 
 def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
@@ -259,9 +254,6 @@ def _decimals(numbers: list[float]) -> bytes | None:
     if [integer / float(10**decimals) for integer in integers] != numbers:
         return None
     return bytes([decimals]) + b"".join(map(signed_varint, integers))
-
-
-_SIZE_BYTES = 4
 
 
 class FileBacked:

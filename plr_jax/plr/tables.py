@@ -44,6 +44,12 @@ from plr_jax.plr.tree import Cells
 PerAxis = Int[np.ndarray, "dim"]
 PerBlock = Int[np.ndarray, "blocks dim"]
 AnyArray: TypeAlias = Array | np.ndarray  # tables are JAX arrays; NumPy views of them answer small batches
+_MAX_BLOCK_BITS = 16
+_BLOCK_BITS = (10, 12, 14, 16)  # few choices, as code is compiled for each; fewer bits are read faster
+_MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
+# Slots with pages: four for each leaf of the size class, at least 8,192; if they do not suffice, 65,536.
+_PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
+_MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the other half is for slots
 
 
 def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
@@ -95,9 +101,6 @@ class FoldedDomain:
     @property
     def dim(self) -> int:
         return self.frame.shape[1]
-
-
-_MAX_BLOCK_BITS = 16
 
 
 @jax.tree_util.register_dataclass
@@ -173,10 +176,6 @@ def leaves_of_slots(
     leaf_of_start[start], is_start[start] = leaf[pair], True
     starts = np.flatnonzero(is_start)
     return np.repeat(leaf_of_start[starts], np.diff(starts, append=offset[-1]))
-
-
-_BLOCK_BITS = (10, 12, 14, 16)  # few choices, as code is compiled for each; fewer bits are read faster
-_MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
 
 
 @jax.tree_util.register_dataclass
@@ -265,11 +264,6 @@ def _place_pages(
             step = 1 << int(below[axis] + page_bits[axis] - room[axis])
             rooms[half] = np.concatenate([rooms.get(half, places[:0]), places, places + step])
     return start, end
-
-
-# Slots with pages: four for each leaf of the size class, at least 8,192; if they do not suffice, 65,536.
-_PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
-_MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the other half is for slots
 
 
 @jax.tree_util.register_dataclass

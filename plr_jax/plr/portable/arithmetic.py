@@ -26,6 +26,7 @@ from plr_jax.plr.tree import Tree
 
 Value: TypeAlias = Any  # a number, an array, or an expression
 Point: TypeAlias = list[Value]  # coordinates of points, one value per axis
+_TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the domain
 
 
 class Operations:
@@ -79,9 +80,6 @@ def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
     return do.fraction(placed)
 
 
-_TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the domain
-
-
 class Program:
     """The query of one PLR file: the constants of the file, and a method for each step of ``FORMAT.md``."""
 
@@ -132,8 +130,8 @@ class Program:
     def _relative(self, do: Operations, x: Point, axis: int) -> Value:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
-    def fold_and_wrap(self, do: Operations, x: Point) -> Point:
-        """Apply the file's mirror symmetries, if any, to points from :meth:`relative`, and wrap periodic axes."""
+    def offsets(self, do: Operations, x: Point) -> Point:
+        """Mirror and wrap points from :meth:`relative`; return them minus the lower corner of the leaves' domain."""
         x = list(x)
         if self.folding_arrays is not None:
             (center, rest), ends, axes, mirrors = self.folding_arrays
@@ -149,10 +147,6 @@ class Program:
                     x[axis] = do.let("folded", clamp(do, x[axis], lo, hi))
         for axis, period in self.periods.items():
             x[axis] = wrap(do, x[axis], *period)
-        return x
-
-    def offsets(self, do: Operations, x: Point) -> Point:
-        """Subtract the lower corner of the leaves' domain from points that :meth:`fold_and_wrap` returned."""
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:

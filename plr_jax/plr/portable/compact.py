@@ -6,6 +6,7 @@ that differ from the parameters of the PLR file, if only by rounding. So all ans
 
 import math
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ _FLOAT_BITS = 32  # files whose planes have so many bits store floats
 _NEGLIGIBLE = 2.0**-27
 _MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 28
 _ROUNDING = 1e-6  # largest distance from a multiple of a power of two that counts as rounding
+_LONGEST_CHAIN = 8  # most hanging corners of smooth leaves, each inside an edge that ends at the next
+_EXACT = 2**53  # doubles hold all integers up to here
 
 
 def compact_bytes(program: Program) -> bytes:
@@ -98,25 +101,23 @@ class _CompactWriter:
             self.body.write_floats(folded_ends.T.ravel())
         self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
-    def _write_tree(
-        self, marks: list[tuple[Int[np.ndarray, "records fields"], int]], places: list[tuple[Any, int]]
-    ) -> None:
-        """Append a record for every 16 splits of the tree, which begins with ``marks`` and ends with ``places``.
+    def _write_rows(self, *parts: tuple[Shaped[np.ndarray, "rows columns"], int]) -> None:
+        """Append rows of integers; a part has some of their columns, and the width of these in bits."""
+        widths = np.concatenate([np.full(columns.shape[1], width) for columns, width in parts])
+        rows = np.concatenate([columns for columns, _ in parts], axis=1)
+        self.body.write(rows.ravel(), np.tile(widths, len(rows)))
 
-        Both are lists of an array, with a row for each record, and the width of its numbers in bits.
-        """
+    def _write_tree(self, marks: Sequence[tuple[Any, int]] = (), places: Sequence[tuple[Any, int]] = ()) -> None:
+        """Append a row for every 16 splits of the tree, whose first and last columns are ``marks`` and ``places``."""
         splits = np.flatnonzero(self.tree.child >= 0)
         is_split = self.tree.child[self.tree.child[splits][:, None] + np.arange(2)] >= 0
         children = _by_record(is_split.astype(np.int64))
         before = np.cumsum(children.sum(axis=1)) - children.sum(axis=1)
         axes = _by_record(self.tree.axis[splits][:, None])
         parts = [*marks, (children, 1), (axes, self.axis_bits), (before[:, None], self.leaf_bits), *places]
-        widths = np.concatenate([np.full(part.shape[1], width) for part, width in parts])
-        parts.append((np.zeros((len(children), 1), np.int64), -int(widths.sum()) % 8))
-        widths = np.append(widths, parts[-1][1])
-        self.at_tree, self.record_bytes = self._at // 8, int(widths.sum()) // 8
-        records = np.concatenate([part for part, _ in parts], axis=1)
-        self.body.write(records.ravel(), np.tile(widths, len(records)))
+        num_bits = sum(columns.shape[1] * width for columns, width in parts)
+        self.at_tree, self.record_bytes = self._at // 8, -(-num_bits // 8)
+        self._write_rows(*parts, (np.zeros((len(children), 1), np.int64), -num_bits % 8))
 
     def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, "_"]) -> bytes:
         """Append ``rows``, and the leaf parameters that differ from ``numbers``, those that a query computes.
@@ -135,11 +136,10 @@ class _CompactWriter:
         planes = np.flatnonzero(is_plane)
         # 2. Append them, and all else.
         at_planes = self._at
-        fields = np.column_stack([planes, bits_of_floats(self.numbers[planes][:, of_plane])])
-        self.body.write(fields.ravel(), np.tile([self.leaf_bits, *[32] * (1 + self.dim)], len(planes)))
+        self._write_rows((planes[:, None], self.leaf_bits), (bits_of_floats(self.numbers[planes][:, of_plane]), 32))
         at_odd, (leaf, term) = self._at, np.nonzero(is_odd & ~is_plane[:, None])
-        fields = np.column_stack([leaf, term, bits_of_floats(self.numbers[leaf, term])])
-        self.body.write(fields.ravel(), np.tile([self.leaf_bits, 8, 32], len(fields)))
+        odd = bits_of_floats(self.numbers[leaf, term])
+        self._write_rows((leaf[:, None], self.leaf_bits), (term[:, None], 8), (odd[:, None], 32))
         at_rows = self._at
         self.body.write_floats(rows)
         self.body.write(np.zeros(3, np.int64), 8)  # a query reads 8 bytes at once
@@ -171,7 +171,7 @@ class _CompactWriter:
 
     def with_rows(self) -> bytes:
         rows, row_of_leaf = distinct_rows(self.numbers)
-        self._write_tree([], [])
+        self._write_tree()
         self.at_fields, self.at_levels = self._at, (len(rows) - 1).bit_length()  # not a position: the width of fields
         self.body.write(row_of_leaf, self.at_levels)
         return self._finish(0, self.numbers, rows.ravel())
@@ -184,16 +184,13 @@ class _CompactWriter:
         widths = np.zeros((self.num_levels, 1 + self.dim), np.int64)
         is_signed = np.arange(1 + self.dim) > 0
         np.maximum.at(widths, self.level_of_leaf, np.frexp(np.abs(codes))[1] + (is_signed & (codes != 0)))
-        self._write_tree([], [])
+        self._write_tree()
         # For each level: the position that leaf 0 would have if all leaves had this level's widths; these widths.
         self.at_levels, size = self._at, widths.sum(axis=1)
         self.at_fields = self._at + self.num_levels * (40 + 8 * self.dim)
         count = np.bincount(self.level_of_leaf, minlength=self.num_levels)
         start = self.at_fields + np.cumsum(count * size) - count * size - (np.cumsum(count) - count) * size
-        self.body.write(
-            np.column_stack([start % (1 << 32), widths]).ravel(),
-            np.tile([32, *[8] * (1 + self.dim)], self.num_levels),
-        )
+        self._write_rows((start[:, None] % (1 << 32), 32), (widths, 8))
         of_leaf = widths[self.level_of_leaf]
         self.body.write((codes & ((1 << of_leaf) - 1)).ravel(), of_leaf.ravel())
         return self._finish(_CODED, np.where(is_own, self.numbers, np.float32(0)), np.zeros(0))
@@ -315,10 +312,6 @@ class _Middles:
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
-
-
-_LONGEST_CHAIN = 8  # most hanging corners of smooth leaves, each inside an edge that ends at the next
-_EXACT = 2**53  # doubles hold all integers up to here
 
 
 def _smooth_numbers(

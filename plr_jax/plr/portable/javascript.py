@@ -23,6 +23,19 @@ from plr_jax.plr.portable.writers import (
 )
 from plr_jax.plr.tree import Cells, tree_of
 
+_TABLE_BITS = 14  # a grid of that many entries nearly fits a core's first-level cache
+FROUND = "const f = Math.fround; // rounds each operation to 32 bits"
+NEXT_FLOAT = """\
+// Returns the next 32-bit float above or below a 32-bit float.
+const bits = new Float32Array(1), whole = new Int32Array(bits.buffer);
+function beside(x, isAbove) {
+    if (x === 0) return isAbove ? 2 ** -149 : -(2 ** -149);
+    if (x !== x || x === (isAbove ? Infinity : -Infinity)) return x;
+    bits[0] = x;
+    whole[0] += x > 0 === isAbove ? 1 : -1;
+    return bits[0];
+}"""
+
 
 class JavaScriptEmitter(Emitter):
     """A generator of JavaScript: in its code, ``f = Math.fround`` rounds the result of each 32-bit operation."""
@@ -38,9 +51,6 @@ class JavaScriptEmitter(Emitter):
 
     def fraction(self, x: Expression) -> Expression:
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
-
-
-_TABLE_BITS = 14  # a grid of that many entries nearly fits a core's first-level cache
 
 
 class _ConesFromTables(Program):
@@ -211,19 +221,6 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
         "",
         *js_function("function leaf()", [f"const row = grid[{index}];", "return row ? row - 1 : descend();"]),
     ]
-
-
-FROUND = "const f = Math.fround; // rounds each operation to 32 bits"
-NEXT_FLOAT = """\
-// Returns the next 32-bit float above or below a 32-bit float.
-const bits = new Float32Array(1), whole = new Int32Array(bits.buffer);
-function beside(x, isAbove) {
-    if (x === 0) return isAbove ? 2 ** -149 : -(2 ** -149);
-    if (x !== x || x === (isAbove ? Infinity : -Infinity)) return x;
-    bits[0] = x;
-    whole[0] += x > 0 === isAbove ? 1 : -1;
-    return bits[0];
-}"""
 
 
 def float32_literal(number: np.float32) -> str:

@@ -23,6 +23,12 @@ from plr_jax.plr.portable.compact import compact_bytes
 from plr_jax.plr.portable.javascript import js_module
 from plr_jax.plr.portable.writers import Emitter, Expression
 
+_MOST_BITS = 16  # a table of leaves then fits a core's second-level cache
+_UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes no coordinate, despite rounding
+_CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
+_FEW = 8  # most points of a batch that are answered one by one, where a batch takes as long as 16
+_PLAIN = (float, int, np.float64, np.float32)
+
 
 class PythonEmitter(Emitter):
     """A generator of Python code for NumPy scalars; ``constants`` maps names in that code to their values."""
@@ -44,9 +50,6 @@ class PythonEmitter(Emitter):
 
     def fraction(self, x: Expression) -> Expression:
         return self.atom(f"(int({x * np.float32(1 << 23)}) & {(1 << 23) - 1})", "uint32_t")
-
-
-_MOST_BITS = 16  # the table then fits a core's second-level cache
 
 
 class LeafTable:
@@ -89,9 +92,6 @@ class LeafTable:
             moving = moving[child & self.kind != self.tree.dim]
 
 
-_UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes no coordinate, despite rounding
-
-
 def point_query(
     program: Program, table: LeafTable, numbers: Float[np.ndarray, "leaves count"], *, of_leaf: bool = False
 ) -> Callable[..., Any]:
@@ -126,8 +126,7 @@ def point_query(
     # 2. Search of the leaf.
     precision, of_type = ("float32", "float") if program.corner is None else ("float64", "double")
     x = [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given]
-    x = program.fold_and_wrap(do, program.relative(do, x))
-    offsets = program.offsets(do, x)
+    offsets = program.offsets(do, program.relative(do, x))
     fractions = [str(do.let("place", place)) for place in program.fractions(do, offsets)]
     shifted = [f"{place} >> {FRACTION_BITS - bits}" for place, bits in zip(fractions, table.bits, strict=True)]
     index = shifted[0]
@@ -156,11 +155,6 @@ def point_query(
     names |= {"float32": np.float32, "float64": np.float64}
     exec(source, names)
     return names["query"]
-
-
-_CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
-_FEW = 8  # most points of a batch that are answered one by one, where a batch takes as long as 16
-_PLAIN = (float, int, np.float64, np.float32)
 
 
 class NumpyPLR:
@@ -338,7 +332,7 @@ class NumpyPLR:
         return answers.reshape((*x.shape[:-1], *answers.shape[1:]))[()]
 
     def _evaluate_inside(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        offsets = self._program.offsets(ARRAYS, self._program.fold_and_wrap(ARRAYS, relative))
+        offsets = self._program.offsets(ARRAYS, relative)
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:

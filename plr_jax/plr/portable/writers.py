@@ -5,7 +5,6 @@ Values are expressions of the target language; :meth:`Emitter.let` appends a sta
 
 import re
 from abc import ABC, abstractmethod
-from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partialmethod
@@ -18,6 +17,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.portable.arithmetic import Operations, Program
 
 _ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # precedence of operators
+_WIDTH = 100  # width of a line of generated code
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +58,6 @@ class Expression:
             return self + -other
         return self._joined("-", self, self.language.constant(other), _SUM)
 
-    def __rsub__(self, other: Any) -> "Expression":
-        return self._joined("-", self.language.constant(other), self, _SUM)
-
     def __mul__(self, other: Any) -> "Expression":
         if not isinstance(other, Expression) and other == 1:
             return self
@@ -95,7 +92,6 @@ class Emitter(Operations, ABC):
 
     def __init__(self) -> None:
         self.statements: list[str] = []
-        self._names: Counter[str] = Counter()
 
     def atom(self, text: str, of_type: str = "float") -> Expression:
         """Wrap source text, such as a name or a call, that never needs parentheses."""
@@ -113,8 +109,7 @@ class Emitter(Operations, ABC):
         """Assign an expression to a new, numbered variable; variables are returned unchanged."""
         if value.text.isidentifier():
             return value
-        unique = f"{name}_{self._names[name]}"
-        self._names[name] += 1
+        unique = f"{name}_{len(self.statements)}"
         self.statements.append(self.definition.format(type=value.type, name=unique, value=value))
         return self.atom(unique, value.type)
 
@@ -160,7 +155,7 @@ def write_lookup(
         x = program.wrap_in_double(do, x)
         x = [do.let("x", do.rounded(along)) for along in x] if program.corner is None else x
     do.statements += [f"if (!({program.contains(do, x)})) {{", *indent(outside), "}"]
-    offsets = program.offsets(do, program.fold_and_wrap(do, program.relative(do, x)))
+    offsets = program.offsets(do, program.relative(do, x))
     return offsets, read_leaf(do, program.fractions(do, offsets))
 
 
@@ -179,9 +174,6 @@ def format_domain(domain: Box) -> str:
         f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
         for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
     )
-
-
-_WIDTH = 100  # width of a line of generated code
 
 
 def indent(lines: Iterable[str]) -> list[str]:
