@@ -30,10 +30,11 @@ _ERASE_LINE = "\r\x1b[K"
 _NUMBER = re.compile(r"\s*[-+]?((\d+(\.\d*)?|\.\d+)(e[-+]?\d+)?|inf(inity)?|nan)\s*", re.ASCII | re.IGNORECASE)
 
 
-def _print_version(is_asked: bool) -> None:
+def _print_version(is_asked: bool) -> bool:
     if is_asked:
         typer.echo(f"plr-jax {plr_jax.__version__}")
         raise typer.Exit
+    return is_asked
 
 
 @app.callback()
