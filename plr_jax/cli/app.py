@@ -146,7 +146,7 @@ def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> t
 
 
 def numbers_of(line: str) -> list[float]:
-    """Return a line's comma-separated numbers in ASCII, including ``nan`` and ``inf``; empty if a field is none."""
+    """Return the comma-separated numbers of a line, ``nan`` and ``inf`` included; none if a field is no number."""
     texts = line.split(",")
     return [float(text) for text in texts] if all(map(_NUMBER.fullmatch, texts)) else []
 

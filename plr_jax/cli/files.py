@@ -1,6 +1,7 @@
 """The commands ``query``, ``info``, ``plot``, ``export`` and ``view`` for files of PLRs or pairs; and ``demo``."""
 
 import re
+import sys
 from enum import StrEnum
 from json import dumps
 from pathlib import Path
@@ -20,7 +21,7 @@ from plr_jax.cli.inputs import (
     read_map_of_file,
     require_writable,
 )
-from plr_jax.cli.rows import PointTable, open_table, print_answers
+from plr_jax.cli.rows import open_table, print_answers, read_points
 
 
 def _holds_pairs(file: Path) -> bool:
@@ -71,8 +72,6 @@ def query(
     Blank lines are skipped; other rows that are not points are reported on standard error. A first line of names is a
     header. Tables may have any length.
     """
-    import sys
-
     if sys.stdout is None:
         raise ValueError("Standard output is closed: open it to get answers.")
     is_pairs = _holds_pairs(file)
@@ -98,7 +97,7 @@ def query(
 
     name, table = open_table(points)
     with table:
-        print_answers(map(answers, PointTable(name, 4 if is_pairs else reader.dim, strict).chunks(table)))
+        print_answers(map(answers, read_points(table, name, 4 if is_pairs else reader.dim, strict)))
 
 
 def _reader(file: Path, is_pairs: bool) -> Any:
@@ -113,7 +112,6 @@ def _reader(file: Path, is_pairs: bool) -> Any:
 
 
 def _gradients(file: Path) -> Any:
-    """Return a function that maps points to gradients, NaN for NaN points."""
     import jax
 
     from plr_jax import load

@@ -199,10 +199,11 @@ class NamedMap:
 def read_map_of_file(
     file: Path, content: Any, map_text: str | None, goal: str | None, *, is_needed: bool
 ) -> tuple["Workspace | None", Float[np.ndarray, "goals 2"] | None]:
-    """Return the workspace and the goals of a file of a PLR or pairs, each None if not known.
+    """Return the workspace and the goals from which a file of distances was built; None for what is not known.
 
-    The user's ``map_text`` (MAP and options) and ``goal`` override the label of ``content``. A map is also looked for
-    beside ``file``. If a map is not needed and cannot be read, a warning is shown.
+    The label of the loaded file, ``content``, names its map and goals. The user's ``map_text`` (MAP and options) and
+    ``goal`` override the label. A map is also looked for beside ``file``. If it is not needed and cannot be read, a
+    warning is shown.
     """
     try:
         labeled = NamedMap.parse(getattr(content, "label", ""))

@@ -169,7 +169,7 @@ def solve(
 def _build_heuristic(
     heuristic: Heuristic, problem: "Problem", exact: Sequence["VisibilityGraph"], max_bytes: int
 ) -> "tuple[HeuristicFn | None, list[Any]]":
-    """Return a heuristic (None: that of lattices) and its PLRs; robots of equal size and goal share a PLR."""
+    """Return a heuristic and its PLRs, which robots of equal size and goal share; None for the planner's default."""
     from plr_jax import construct, robot_distance_fns, straight_line, sum_of_distances, zero
     from plr_jax.plr import ConstructionInterrupted
 

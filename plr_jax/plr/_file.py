@@ -21,7 +21,10 @@ from plr_jax.plr.tree import Cells, Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
-    """The decoded content of a PLR file; with a ``folding``, ``domain`` is the box of mirrored points."""
+    """The decoded content of a PLR file; ``domain`` is the box that its leaves cover.
+
+    If the file has mirror symmetries (a ``folding``), they map all points of the PLR's domain to this box.
+    """
 
     domain: Box
     leaf: LeafModel
@@ -45,7 +48,7 @@ def encode(contents: DecodedFile) -> bytes:
 
 
 def body_of_leaves(contents: DecodedFile) -> BitWriter:
-    """Encode the tree and the leaves; return the writer, to which the caller can append a proof."""
+    """Return a writer with the encoded tree and leaves, to which the caller can append a proof."""
     body = BitWriter()
     write_tree(body, contents.tree)
     contents.leaf.write(body, contents.domain, contents.tree.leaves, contents.stored)
@@ -84,7 +87,10 @@ def decode_cells(data: bytes) -> Cells:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the domain relative to an origin, and the leaves' parameters for points relative to its corner."""
+    """Return the leaves' domain minus ``origin``, and leaf parameters for points minus its lower corner.
+
+    If the file has mirror symmetries, the domain stays, as mirrored points are relative to the symmetries' center.
+    """
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
     corner = origin + table_corners(domain)[0]
@@ -96,10 +102,10 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
 
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of all leaves: planes of neighbors, or ``inf`` and zeros, in unreachable leaves.
+    """Return the coefficients of all leaves, also of those from which the goal cannot be reached.
 
-    An unreachable leaf continues the mean plane of the reachable leaf with which it shares the largest face, edge or
-    corner, so that free points in it have a finite answer.
+    Such a leaf continues the mean plane of the reachable leaf with which it shares the largest face, edge or corner,
+    if any, so that free points in the leaf have a finite answer.
     """
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
@@ -124,7 +130,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
 def planes_of_leaves(
     contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-    """Return intercepts and slopes of leaves, of mean planes if curved; the value ``inf`` has intercept ``inf``."""
+    """Return intercepts and slopes of all leaves, of their mean planes if they are curved."""
     is_inf = np.isinf(coefficients[:, 0])
     lo, hi = contents.tree.leaves.boxes(contents.domain)
     center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))

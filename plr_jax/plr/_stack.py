@@ -1,11 +1,10 @@
 """The public functions that evaluate one PLR (:func:`evaluate`) and combine many into one function (:func:`stack`).
 
-A stack finds the leaf of a point in a *trie* of all its PLRs of one shape, level by level, by a few bits of the
-point's position (``frame.py``) in each. Its tables, *pages*, have an entry for each cell of a regular grid: the first
-page of each PLR covers its domain, any other page a cell of the level above that several leaves share. An odd entry
-``2 * i + 1`` points to the page that starts at entry ``i``; an even entry ``2 * i`` means row ``i`` of the leaf
-parameters. The trie begins with the entries ``2 * i`` of all rows, so that a found row is found again in later
-levels. It takes more reads but less memory than the tables of a single PLR (``tables.py``).
+A stack finds a point's leaf in a *trie* of its PLRs, level by level. The tables of the trie, *pages*, have an entry
+for each cell of a grid: the first page of each PLR covers its domain, any other page a cell of the level above that
+has several leaves. An odd entry ``2 * i + 1`` leads to the page that starts at entry ``i``, an even entry ``2 * i``
+to row ``i`` of the leaf parameters. Entry ``i`` of the trie is ``2 * i`` for each row ``i``, so that later levels
+keep a row.
 
 Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
 """
@@ -53,7 +52,7 @@ _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: _PerAxis) -> list[_PerAxis]:
-    """Return how many bits of a point's position by axis a trie has used before its first level and after each."""
+    """Return how often the grid of each level of a trie halves each axis; the first grid is the whole domain."""
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
         rest = bits - ends[-1]
@@ -62,7 +61,7 @@ def trie_levels(bits: _PerAxis) -> list[_PerAxis]:
 
 
 def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[_PerAxis]) -> Trie:
-    """Build a trie of several PLRs with given :func:`trie_levels`; it leads to each leaf's row of parameters."""
+    """Build a trie that leads to the row of each leaf's parameters in several PLRs; see :func:`trie_levels`."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
@@ -78,12 +77,10 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]]
             most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (behind - begin).sum()
         if most > _MOST_ENTRIES or (shifts < 0).any():  # a left shift is not supported
             raise ValueError("A PLR is too deep for a stack: construct it with a lower max_depth, or call it alone.")
-        for number, pages in enumerate(_pages(cells, of_leaf, levels, end)):
-            if number == 0:
-                first_pages.append(pages)
-            else:
-                others.append(pages)
-                end += len(pages)
+        first, *below = _pages(cells, of_leaf, levels, end)
+        first_pages.append(first)
+        others += below
+        end += sum(map(len, below))
     if end >= _MOST_INDICES:
         raise ValueError(f"A stack needs fewer than 2**31 entries, got {end:,}: split the {len(partitions):,} PLRs.")
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
@@ -94,7 +91,7 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]]
 def _pages(
     cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[_PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, "entries"]]:
-    """Yield the entries of a trie (a lookup table) of one PLR by level; those of level 2 start at ``next_start``."""
+    """Yield the entries of one PLR in each level of a trie; its entries of level 2 will start at ``next_start``."""
     page = np.zeros(1, np.int64)  # numbers of the cells of the level above that have a page in this level
     for number, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
@@ -124,7 +121,7 @@ def _page_entries(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _SameShapeGroup:
-    """The merged tables of PLRs of one leaf model whose domains and symmetries have arrays of equal shapes."""
+    """The merged tables of PLRs that have one leaf model, and arrays of equal shapes for domain and symmetries."""
 
     arrays: tuple[AnyArray, ...]  # of domains and symmetries: one that all PLRs share, or those of all, flattened
     trie: Trie

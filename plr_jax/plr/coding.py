@@ -7,6 +7,9 @@ from plr_jax._arrays import ragged_indices
 from plr_jax.plr.tree import MAX_DEPTH, Tree, tree_of_axes
 
 _BITS, _MOST_BYTES = 7, 10  # bits of the value in each byte of a varint; most bytes of a varint
+_MAX_WIDTH = 62  # most bits of an integer, so that sums and shifts fit 64 bits
+_COUNT_BITS, _ORDER_BITS = 32, 5  # bits of a set's size, and of the order of Exp-Golomb codes
+_MAX_CODED = 2**40  # limit of integers in Exp-Golomb codes, not included
 
 
 def varint(value: int) -> bytes:
@@ -53,11 +56,6 @@ class ByteReader:
         return -(code // 2) - 1 if code % 2 else code // 2
 
 
-_MAX_WIDTH = 62  # most bits of an integer, so that sums and shifts fit 64 bits
-_COUNT_BITS, _ORDER_BITS = 32, 5  # bits of a set's size, and of the order of Exp-Golomb codes
-_MAX_CODED = 2**40  # limit of integers in Exp-Golomb codes, not included
-
-
 class BitWriter:
     """A writer of unsigned integers of given bit widths, least significant bit first."""
 
@@ -75,10 +73,10 @@ class BitWriter:
         return self.write(np.arange(len(widths)) % 2, widths)
 
     def write_floats(self, values: Float[np.ndarray, "n"]) -> "BitWriter":
-        return self.write(values.astype(np.float32).view(np.uint32).astype(np.int64), 32)
+        return self.write(bits_of_floats(values), 32)
 
     def write_set(self, member: Bool[np.ndarray, "n"]) -> "BitWriter":
-        """Append a subset of ``range(n)``, given as a mask: its size, then the gaps between its members."""
+        """Append the members of a subset of ``range(n)``: their number, then the gaps between them."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
@@ -152,7 +150,7 @@ class BitReader:
         return member
 
     def read_members(self, size: int) -> Int[np.ndarray, "members"]:
-        """Read a subset of ``range(size)`` as sorted members, in memory for these only."""
+        """Read the members of a subset of ``range(size)``, sorted; ``size`` may be huge, as no mask is made."""
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")
@@ -187,6 +185,10 @@ class BitReader:
     def at_end(self) -> bool:
         """Return whether all bits were read, except for zeros that pad the last byte."""
         return len(self._bits) - self._at < 8 and not self._bits[self._at :].any()
+
+
+def bits_of_floats(values: Float[np.ndarray, "*n"]) -> Int[np.ndarray, "*n"]:
+    return values.astype(np.float32).view(np.uint32).astype(np.int64)
 
 
 def floats_of_bits(bits: Int[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:

@@ -13,7 +13,7 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import UInt8
 
 from plr_jax._arrays import padded, padded_size, shortened
 from plr_jax.geometry.box import Box
@@ -32,6 +32,12 @@ MOST_LAYERS = 32
 _MOST_IN_BITS = 15  # most axes that fit into four bits of the header's first byte
 _FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7  # flags in the header's second byte
 _CRC = struct.Struct("<I")
+_START = 2**12  # bytes that are read before the first bytes are checked
+_ORTHOGONAL = 1e-9  # tolerance for entries of ``axes @ axes.T``
+_MOST_DECIMALS = 22  # 10**22 is the largest power of ten that a 64-bit float holds exactly
+_LARGEST = 2**53  # 64-bit floats hold all integers up to this one exactly
+_EXACT = Context(prec=40, traps=[])  # used instead of the caller's context; coordinates have at most 17 digits
+_SIZE_BYTES = 4
 
 
 @dataclass(frozen=True)
@@ -164,22 +170,9 @@ class Container:
         return Container(header.domain, tuple(layers), header.folding, header.label, header.names_goals)
 
 
-def require_label(label: str) -> None:
-    try:
-        fits = isinstance(label, str) and len(label.encode()) <= MOST_LABEL_BYTES
-    except UnicodeEncodeError:  # half a surrogate pair
-        fits = False
-    if not fits:
-        expected = f"label must be text of at most {MOST_LABEL_BYTES:,} bytes in UTF-8"
-        raise ValueError(f"{expected}, got {shortened(label)}.")
-
-
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
     """Return the size in bytes of header and checksum of a file with one layer."""
     return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
-
-
-_START = 2**12  # bytes that are read before the first bytes are checked
 
 
 def holds_pairs(data: bytes) -> bool:
@@ -196,9 +189,6 @@ def read_bytes(path: str | os.PathLike) -> bytes:
         return data
 
 
-_ORTHOGONAL = 1e-9  # tolerance for entries of ``axes @ axes.T``
-
-
 def folding_to_bytes(folding: Folding) -> bytes:
     marks = np.array([*folding.mirrors, (0,) * folding.domain.dim], np.uint8)
     axes = folding.axes.astype("<f8").tobytes() if folding.is_turned else b""
@@ -210,9 +200,9 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
     dim = domain.dim
     center = np.frombuffer(reader.take(8 * dim), "<f8").astype(np.float64)
     axes = np.eye(dim)
-    if _flags(reader.take(1))[0]:
+    if reader.byte():
         axes = np.frombuffer(reader.take(8 * dim * dim), "<f8").astype(np.float64).reshape(dim, dim)
-    marks = _flags(reader.take(dim * (reader.byte() + 1))).reshape(-1, dim)
+    marks = np.frombuffer(reader.take(dim * (reader.byte() + 1)), np.uint8).reshape(-1, dim)
     mirrors = tuple(tuple(map(bool, row)) for row in marks[:-1])
     if marks[-1].any():
         raise ValueError("it stores distances minus straight lines, which only plr_jax 0.1 reads; build it again")
@@ -227,18 +217,6 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
     if folding.cutting_mirrors != mirrors:
         raise ValueError("its folding has a mirror that does not cut the domain")
     return folding
-
-
-def _flags(data: bytes) -> Bool[np.ndarray, "n"]:
-    numbers = np.frombuffer(data, np.uint8)
-    if (numbers > 1).any():
-        raise ValueError(f"its folding has a flag of {numbers.max()}, which must be 0 or 1")
-    return numbers == 1
-
-
-_MOST_DECIMALS = 22  # 10**22 is the largest power of ten that a 64-bit float holds exactly
-_LARGEST = 2**53  # 64-bit floats hold all integers up to this one exactly
-_EXACT = Context(prec=40, traps=[])  # used instead of the caller's context; coordinates have at most 17 digits
 
 
 def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
@@ -278,9 +256,6 @@ def _decimals(numbers: list[float]) -> bytes | None:
     return bytes([decimals]) + b"".join(map(signed_varint, integers))
 
 
-_SIZE_BYTES = 4
-
-
 class FileBacked:
     """A base class of objects that keep the bytes of their file: PLRs, and distances between any two points."""
 
@@ -310,7 +285,13 @@ class FileBacked:
 
     def with_label(self, label: str) -> Any:
         """Return a copy whose file stores another label, a text of at most 1,000 bytes (else ``ValueError``)."""
-        require_label(label)
+        try:
+            fits = isinstance(label, str) and len(label.encode()) <= MOST_LABEL_BYTES
+        except UnicodeEncodeError:  # half a surrogate pair
+            fits = False
+        if not fits:
+            expected = f"label must be text of at most {MOST_LABEL_BYTES:,} bytes in UTF-8"
+            raise ValueError(f"{expected}, got {shortened(label)}.")
         if label == self.label:
             return self
         made_of: Any = type(self)

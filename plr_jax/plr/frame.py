@@ -1,7 +1,7 @@
 """The layout that all readers of a PLR share: its domain in 32-bit floats, and the sizes of its lookup tables.
 
 Two grids locate a point's leaf. A *block* is a cell of the coarse grid, with ``2**block_bits`` cells along each axis.
-A *slot* is a cell of the finer grid in a block, and has one entry in a lookup table. This module does not need JAX.
+A *slot* is a cell of the finer grid in a block, and has one entry in a lookup table.
 """
 
 from enum import IntEnum
@@ -17,7 +17,7 @@ from plr_jax.plr.tree import Cells
 
 FRACTION_BITS = 23  # mantissa bits of a 32-bit float
 WORD_BITS = 32
-MIN_CLASS = 8  # smallest size class of a file, 256 bytes
+_MIN_CLASS = 8  # smallest size class of a file, 256 bytes
 _SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, log2 of slots); MAX_FLAT_BITS for more leaves
 MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
@@ -28,7 +28,7 @@ _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """Return log2 of the slots that each block of the coarse grid needs along each axis to separate its leaves."""
+    """For each cell of a coarse grid, return log2 of the size, by axis, of a finer grid that separates its leaves."""
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
@@ -37,7 +37,7 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nda
 
 
 def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
-    """Return the number of pairs of a leaf and a block (a cell of the coarse grid) that overlap."""
+    """Return how many pairs of a leaf and a cell of a coarse grid overlap."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
@@ -46,9 +46,10 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return overlapping pairs of a leaf and a block (cell of a coarse grid), and the leaf's slots (cells) in it.
+    """Return all pairs of a leaf and a cell of a coarse grid that overlap, and the overlap in the cell's finer grid.
 
-    These are the first slot and the number of slots by axis; ``shape`` has log2 of each block's slots.
+    The overlap is its first cell in the finer grid, and its number of cells along each axis. ``shape`` has log2 of
+    the finer grid's size in each cell of the coarse grid (:func:`block_shapes`).
     """
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
@@ -60,7 +61,7 @@ def slots_in_blocks(
 def leaves_in_blocks(
     cells: Cells, block_bits: Int[np.ndarray, "dim"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """Return overlapping pairs: a leaf's index, and the position by axis of a block (cell of the coarse grid)."""
+    """Return all pairs of a leaf, by index, and a cell of a coarse grid, by position, that overlap."""
     first = np.where(
         cells.depth >= block_bits,
         cells.position >> np.maximum(cells.depth - block_bits, 0),
@@ -72,7 +73,7 @@ def leaves_in_blocks(
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Return all integer points in boxes, as the index of each point's box and the point's coordinates."""
+    """Return all integer points in boxes: the index of each point's box, and the point's coordinates."""
     box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
@@ -82,7 +83,7 @@ def enumerate_boxes(
 
 
 def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
-    """Return how many of each axis's ``bits`` (halvings) to take, ``most`` in all or fewer, where most are left."""
+    """Return how often to halve each axis: at most ``bits`` times, ``most`` times in all, where most are left."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
         chosen[np.argmax(bits - chosen)] += 1
@@ -99,23 +100,23 @@ def row_major(
 
 
 def byte_class(num_bytes: int) -> int:
-    return max(MIN_CLASS, (num_bytes - 1).bit_length())
+    return max(_MIN_CLASS, (num_bytes - 1).bit_length())
 
 
 def rows_of_class(of_class: int, least_bytes: int | float) -> int:
-    """Return the most leaves, of at least ``least_bytes`` each, in a file of up to ``2**of_class`` bytes."""
+    """Return how many leaves, of at least ``least_bytes`` bytes each, fit a file of ``2**of_class`` bytes."""
     return int((1 << of_class) / least_bytes)
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Return log2 of the entries that lookup tables have at least, in files with room for ``rows`` leaves."""
+    """Return log2 of the fewest entries of a lookup table for a file in which ``rows`` leaves fit."""
     return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
 
 
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
-    """Return how often a cell may be halved along one axis in files of up to ``2**of_class`` bytes (None: any size).
+    """Return how often cells may be halved along one axis in a file of ``2**of_class`` bytes (None: any size).
 
-    ``is_deep`` allows more halvings in small files, whose lookup tables then have pages.
+    Each leaf takes at least ``least_bytes`` bytes. ``is_deep`` allows more halvings in small files.
     """
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
@@ -124,7 +125,7 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
 
 
 def max_entries(num_bytes: int) -> int:
-    """Return the most entries of lookup tables for a file of this size, a limit of the memory that loading takes."""
+    """Return how many entries the lookup tables of a file of this size may have, to limit memory while it loads."""
     bits = byte_class(num_bytes) + _MAX_BITS_BEYOND_CLASS
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
@@ -177,7 +178,7 @@ def is_far(domain: Box) -> bool:
 
 
 def unresolved_types(domain: Box) -> tuple[str, ...]:
-    """Return the names of float types that are too coarse to tell points of the domain apart, such as "float32"."""
+    """Return the names of float types, such as "float32", that are too coarse to tell points of the domain apart."""
     apart = np.spacing(_largest_coordinates(domain).astype(np.float32)).astype(np.float64)
     places = (domain.width / apart).min()
     return tuple(dtype for dtype, fewest in _FEWEST_PLACES.items() if places < fewest)
@@ -221,10 +222,17 @@ def corner_if_far(domain: Box) -> Corner | None:
 
 def folding_numbers(
     folding: Folding, origin: Corner
-) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"]]:
-    """Return a folding's center minus ``origin``, as a sum of two 32-bit floats, and the corners of its box.
+) -> tuple[
+    Float[np.ndarray, "2 dim"],
+    Float[np.ndarray, "2 dim"],
+    Float[np.ndarray, "dim dim"] | None,
+    tuple[tuple[int, tuple[int, ...]], ...],
+]:
+    """Return the center, corners, axes and mirrors of mirror symmetries, for points relative to ``origin``.
 
-    Corners are infinite along periodic axes, else rounded inward to 32 bits, so points clipped to them are inside.
+    The center is a sum of two floats. The corners of the box of mirrored points are infinite along periodic axes,
+    else rounded inward. Axes are None if they are the domain's. A mirror is the axis on whose negative side it
+    mirrors points, and all axes that it reverses.
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)
@@ -233,13 +241,10 @@ def folding_numbers(
     lo = np.where(lo < box.lo, np.nextafter(lo, np.float32(np.inf)), lo)
     hi = np.where(hi > box.hi, np.nextafter(hi, np.float32(-np.inf)), hi)
     endless = np.array([[-np.inf], [np.inf]], np.float32)
+    reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
     return (
         np.stack([center, exact - center]).astype(np.float32),
         np.where(folding.domain.periodic, endless, [lo, hi]),
+        folding.axes.astype(np.float32) if folding.is_turned else None,
+        tuple(zip(folding.pivots, reversed_axes, strict=True)),
     )
-
-
-def mirrored_axes(folding: Folding) -> tuple[tuple[int, tuple[int, ...]], ...]:
-    """Return, for each mirror, the axis on whose negative side points are mirrored, and all axes it reverses."""
-    reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
-    return tuple(zip(folding.pivots, reversed_axes, strict=True))

@@ -1,7 +1,7 @@
 """Evaluation of a PLR in JAX and NumPy, by the same code and with the same answers, bit for bit.
 
-A query folds (mirrors) and wraps the points, finds the leaf of each by bit arithmetic and table lookups, and
-evaluates the leaf's function. NumPy answers small batches (``small_batches.py``).
+A query applies mirror symmetries to the points (*folds* them), moves them into the period of periodic axes (*wraps*
+them), finds each point's leaf by bit arithmetic and table lookups, and evaluates the leaf's function.
 """
 
 from dataclasses import dataclass, replace
@@ -110,7 +110,7 @@ def lookup(tables: Tables, x: Points) -> Bits:
 
 
 def find_row(tables: Tables, x: Points) -> Bits:
-    """Return each wrapped point's row of leaf parameters: of its leaf or, with pages, of its table entry."""
+    """Return each point's row in ``leaf_parameters``; points must lie in the period of periodic axes."""
     if tables.trie is not None:
         return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
@@ -125,7 +125,7 @@ def find_row(tables: Tables, x: Points) -> Bits:
 
 
 def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
-    """Return each point's index into ``Tables.leaf_of_slot``, from its block (coarse cell) and position bits."""
+    """Return each point's index into ``Tables.leaf_of_slot``, given its ``block``, a cell of the coarse grid."""
     index = start = block.__array_namespace__().zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
@@ -141,7 +141,7 @@ def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
 
 
 def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
-    """Shift, rotate and mirror points; points ``outside`` the domain become the center, with gradient 0."""
+    """Map points by mirror symmetries to the box that leaves cover; points ``outside`` the domain to its center."""
     xp, axes, (center, rest) = x.__array_namespace__(), range(window.dim), window.center.astype(x.dtype)
     z = [xp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
     if window.axes is not None:
@@ -160,7 +160,7 @@ def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
 
 
 def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Values]:
-    """Return whether wrapped points are outside the closed domain, and the answer for such points: ``inf`` or NaN."""
+    """Return whether wrapped points are outside the closed domain, and the answer for points outside: inf or NaN."""
     x, frame, xp = _constant(x), tables.frame.astype(x.dtype), x.__array_namespace__()
     outside, answer = xp.zeros(x.shape[:-1], bool), xp.full(x.shape[:-1], np.inf, x.dtype)
     for axis in range(tables.dim):
@@ -221,7 +221,7 @@ def _wrap(tables: Tables, x: Points) -> Points:
 
 
 def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
-    """Evaluate each point's leaf, whose parameters are in ``row``; points ``outside`` get an arbitrary number."""
+    """Evaluate each point's leaf, whose parameters are in ``row``; the value of points ``outside`` is arbitrary."""
     numbers, frame, place = _leaf_parameters(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
@@ -232,14 +232,15 @@ def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
             number = numbers[axis].astype(np.float32).view(np.uint32)
             count = (number & _EXPONENT).view(np.float32).astype(u.dtype)
             along = u * count - (numbers[axis] - count)
-        place.append(_Unfused(_zero_if_differentiated(along, outside)))
+        # Differentiate as at 0 outside the domain, where ``0 * inf`` would give NaN.
+        place.append(_Unfused(along.__array_namespace__().where(outside, 0, along)))
     of_leaf = [_Unfused(number) for number in numbers[tables.dim * tables.leaf.is_cell_relative :]]
     return tables.leaf.value(of_leaf, place, lambda square: _Unfused(_root(square.value))).value
 
 
 @dataclass(frozen=True)
 class _Unfused:
-    """Numbers whose products are rounded before they are added, as the file format requires."""
+    """Numbers whose products the compiler does not fuse with sums, as the file format requires."""
 
     value: Values
 
@@ -261,7 +262,7 @@ def _leaf_parameters(tables: Tables, row: Bits, dtype: np.dtype) -> list[Values]
 
 
 def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
-    """Return the bits of a float in [1, 2): the lowest 23 are a point's fraction of the domain along an axis."""
+    """Return the bits of a float in [1, 2); the lowest 23 locate a point along an axis of the domain."""
     lo, start, scale, top = (
         tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
     )
@@ -275,12 +276,12 @@ def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
 
 
 def _join_bits(fractions: list[Bits], mask: UInt32[AnyArray, "dim"], right: UInt32[AnyArray, "dim"]) -> Bits:
-    """Combine bits of a point's position along all axes to an index: ``mask`` selects, ``right`` shifts them."""
+    """Build an index into a table from each axis's bits of a position: apply ``mask``, then shift by ``right``."""
     return reduce(or_, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)])
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
-    """Return each point's row of leaf parameters, found in a trie (tables of several PLRs) level by level."""
+    """Return each point's row in ``leaf_parameters``, found in the trie of several PLRs level by level."""
 
     def descend(entry: Bits, bits: UInt32[AnyArray, "2 dim"]) -> Bits:
         fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
@@ -323,20 +324,6 @@ def without_fusion(value: Values) -> Values:
         return value
     constant = _constant(value)
     return straight_through(value, jnp.where(constant == constant, constant, jnp.nan))
-
-
-def _zero_if_differentiated(t: Values, outside: Flags) -> Values:
-    """Return ``t``, but differentiate as if it were 0 outside the domain, where ``0 * inf`` would give NaN."""
-    return _zeroed_tangent(t, outside) if isinstance(t, jax.Array) else t
-
-
-_zeroed_tangent = jax.custom_jvp(lambda t, outside: t)
-
-
-@_zeroed_tangent.defjvp
-def _zero_tangent(primals, tangents):
-    t, outside = primals
-    return (jnp.where(outside, jnp.zeros_like(t), t), jnp.where(outside, jnp.zeros_like(t), tangents[0]))
 
 
 def _root(square: Values) -> Values:

@@ -2,17 +2,12 @@
 
 The highest bits of a point's position (``frame.py``) are its *slot*, a cell of a regular grid. There are 3 layouts:
 
-- A *flat* table has one entry for each slot of the finest grid.
-- *Blocks*, for more than ``2**MAX_FLAT_BITS`` slots: cells of a coarse grid have tables as fine as their leaves need.
-- *Pages*, for small PLRs of leaf models with deep trees: as blocks, but with leaf parameters stored by slot, so that
-  a query needs no more reads than with a flat table.
-
-Tables are padded to the size class of the file (``byte_class``), so that PLRs of one class and leaf model share
-compiled code. Room above 16,384 leaves, or for more slots, grows by powers of two.
+- A *flat* table has one entry for each slot: the slot's leaf.
+- *Blocks*, for more than ``2**MAX_FLAT_BITS`` slots: each cell of a coarse grid (block) has its own grid of slots.
+- *Pages*, for small PLRs with deep trees: as blocks, but slots store leaf parameters, which saves a read.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from math import prod
 from operator import ge
@@ -36,7 +31,6 @@ from plr_jax.plr.frame import (
     folding_numbers,
     frame_of,
     max_entries,
-    mirrored_axes,
     num_pairs,
     row_major,
     rows_of_class,
@@ -50,6 +44,12 @@ from plr_jax.plr.tree import Cells
 PerAxis = Int[np.ndarray, "dim"]
 PerBlock = Int[np.ndarray, "blocks dim"]
 AnyArray: TypeAlias = Array | np.ndarray  # tables are JAX arrays; NumPy views of them answer small batches
+_MAX_BLOCK_BITS = 16
+_BLOCK_BITS = (10, 12, 14, 16)  # few choices, as code is compiled for each; fewer bits are read faster
+_MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
+# Slots with pages: four for each leaf of the size class, at least 8,192; if they do not suffice, 65,536.
+_PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
+_MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the other half is for slots
 
 
 def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
@@ -60,7 +60,7 @@ def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> S
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Trie:
-    """A lookup table of several PLRs in one array, read level by level; see ``_stack.py``."""
+    """A lookup table of several PLRs in one array, which a query reads level by level; see ``_stack.py``."""
 
     entries: UInt32[AnyArray, "entries"]
     bits: UInt32[AnyArray, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
@@ -69,7 +69,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """Arrays of equal shape in one table, one for each point: ``t[i, j]`` reads entry ``[i, j]`` of every array."""
+    """Small arrays of equal shape, one for each query point, in one flat table; ``t[i, j]`` reads every array."""
 
     flat: AnyArray
     shape: tuple[int, ...]  # of each point's array
@@ -79,27 +79,16 @@ class PerPointTable:
     def astype(self, dtype: Any) -> "PerPointTable":
         return replace(self, dtype=dtype)
 
-    def __iter__(self) -> Iterator[Any]:
-        return (self[i] for i in range(self.shape[0]))
-
     def __getitem__(self, key: Any) -> Any:
-        first, *rest = key if isinstance(key, tuple) else (key,)
-        if isinstance(first, slice):
-            rows = [self[(i, *rest)] for i in range(*first.indices(self.shape[0]))]
-            return self.flat.__array_namespace__().stack(rows)
-        size = prod(self.shape[1:])
-        inner = replace(self, shape=self.shape[1:], start=self.start + np.uint32(int(first) * size))
-        if rest:
-            return inner[tuple(rest)]
-        if inner.shape:
-            return inner
-        return gather(self.flat, inner.start).astype(self.dtype)
+        places = np.arange(prod(self.shape), dtype=np.uint32).reshape(self.shape)[key]
+        entries = [gather(self.flat, self.start + place).astype(self.dtype) for place in places.flat]
+        return self.flat.__array_namespace__().stack(entries) if places.ndim else entries[0]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class FoldedDomain:
-    """A domain whose points are folded (shifted, rotated, mirrored) before their leaves are looked up."""
+    """A domain whose points are folded (mapped by mirror symmetries) before their leaves are looked up."""
 
     frame: Float[AnyArray, "7 dim"] | PerPointTable  # rows as in :class:`Frame`
     center: Float[AnyArray, "2 dim"] | PerPointTable  # see :func:`folding_numbers`
@@ -114,17 +103,13 @@ class FoldedDomain:
         return self.frame.shape[1]
 
 
-_MAX_BLOCK_BITS = 16
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Blocks:
     """The coarse level of a lookup table: each block, a cell of a coarse grid, has a finer table of its own.
 
-    A block's *word* holds, from its lowest bit, the number of index bits of its table along each axis, then the
-    table's start in ``leaf_of_slot``. Axes that do not fit go into more words; each read is a gather, the main cost
-    of a query.
+    A block's *word* has, from its lowest bit, how many bits along each axis index its table, then the table's start
+    in ``leaf_of_slot``. Axes that do not fit go into further words, each a read more for a query.
     """
 
     words: tuple[UInt32[AnyArray, "blocks"], ...]
@@ -134,7 +119,11 @@ class Blocks:
 
 
 def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"], shift: PerAxis) -> Blocks:
-    """Pack the tables of blocks into words; ``shape`` has log2 of their entries by axis, ``offset`` their starts."""
+    """Pack the size and start of the finer table in each cell of a coarse grid into integers that a query reads.
+
+    ``shape`` has log2 of the sizes by axis, ``offset`` the starts. ``shift`` is, for each axis, how many bits of a
+    point's position are below those that find its cell.
+    """
     width = max(1, int(shape.max()).bit_length())
     room = (WORD_BITS - int(offset[-1]).bit_length()) // width
     first, words, axes = offset[:-1], [], []
@@ -150,17 +139,19 @@ def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"], shi
 
 
 def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
-    """Return how often to halve the domain by axis into blocks of the smallest table; ``ValueError`` if too large."""
+    """Choose how often a coarse grid halves each axis, for the smallest lookup table with finer grids in its cells.
+
+    ``bits`` are the halvings of the finest leaves. ``ValueError`` if every choice takes over ``max_entries``.
+    """
     best, fewest = None, np.inf
-    block_bits = np.zeros_like(bits)
-    while block_bits.sum() < min(_MAX_BLOCK_BITS, bits.sum()):
-        block_bits[np.argmax(bits - block_bits)] += 1
+    for most in range(1, 1 + min(_MAX_BLOCK_BITS, int(bits.sum()))):
+        block_bits = spread_bits(bits, most)
         if num_pairs(cells, block_bits) > max_entries:
             break  # finer blocks meet more leaves
         slots = np.sum(2.0 ** block_shapes(cells, block_bits).sum(axis=1))
         size = 4 * 2.0 ** block_bits.sum() + 2 * slots
         if slots <= max_entries and size < fewest:
-            best, fewest = block_bits.copy(), size
+            best, fewest = block_bits, size
     if best is None:
         raise ValueError(
             f"Leaves are too deep for a query's tables: {bits.tolist()} splits by axis. Lower max_depth."
@@ -171,7 +162,10 @@ def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
 def leaves_of_slots(
     cells: Cells, block_bits: PerAxis, shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"]
 ) -> UInt32[np.ndarray, "slots"]:
-    """Return the leaf in each entry (slot) of the tables of all blocks, given log2 of their shapes and starts."""
+    """Return the leaf in each entry of a lookup table that joins the finer tables of all cells of a coarse grid.
+
+    ``shape`` has log2 of the size of each finer table by axis, ``offset`` its first entry.
+    """
     # Write a leaf at the first slot of each of its runs along the last axis, and repeat it up to the next run.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     count[:, -1] = 1
@@ -184,18 +178,15 @@ def leaves_of_slots(
     return np.repeat(leaf_of_start[starts], np.diff(starts, append=offset[-1]))
 
 
-_BLOCK_BITS = (10, 12, 14, 16)  # few choices, as code is compiled for each; fewer bits are read faster
-_MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Pages:
-    """The coarse level of a lookup table by slots, table entries that hold the parameters of a leaf.
+    """The coarse level of a lookup table whose *slots*, its entries, hold the parameters of a leaf.
 
-    The first slots are the leaves themselves. Most blocks, cells of a coarse grid, are covered by one leaf and point
-    to its slot. Any other block has a *page*, slots for a grid as fine as its leaves need: a point's slot is the
-    page's start plus its masked position bits. Other pages fill the gaps that masks leave between a page's slots.
+    The first slots are the leaves themselves. A block, a cell of a coarse grid, that lies in one leaf points to the
+    slot of this leaf. Any other block has a *page*: slots for a grid as fine as its leaves need. A point's slot is
+    the page's start plus some bits of the point's position, selected by a mask. If these bits are not adjacent, the
+    page's slots have gaps, which other pages fill.
     """
 
     words: UInt32[AnyArray, "blocks"]  # mask of the fraction bits that index the page and, above it, the page's start
@@ -203,7 +194,10 @@ class Pages:
 
 
 def build_pages(cells: Cells, most_slots: int) -> tuple[Pages, PerAxis, Int[np.ndarray, "slots"]] | None:
-    """Build pages of at most ``most_slots`` slots over the coarsest grid of blocks that allows it, else None."""
+    """Build a lookup table of at most ``most_slots`` entries with pages, or return None; see :class:`Pages`.
+
+    Return the pages, how often their coarse grid halves each axis, and the leaf in each entry.
+    """
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:
         block_bits = spread_bits(bits, most_bits)
@@ -241,55 +235,41 @@ def build_pages(cells: Cells, most_slots: int) -> tuple[Pages, PerAxis, Int[np.n
 def _place_pages(
     shape: PerBlock, page_bits: PerAxis, below: PerAxis, first: int
 ) -> tuple[Int[np.ndarray, "blocks"], int]:
-    """Return the first slot of the page (table) of every block, 0 if it has none, and the end of all slots.
+    """Return the first slot of each block's page, 0 if it has none, and the end of all slots; see :class:`Pages`.
 
-    ``shape`` and ``page_bits`` have log2 of the slots of each page and of the largest possible one by axis; ``below``
-    counts the index bits of all later axes. A buddy allocator places pages by decreasing size in the smallest free
-    room, from the slot ``first`` on. A room that is too large is halved along one axis after another; each half has
-    every other slot.
+    ``shape`` has log2 of the slots of each page by axis, ``page_bits`` that of the largest possible page. ``below``
+    counts the bits of all later axes in the index of a slot in the largest page. A buddy allocator places pages by
+    decreasing size in the smallest free room, from the slot ``first`` on. A room that is too large is halved along
+    one axis after another; each half has every other slot.
     """
     finest = tuple(page_bits.tolist())
-    rooms: dict[tuple[int, ...], list[int]] = {}
+    rooms: dict[tuple[int, ...], Int[np.ndarray, _]] = {}  # starts of free rooms, by shape
     start, end = np.zeros(len(shape), np.int64), first
     order = np.flatnonzero(shape.any(axis=1))
     order = order[np.lexsort((*shape[order].T, -shape[order].sum(axis=1)))]
     for blocks in np.split(order, 1 + np.flatnonzero((shape[order[1:]] != shape[order[:-1]]).any(axis=1))):
         page = tuple(shape[blocks[0]].tolist()) if len(blocks) else ()
         while len(blocks):
-            holding = [room for room, places in rooms.items() if places and all(map(ge, room, page))]
-            room = page if rooms.get(page) else min(holding, key=sum, default=None)
+            holding = (room for room, starts in rooms.items() if len(starts) and all(map(ge, room, page)))
+            room = min(holding, key=sum, default=None)
             if room is None:
-                room, end = finest, end + (1 << sum(finest))
-                rooms.setdefault(room, []).append(end - (1 << sum(finest)))
-            # Offsets from the start of a room to all pages of this shape that it holds.
-            beside = np.zeros(1, np.int64)
-            for axis, wanted in enumerate(page):
-                step = 1 << int(below[axis] + page_bits[axis] - room[axis])
-                beside = (beside + (step * np.arange(1 << (room[axis] - wanted)))[:, None]).ravel()
-            if len(blocks) >= len(beside):
-                count = min(len(blocks) // len(beside), len(rooms[room]))
-                places, rooms[room] = np.array(rooms[room][:count]), rooms[room][count:]
-                placed, blocks = np.split(blocks, [count * len(beside)])
-                start[placed] = (places[:, None] + beside).ravel()
+                room, rooms[finest], end = finest, np.array([end]), end + (1 << sum(finest))
+            count = -(-len(blocks) >> (sum(room) - sum(page)))  # rooms that these pages need
+            places, rooms[room] = np.split(rooms[room], [count])
+            if room == page:
+                start[blocks[: len(places)]], blocks = places, blocks[len(places) :]
                 continue
-            place = rooms[room].pop()
-            for axis, wanted in enumerate(page):
-                for bits in range(room[axis], wanted, -1):
-                    room = (*room[:axis], bits - 1, *room[axis + 1 :])
-                    rooms.setdefault(room, []).append(place + (1 << int(below[axis] + page_bits[axis] - bits)))
-            start[blocks[0]], blocks = place, blocks[1:]
+            axis = next(axis for axis, wanted in enumerate(page) if room[axis] > wanted)
+            half = (*room[:axis], room[axis] - 1, *room[axis + 1 :])
+            step = 1 << int(below[axis] + page_bits[axis] - room[axis])
+            rooms[half] = np.concatenate([rooms.get(half, places[:0]), places, places + step])
     return start, end
-
-
-# Slots with pages: four for each leaf of the size class, at least 8,192; if they do not suffice, 65,536.
-_PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
-_MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the other half is for slots
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """Arrays that a query reads, padded to few sizes so that PLRs of one size class share compiled code.
+    """Arrays that a query reads, padded to the size class of the file so that PLRs of a class share compiled code.
 
     Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
     """
@@ -312,25 +292,20 @@ class Tables:
         return self.frame.shape[1]
 
     def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
-        """Return tables for points that are given relative to ``origin`` and are folded (mirrored) first."""
+        """Return tables for points relative to ``origin`` that a query folds first: maps by mirror symmetries."""
         if folding is None:
             return self
-        domain, (center, corners) = folding.domain.moved(-origin), folding_numbers(folding, origin)
-        window = FoldedDomain(
-            frame=jax.device_put(frame_of(domain)),
-            center=jax.device_put(center),
-            corners=jax.device_put(corners),
-            axes=jax.device_put(folding.axes.astype(np.float32)) if folding.is_turned else None,
-            mirrors=mirrored_axes(folding),
-            periodic=tuple(np.flatnonzero(domain.periodic).tolist()),
-        )
+        domain, (*arrays, mirrors) = folding.domain.moved(-origin), folding_numbers(folding, origin)
+        periodic = tuple(np.flatnonzero(domain.periodic).tolist())
+        frame, center, corners, axes = map(jax.device_put, (frame_of(domain), *arrays))
+        window = FoldedDomain(frame, center, corners, axes, mirrors, periodic)
         return replace(self, folding=window, unresolved=unresolved_types(domain))
 
 
 def build_tables(
     domain: Box, cells: Cells, numbers: Float[np.ndarray, "leaves count"], leaf: Any, num_bytes: int
 ) -> Tables:
-    """Build lookup tables of leaf parameters (``numbers``); ``ValueError`` if leaves are too deep for the file."""
+    """Build lookup tables of leaf parameters (``numbers``); ``ValueError`` if the tables would be too large."""
     of_class = byte_class(max(num_bytes, math.ceil(leaf.least_bytes * len(cells))))
     rows_of_file = rows_of_class(of_class, leaf.least_bytes)
     # Large tables are padded for their own number of leaves, not for the most leaves of the class.
@@ -373,5 +348,5 @@ def build_tables(
 
 
 def arrange_parameters(numbers: Float[np.ndarray, "rows count"]) -> Float[np.ndarray, "..."]:
-    """Arrange leaf parameters: in columns, which take the least arithmetic, or in rows, with fewer cache misses."""
+    """Return leaf parameters by column, which takes the least arithmetic, or flat if that saves cache misses."""
     return numbers.ravel() if numbers.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(numbers.T)

@@ -8,13 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plr_jax.cli import rows as table_rows
-from plr_jax.cli.rows import PointTable, open_table
+from plr_jax.cli.rows import open_table, read_points
 
 
 def read(data, dim=2, strict=False):
     data = data if isinstance(data, bytes) else data.encode()
-    chunks = list(PointTable("p", dim, strict).chunks(io.BytesIO(data)))
-    return np.concatenate(chunks)
+    return np.concatenate(list(read_points(io.BytesIO(data), "p", dim, strict)))
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def test_points_fold_into_the_box_and_are_as_far_from_the_goal_as_what_unfolds_f
     [
         (0, 0, struct.pack("<d", np.nan), "not finite"),
         (0, 0, struct.pack("<d", 7.0), "does not cut the domain"),
-        (0, 24, b"\2", "flag of 2"),
+        (0.4, 24, b"\2", "not in canonical form"),
         (0, 25, b"\377", "end too early"),
         (0, 26, b"\0\0\1", "must reverse an axis of its own"),
         (0, 32, b"\1\1\0", "which only plr_jax 0.1 reads"),

@@ -1,6 +1,7 @@
 """Readers without JAX, in NumPy, C and JavaScript, answer as a slow reader that follows the words of the format."""
 
 import os
+import pickle
 import platform
 import re
 import shutil
@@ -53,6 +54,7 @@ def test_single_and_few_points_are_answered_as_in_batches(plr):
     for given in (map(tuple, x.tolist()), x.tolist(), x):
         assert same_bits([f(point) for point in given], f(x))
     assert isinstance(f(tuple(x[0].tolist())), np.float32)
+    assert same_bits(pickle.loads(pickle.dumps(f))(x), f(x))
     for factor in (1 - 1e-9, 1 + 1e-9, 1 + 1e-7):  # of 64 bits, beside faces
         assert same_bits([f(tuple(point)) for point in (x * factor).tolist()], f(x * factor))
     x[::2, 0] = np.nan

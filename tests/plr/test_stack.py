@@ -16,9 +16,6 @@ from plr_jax.plr import query as lookup
 from plr_jax.plr._stack import build_trie, trie_levels
 from plr_jax.plr.tree import Cells
 
-# Many PLRs as one function: of an index and a point, or of a point for each.
-
-
 ROOM = scenes.maze().workspace
 GOALS = ((0.1, 0.1), (0.3, 0.9), (0.9, 0.6), (0.5, 0.05))
 INDEX = np.random.default_rng(0).integers(0, 4, 500)
@@ -99,9 +96,6 @@ def test_indices_broadcast_and_others_give_nan():
 def test_what_is_wrong_is_said(call, message):
     with pytest.raises(ValueError, match=message):
         call(construct(walled, UNIT, max_leaves=9))
-
-
-# A point for each.
 
 
 # One table of several partitions, against the cells' own integers.

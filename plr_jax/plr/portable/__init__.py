@@ -1,4 +1,4 @@
 """Queries of PLRs without JAX: a reader in NumPy, and generators of C headers and JavaScript modules.
 
-They follow the arithmetic that ``FORMAT.md`` defines and ``arithmetic.py`` implements: results are equal bit for bit.
+All answers equal, bit for bit, those that ``FORMAT.md`` defines. ``arithmetic.py`` holds the steps of a query.
 """

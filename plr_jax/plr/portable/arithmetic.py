@@ -1,8 +1,7 @@
 """The arithmetic of a query (``FORMAT.md``), written once for NumPy and for programs in other languages.
 
-All functions take *operations* and lists of coordinates, one value per axis. With :class:`Operations`, values are
-NumPy arrays or scalars and results are computed; with an emitter (``writers.py``), values are expressions and results
-are code.
+The operations ``do`` decide what a value is: a NumPy array or scalar for :class:`Operations`, an expression of
+another language for an emitter of code (``writers.py``).
 """
 
 from collections.abc import Sequence
@@ -20,7 +19,6 @@ from plr_jax.plr.frame import (
     corner_if_far,
     folding_numbers,
     frame_of,
-    mirrored_axes,
     table_corners,
 )
 from plr_jax.plr.leaves import as_sourced
@@ -28,6 +26,7 @@ from plr_jax.plr.tree import Tree
 
 Value: TypeAlias = Any  # a number, an array, or an expression
 Point: TypeAlias = list[Value]  # coordinates of points, one value per axis
+_TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the domain
 
 
 class Operations:
@@ -50,7 +49,7 @@ class Operations:
         return x.astype(np.float32)
 
     def fraction(self, x: Value) -> Value:
-        """Return the 23 mantissa bits of a value in [1, 2) as an integer."""
+        """Return the 23 mantissa bits of a 32-bit float in [1, 2) as an integer."""
         return x.view(np.uint32) & np.uint32((1 << FRACTION_BITS) - 1)
 
 
@@ -71,7 +70,7 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Return a 23-bit fraction of the domain, from an offset from its lower corner and the axis's `Frame` column."""
+    """Return ``offset``, from the lower end of one axis of the domain, in units of ``2**-23`` of its length."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
@@ -81,11 +80,8 @@ def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
     return do.fraction(placed)
 
 
-_TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the domain
-
-
 class Program:
-    """The steps of a query (``FORMAT.md``) for one file, without its points."""
+    """The query of one PLR file: the constants of the file, and a method for each step of ``FORMAT.md``."""
 
     def __init__(self, contents: DecodedFile) -> None:
         self.contents, self.leaf = contents, contents.leaf
@@ -110,13 +106,10 @@ class Program:
             lo, hi = domain.lo[axis], domain.hi[axis]
             self.double_periods[axis] = lo, hi, 1 / (hi - lo), np.float64(0)
         self.folding_arrays = None
-        if (folding := contents.folding) is not None:
-            (center, rest), ends = folding_numbers(folding, origin)
-            axes = list(folding.axes.astype(np.float32)) if folding.is_turned else None
-            self.folding_arrays = center, rest, axes, mirrored_axes(folding), ends
+        if contents.folding is not None:
+            self.folding_arrays = folding_numbers(contents.folding, origin)
 
     def contains(self, do: Operations, x: Point) -> Value:
-        """Return whether points, given in at least :attr:`precision`, are inside the domain."""
         tests = []
         for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
             along = x[axis] if self.domain.periodic[axis] else self._relative(do, x, axis)
@@ -124,24 +117,24 @@ class Program:
         return reduce(and_, tests)
 
     def wrap_in_double(self, do: Operations, x: Point) -> Point:
-        """Move 64-bit points around periodic axes into the domain; they must be finite along these axes."""
+        """Move 64-bit points, finite along periodic axes, by whole periods into the domain."""
         x = list(x)
         for axis, period in self.double_periods.items():
             x[axis] = wrap(do, x[axis], *period)
         return x
 
     def relative(self, do: Operations, x: Point) -> Point:
-        """Return points, relative to the lower corner of a domain that is far from 0, rounded to 32 bits."""
+        """Round points to 32 bits; in a domain far from 0, subtract its lower corner first."""
         return [self._relative(do, x, axis) for axis in range(self.dim)]
 
     def _relative(self, do: Operations, x: Point, axis: int) -> Value:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
-    def fold_and_wrap(self, do: Operations, x: Point) -> Point:
-        """Mirror points of the domain, given by :meth:`relative`, if the file has mirrors; wrap periodic axes."""
+    def offsets(self, do: Operations, x: Point) -> Point:
+        """Mirror and wrap points from :meth:`relative`; return them minus the lower corner of the leaves' domain."""
         x = list(x)
         if self.folding_arrays is not None:
-            center, rest, axes, mirrors, ends = self.folding_arrays
+            (center, rest), ends, axes, mirrors = self.folding_arrays
             x = [do.let("seen", along - c - r) for along, c, r in zip(x, center, rest, strict=True)]
             if axes is not None:
                 x = [do.let("turned", reduce(add, [a * b for a, b in zip(row, x, strict=True)])) for row in axes]
@@ -154,10 +147,6 @@ class Program:
                     x[axis] = do.let("folded", clamp(do, x[axis], lo, hi))
         for axis, period in self.periods.items():
             x[axis] = wrap(do, x[axis], *period)
-        return x
-
-    def offsets(self, do: Operations, x: Point) -> Point:
-        """Return the offsets of mirrored and wrapped points from the lower corner of the domain in 32 bits."""
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
@@ -165,7 +154,11 @@ class Program:
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Evaluate a leaf; for cell-relative models, ``numbers`` begins with ``2**depth`` and position by axis."""
+        """Evaluate the function of a leaf at ``offsets``, points minus the lower corner of the leaves' domain.
+
+        If the function takes coordinates relative to the leaf's cell, two ``numbers`` for each axis come before the
+        leaf's parameters: how many such cells the domain has along it, and the index of this cell.
+        """
         if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, offsets, do.root)
         in_cell = []
@@ -176,13 +169,13 @@ class Program:
             in_cell.append(do.let("t", share * numbers[2 * axis] - numbers[2 * axis + 1]))
         return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
-    def straight_bound(self, do: Operations, above: Point) -> Value | None:
-        """Return the file's lower bound ``rate * |x - goal| - margin`` at offsets ``above``; None if it has none."""
+    def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
+        """Return the proven lower bound ``rate * |x - goal| - margin`` of the distance; None if the file has none."""
         certificate = self.contents.certificate
         if certificate is None or certificate.straight is None:
             return None
         *goal, rate, margin = certificate.straight.astype(np.float32)
-        changes = [do.let("change", along - to) for along, to in zip(above, goal, strict=True)]
+        changes = [do.let("change", along - to) for along, to in zip(offsets, goal, strict=True)]
         return do.root(reduce(add, [change * change for change in changes])) * rate - margin
 
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
@@ -193,8 +186,8 @@ class Program:
 class CodedTree:
     """A binary tree of cells whose nodes are integers ``index << kind_bits | kind``.
 
-    A split node's kind is its axis, and its index is a row of ``children``, in level order. A leaf's kind is ``dim``,
-    and its index is a row of leaf parameters.
+    A split node's kind is the axis that it halves, and its index is a row of ``children``, in level order. A leaf's
+    kind is ``dim``, and its index is a row of leaf parameters.
     """
 
     def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, "leaves"]) -> None:

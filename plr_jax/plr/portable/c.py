@@ -16,6 +16,13 @@ from plr_jax.plr.portable.writers import (
     write_lookup,
 )
 
+# For each floor function: type, integer type, bound beyond which all numbers are whole, and the number 1.
+_FLOORS = (("float", "int32_t", "8388608.0f", "1.0f"), ("double", "int64_t", "4503599627370496.0", "1.0"))
+_WHY = {
+    "float": "only domains farther from 0 than 4 times their width need double",
+    "double": "this domain is farther from 0 than 4 times its width, where float is too coarse",
+}
+
 
 class CEmitter(Emitter):
     root_of, cast = "sqrtf({})", "(float)({})"
@@ -38,14 +45,6 @@ class CEmitter(Emitter):
 
     def fraction(self, x: Expression) -> Expression:
         return self.atom(f"(uint32_t)({x * np.float32(1 << 23)}) << 9", "uint32_t")
-
-
-# For each floor function: type, integer type, bound beyond which all numbers are whole, and the number 1.
-_FLOORS = (("float", "int32_t", "8388608.0f", "1.0f"), ("double", "int64_t", "4503599627370496.0", "1.0"))
-_WHY = {
-    "float": "only domains farther from 0 than 4 times their width need double",
-    "double": "this domain is farther from 0 than 4 times its width, where float is too coarse",
-}
 
 
 def c_header(program: Program, name: str) -> str:

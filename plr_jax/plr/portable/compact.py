@@ -1,49 +1,20 @@
 """Compact bytes of a PLR, which the C decoder ``decoder.h`` queries without unpacking them.
 
-A query can start to read at any position: integers of fixed widths replace the entropy codes of the file. All parts
-are sequences of bits, lowest first:
-
-    words         18 integers of 32 bits: leaf model, sizes, and positions of parts (``PLR_JAX_W_MAGIC`` and on)
-    frame         nine 32-bit floats for each axis: the domain and constants of a query (see ``FORMAT.md``)
-    exact         five 64-bit floats for each axis; only for planes, and in domains far from the origin
-    folding       mirror symmetries: center, its rounding error, axes if turned, mirrors, corners of the folded box
-    corners       only with values: the values at the corners of the domain
-    tree          a record for every 16 splits
-    levels        only with planes: for each level of the tree, the position and widths of the fields of its leaves
-    fields        integers of leaves or splits
-    planes        leaves whose plane is stored as floats, sorted: leaf number, value and slopes
-    exceptions    other parameters that do not follow from the fields, sorted: leaf number, index, float
-    rows          distinct rows of leaf parameters, as 32-bit floats
-    CRC-32        of all bytes before it, little-endian
-
-Nodes, splits and leaves are numbered in level order. So the children of split ``s`` are the nodes ``2 s + 1`` and
-``2 s + 2``. The number of a split or leaf follows from the number of splits before it. A record of the tree holds a
-bit for each child of its 16 splits (1 if the child is split), the axis of each split, and the number of splits among
-the children of all earlier records. With values, a record begins with marks, and ends with the width and the position
-of its fields. There are three encodings of leaves:
-
-- Rows, for cones, and for other leaves if that takes the fewest bytes: each leaf stores the index of a row.
-- Planes: each leaf stores the integers of the file.
-- Values, for continuous and smooth leaves. Each split halves edges of its cell, and stores the values in the
-  *middles* of these edges. A query computes the corner values of one half from them, starting from the values at the
-  corners of the domain. A mark of two bits says how a middle is stored (see :class:`_Middles`). For smooth leaves, a
-  query computes the derivatives at the corners of its leaf from the leaves around them. It takes leaves as continuous
-  where their values agree; where that is wrong, there are exceptions.
-
-Planes and exceptions make all answers equal to those of the file, bit for bit. This module computes leaf parameters
-as a query does, and stores those that differ, if only by rounding. It leaves out those too small to change an answer.
+``FORMAT.md`` describes the bytes. This module also computes the leaf parameters as the decoder will, and stores those
+that differ from the parameters of the PLR file, if only by rounding. So all answers are equal, bit for bit.
 """
 
 import math
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Float, Int, Shaped
 
 from plr_jax.plr._file import DecodedFile
-from plr_jax.plr.coding import BitWriter
+from plr_jax.plr.coding import BitWriter, bits_of_floats
 from plr_jax.plr.frame import FRACTION_BITS, Frame, table_corners
 from plr_jax.plr.leaves import code_of_leaf
 from plr_jax.plr.portable.arithmetic import Program, distinct_rows
@@ -63,21 +34,23 @@ _FLOAT_BITS = 32  # files whose planes have so many bits store floats
 _NEGLIGIBLE = 2.0**-27
 _MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 28
 _ROUNDING = 1e-6  # largest distance from a multiple of a power of two that counts as rounding
+_LONGEST_CHAIN = 8  # most hanging corners of smooth leaves, each inside an edge that ends at the next
+_EXACT = 2**53  # doubles hold all integers up to here
 
 
 def compact_bytes(program: Program) -> bytes:
-    """Return the bytes that the C decoder reads, in the smallest of the encodings that the leaf model has."""
-    choices, contents = [_Image(program).with_rows()], program.contents
+    """Return the bytes that the C decoder reads, in the smallest encoding that the PLR's leaf model has."""
+    choices, contents = [_CompactWriter(program).with_rows()], program.contents
     if program.leaf.name == "plane" and contents.stored.bits < _FLOAT_BITS:
-        choices.append(_Image(program).with_planes())
+        choices.append(_CompactWriter(program).with_planes())
     is_smooth = program.leaf.name == "smooth" and program.dim == 2
     if program.leaf.name == "continuous" or is_smooth:
-        choices.append(_Image(program).with_values(_Middles(contents, is_smooth)))
+        choices.append(_CompactWriter(program).with_values(_Middles(contents, is_smooth)))
     return min(choices, key=len)
 
 
-class _Image:
-    """A writer of compact bytes; one of the methods ``with_...`` completes and returns them."""
+class _CompactWriter:
+    """A writer of a PLR for the C decoder; methods ``with_...`` encode the leaves in one way, and end the bytes."""
 
     def __init__(self, program: Program) -> None:
         self.program, self.dim = program, program.dim
@@ -95,11 +68,8 @@ class _Image:
 
     @property
     def _at(self) -> int:
-        """Position of the next part, in bits."""
+        """Position, in bits, at which the next part of the file begins."""
         return 32 * _NUM_WORDS + self.body.num_bits
-
-    def _write_floats(self, numbers: Float[np.ndarray, "..."]) -> None:
-        self.body.write(_float_bits(numbers).ravel(), 32)
 
     def _write_domain(self) -> None:
         program, contents = self.program, self.program.contents
@@ -109,7 +79,7 @@ class _Image:
         rows = Frame.LO, Frame.SCALE, Frame.START, Frame.TOP
         largest = np.finfo(np.float32).max
         limits = np.clip(program.limits, -largest, largest)
-        self._write_floats(np.stack([*limits, *(program.frame[row] for row in rows), *ends], axis=1))
+        self.body.write_floats(np.stack([*limits, *(program.frame[row] for row in rows), *ends], axis=1).ravel())
         self.at_exact = self._at
         if program.corner is not None or program.leaf.name == "plane":
             box, origin = contents.domain, np.zeros(self.dim)
@@ -120,42 +90,43 @@ class _Image:
             self.body.write(np.ascontiguousarray(exact, "<f8").view("<u4").ravel().astype(np.int64), 32)
         self.at_folding = self._at
         if program.folding_arrays is not None:
-            center, rest, axes, mirrors, folded_ends = program.folding_arrays
-            self._write_floats(np.stack([center, rest], axis=1))
+            center, folded_ends, axes, mirrors = program.folding_arrays
+            self.body.write_floats(center.T.ravel())
             if axes is not None:
-                self._write_floats(np.stack(axes))
+                self.body.write_floats(axes.ravel())
             self.body.write(np.array([len(mirrors)]), 8)
             for pivot, reversed_axes in mirrors:
                 self.body.write(np.array([pivot]), 8)
                 self.body.write(np.isin(np.arange(self.dim), reversed_axes).astype(np.int64), 1)
-            self._write_floats(folded_ends.T)
+            self.body.write_floats(folded_ends.T.ravel())
         self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
-    def _write_tree(
-        self, marks: list[tuple[Int[np.ndarray, "records fields"], int]], places: list[tuple[Any, int]]
-    ) -> None:
-        """Append a record for every 16 splits; ``marks`` are more columns at its start, ``places`` at its end.
+    def _write_rows(self, *parts: tuple[Shaped[np.ndarray, "rows _"], int]) -> None:
+        """Append rows of integers; a part has some of their columns, and the width of these in bits."""
+        widths = np.concatenate([np.full(columns.shape[1], width) for columns, width in parts])
+        rows = np.concatenate([columns for columns, _ in parts], axis=1)
+        self.body.write(rows.ravel(), np.tile(widths, len(rows)))
 
-        Both are lists of columns and their width in bits, empty unless the file has values in the middles of edges:
-        then marks say how these are stored, and places have the width and position of the record's fields.
-        """
+    def _write_tree(self, marks: Sequence[tuple[Any, int]] = (), places: Sequence[tuple[Any, int]] = ()) -> None:
+        """Append a row for every 16 splits of the tree, whose first and last columns are ``marks`` and ``places``."""
         splits = np.flatnonzero(self.tree.child >= 0)
         is_split = self.tree.child[self.tree.child[splits][:, None] + np.arange(2)] >= 0
         children = _by_record(is_split.astype(np.int64))
         before = np.cumsum(children.sum(axis=1)) - children.sum(axis=1)
         axes = _by_record(self.tree.axis[splits][:, None])
         parts = [*marks, (children, 1), (axes, self.axis_bits), (before[:, None], self.leaf_bits), *places]
-        widths = np.concatenate([np.full(part.shape[1], width) for part, width in parts])
-        parts.append((np.zeros((len(children), 1), np.int64), -int(widths.sum()) % 8))
-        widths = np.append(widths, parts[-1][1])
-        self.at_tree, self.record_bytes = self._at // 8, int(widths.sum()) // 8
-        records = np.concatenate([part for part, _ in parts], axis=1)
-        self.body.write(records.ravel(), np.tile(widths, len(records)))
+        num_bits = sum(columns.shape[1] * width for columns, width in parts)
+        self.at_tree, self.record_bytes = self._at // 8, -(-num_bits // 8)
+        self._write_rows(*parts, (np.zeros((len(children), 1), np.int64), -num_bits % 8))
 
-    def _finish_codes(self, numbers: Float[np.ndarray, "leaves terms"], flags: int) -> bytes:
-        """Append planes, and parameters that differ from those a query computes (``numbers``); return all bytes."""
+    def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, "_"]) -> bytes:
+        """Append ``rows``, and the leaf parameters that differ from ``numbers``, those that a query computes.
+
+        ``rows`` are distinct leaf parameters, to which leaves refer by index. Return all bytes.
+        """
+        # 1. Choose the leaves that are stored as planes.
         power = self.dim - 1 - np.arange(self.dim)
-        order = {"plane": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
+        order = {"plane": 0, "cone": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
         of_plane = np.concatenate([[0], 1 << order * power if order else 1 + np.arange(self.dim)])
         rest = np.abs(np.delete(self.numbers, of_plane, axis=1).astype(np.float64)).sum(axis=1)
         is_plane = rest <= _NEGLIGIBLE * np.abs(self.numbers[:, of_plane[1:]]).min(axis=1)
@@ -163,40 +134,27 @@ class _Image:
         bits_of_plane = self.leaf_bits + 32 * (1 + self.dim)
         is_plane &= (self.numbers[:, 0] != 0) & (is_odd.sum(axis=1) * (self.leaf_bits + 40) > bits_of_plane)
         planes = np.flatnonzero(is_plane)
-        of_planes, is_odd = self.numbers[planes][:, of_plane], is_odd & ~is_plane[:, None]
-        return self._finish(flags, planes, of_planes, is_odd, np.zeros(0))
-
-    def _finish(
-        self,
-        flags: int,
-        planes: Int[np.ndarray, "planes"],
-        of_planes: Float[np.ndarray, "planes numbers"],
-        is_odd: Bool[np.ndarray, "leaves terms"],
-        rows: Float[np.ndarray, "..."],
-    ) -> bytes:
-        """Append leaves stored as planes, exceptions (where ``is_odd``) and rows of floats; return all bytes."""
-        program, folding = self.program, self.program.folding_arrays
+        # 2. Append them, and all else.
         at_planes = self._at
-        fields = np.column_stack([planes, _float_bits(of_planes)])
-        self.body.write(fields.ravel(), np.tile([self.leaf_bits, *[32] * of_planes.shape[1]], len(fields)))
-        at_odd, (leaf, term) = self._at, np.nonzero(is_odd)
-        fields = np.column_stack([leaf, term, _float_bits(self.numbers[leaf, term])])
-        self.body.write(fields.ravel(), np.tile([self.leaf_bits, 8, 32], len(fields)))
+        self._write_rows((planes[:, None], self.leaf_bits), (bits_of_floats(self.numbers[planes][:, of_plane]), 32))
+        at_odd, (leaf, term) = self._at, np.nonzero(is_odd & ~is_plane[:, None])
+        odd = bits_of_floats(self.numbers[leaf, term])
+        self._write_rows((leaf[:, None], self.leaf_bits), (term[:, None], 8), (odd[:, None], 32))
         at_rows = self._at
-        self._write_floats(rows)
+        self.body.write_floats(rows)
         self.body.write(np.zeros(3, np.int64), 8)  # a query reads 8 bytes at once
-        flags |= _FAR * (program.corner is not None)
-        if folding is not None:
+        flags |= _FAR * (self.program.corner is not None)
+        if (folding := self.program.folding_arrays) is not None:
             flags |= _FOLDED | _TURNED * (folding[2] is not None)
         data = self.body.to_bytes()
         words = [
             _MAGIC,
             4 * _NUM_WORDS + len(data) + 4,
-            self.dim | code_of_leaf(program.leaf) << 8 | flags << 16 | self.num_levels << 24,
+            self.dim | code_of_leaf(self.program.leaf) << 8 | flags << 16 | self.num_levels << 24,
             self.axis_bits | self.fraction_bits << 8 | self.leaf_bits << 16 | self.position_bits << 24,
             self.numbers.shape[1],
             self.record_bytes,
-            *_float_bits(np.array([self.offset, self.step], np.float32)),
+            *bits_of_floats(np.array([self.offset, self.step], np.float32)),
             len(planes),
             len(leaf),
             self.at_tree,
@@ -213,11 +171,10 @@ class _Image:
 
     def with_rows(self) -> bytes:
         rows, row_of_leaf = distinct_rows(self.numbers)
-        self._write_tree([], [])
+        self._write_tree()
         self.at_fields, self.at_levels = self._at, (len(rows) - 1).bit_length()  # not a position: the width of fields
         self.body.write(row_of_leaf, self.at_levels)
-        none = np.zeros(0, np.int64)
-        return self._finish(0, none, np.zeros((0, 0)), np.zeros(self.numbers.shape, bool), rows)
+        return self._finish(0, self.numbers, rows.ravel())
 
     def with_planes(self) -> bytes:
         planes = self.program.contents.stored
@@ -227,19 +184,16 @@ class _Image:
         widths = np.zeros((self.num_levels, 1 + self.dim), np.int64)
         is_signed = np.arange(1 + self.dim) > 0
         np.maximum.at(widths, self.level_of_leaf, np.frexp(np.abs(codes))[1] + (is_signed & (codes != 0)))
-        self._write_tree([], [])
+        self._write_tree()
         # For each level: the position that leaf 0 would have if all leaves had this level's widths; these widths.
         self.at_levels, size = self._at, widths.sum(axis=1)
         self.at_fields = self._at + self.num_levels * (40 + 8 * self.dim)
         count = np.bincount(self.level_of_leaf, minlength=self.num_levels)
         start = self.at_fields + np.cumsum(count * size) - count * size - (np.cumsum(count) - count) * size
-        self.body.write(
-            np.column_stack([start % (1 << 32), widths]).ravel(),
-            np.tile([32, *[8] * (1 + self.dim)], self.num_levels),
-        )
+        self._write_rows((start[:, None] % (1 << 32), 32), (widths, 8))
         of_leaf = widths[self.level_of_leaf]
         self.body.write((codes & ((1 << of_leaf) - 1)).ravel(), of_leaf.ravel())
-        return self._finish_codes(np.where(is_own, self.numbers, np.float32(0)), _CODED)
+        return self._finish(_CODED, np.where(is_own, self.numbers, np.float32(0)), np.zeros(0))
 
     def with_values(self, middles: "_Middles") -> bytes:
         stored = self.program.contents.stored
@@ -266,27 +220,25 @@ class _Image:
         self._write_tree([(_by_record(middles.mark), 2)], [(unit[:, None], 5), (starts, self.position_bits)])
         self.at_fields = self._at
         self.body.write(fields, widths)
-        return self._finish_codes(numbers, _CODED | _VALUES)
-
-
-def _float_bits(numbers: Float[np.ndarray, "*shape"]) -> Int[np.ndarray, "*shape"]:
-    return numbers.astype(np.float32).view(np.uint32).astype(np.int64)
+        return self._finish(_CODED | _VALUES, numbers, np.zeros(0))
 
 
 def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndarray, "records fields_of_record"]:
-    """Concatenate the fields of the 16 splits of each record; zeros pad the last record."""
+    """Concatenate the rows of 16 successive splits, which share a record of the file; zeros pad the last record."""
     padded = np.pad(of_splits, ((0, -len(of_splits) % _RECORD), (0, 0)))
     return padded.reshape(-1, _RECORD * of_splits.shape[1])
 
 
 class _Middles:
-    """Values in the middles of the edges that splits halve, and the corner values of all nodes.
+    """Values in the middles of cell edges that the tree's splits halve, coded by their differences from means.
+
+    The mean is that of the values at both ends of the edge. Values are in steps of the file's quantization.
 
     Attributes:
-        corners: Values at the corners of each node, in units of ``2**-fraction_bits`` steps.
-        mark: For each split and middle, how its value is stored. 0: both halves have the mean of the ends of the
-            edge. 1: both have the value of ``narrow``. 2: both have the value of ``wide``. 3: each half has its own
-            ``wide``, as at walls.
+        corners: Values at the corners of the cell of each node, in units of ``2**-fraction_bits`` steps.
+        mark: How the value in the middle of each edge is stored. 0: both halves of the split have the mean. 1: both
+            have the value of ``narrow``. 2: both have the value of ``wide``. 3: each half has its own ``wide``, as
+            at walls.
         narrow: The value minus the rounded mean, in steps.
         wide: For each half, twice the value minus the rounded mean, in steps; or, as an odd number, 1 plus twice the
             value minus the mean, in units of ``2**-fraction_bits`` steps.
@@ -340,7 +292,7 @@ class _Middles:
                 self.corners[halves], self.corners[halves + 1] = lower, upper
 
     def best_widths(self) -> Int[np.ndarray, "records"]:
-        """Return each record's width for the fewest bits; change marks from 1 to 2 where a value needs more bits."""
+        """Return the width of ``narrow`` for every 16 splits that takes the fewest bits; correct ``mark`` for it."""
         narrow = 1 + np.frexp(np.abs(self.narrow))[1]
         wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
         sizes = []
@@ -353,22 +305,21 @@ class _Middles:
         return widths
 
     def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return stored integers and their widths, two for each middle; ``unit`` is the record's width by split."""
+        """Return the integers to store, two for each halved edge, and their widths in bits.
+
+        ``unit`` is the width of ``narrow`` for each split.
+        """
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
 
 
-_LONGEST_CHAIN = 8  # most hanging corners of smooth leaves, each inside an edge that ends at the next
-_EXACT = 2**53  # doubles hold all integers up to here
-
-
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of smooth leaves, in level order and units of ``corners``, as ``decoder.h`` finds them.
+    """Compute the polynomials of smooth leaves, in level order, from values at cell corners, as the C decoder does.
 
-    They are NaN where they depend on the order in which the decoder meets leaves, or where it gives up.
+    A coefficient is NaN if the decoder's result depends on the order of its search, or if its search is too long.
     """
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
@@ -392,9 +343,9 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """A function that computes value and derivatives of smooth leaves at a corner as ``decoder.h`` does.
+    """The C decoder's computation of the derivatives at a corner of smooth leaves, from the leaves around it.
 
-    The decoder meets the leaves around a corner in any order, so the result is NaN where it depends on the order.
+    The decoder meets these leaves in any order, so the result is NaN where it depends on the order.
     """
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
@@ -404,7 +355,10 @@ class _SmoothCorners:
         self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return the value and three derivatives at a point, and how many hanging corners in a row they depend on."""
+        """Return value and derivatives at a corner where leaves have ``value``, and the length of a chain of corners.
+
+        The chain counts corners inside edges of larger leaves, each computed from the ends of its edge.
+        """
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)
             self.known[point, value] = numbers if chain <= _LONGEST_CHAIN else [np.nan] * 4, chain
@@ -449,7 +403,10 @@ class _SmoothCorners:
     def _on_edge(
         self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
     ) -> tuple[list[float], int]:
-        """Return value, derivatives and chain length at a corner inside a larger leaf's edge, from its cubic."""
+        """Return value, derivatives and chain at a corner inside an edge of a larger leaf, from the edge's cubic.
+
+        The edge runs along axis ``edge`` from ``start`` for ``size``, and has the values ``ends``.
+        """
         across, t, scale = 2 >> edge, (point[edge] - start) / size, float((1 << FRACTION_BITS) // size)
         places = [tuple(at if axis == edge else x for axis, x in enumerate(point)) for at in (start, start + size)]
         (p, first), (q, second) = map(self, places, ends)

@@ -23,6 +23,19 @@ from plr_jax.plr.portable.writers import (
 )
 from plr_jax.plr.tree import Cells, tree_of
 
+_TABLE_BITS = 14  # a grid of that many entries nearly fits a core's first-level cache
+FROUND = "const f = Math.fround; // rounds each operation to 32 bits"
+NEXT_FLOAT = """\
+// Returns the next 32-bit float above or below a 32-bit float.
+const bits = new Float32Array(1), whole = new Int32Array(bits.buffer);
+function beside(x, isAbove) {
+    if (x === 0) return isAbove ? 2 ** -149 : -(2 ** -149);
+    if (x !== x || x === (isAbove ? Infinity : -Infinity)) return x;
+    bits[0] = x;
+    whole[0] += x > 0 === isAbove ? 1 : -1;
+    return bits[0];
+}"""
+
 
 class JavaScriptEmitter(Emitter):
     """A generator of JavaScript: in its code, ``f = Math.fround`` rounds the result of each 32-bit operation."""
@@ -40,11 +53,8 @@ class JavaScriptEmitter(Emitter):
         return self.atom(f"{x} * {1 << 23} << 9", "uint32_t")
 
 
-_TABLE_BITS = 14  # a grid of that many entries nearly fits a core's first-level cache
-
-
 class _ConesFromTables(Program):
-    """The steps of a query of any file of cones: its constants are JavaScript variables, set by ``readCones``."""
+    """A query that works for any file of cones: JavaScript variables stand for the constants of a file."""
 
     def __init__(self) -> None:
         domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
@@ -128,7 +138,7 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    """Generate the query functions; if ``is_proven``, the last two of a leaf's ``width`` numbers are error bounds."""
+    """Generate the query functions; if ``is_proven``, error bounds are the last two of a leaf's ``width`` numbers."""
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
@@ -174,7 +184,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the search of a point's leaf; it begins with a lookup in a grid, unless the cells are needed too."""
+    """Generate the function that finds a point's leaf and, if ``of_cells``, the leaf's cell."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),
@@ -211,19 +221,6 @@ def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
         "",
         *js_function("function leaf()", [f"const row = grid[{index}];", "return row ? row - 1 : descend();"]),
     ]
-
-
-FROUND = "const f = Math.fround; // rounds each operation to 32 bits"
-NEXT_FLOAT = """\
-// Returns the next 32-bit float above or below a 32-bit float.
-const bits = new Float32Array(1), whole = new Int32Array(bits.buffer);
-function beside(x, isAbove) {
-    if (x === 0) return isAbove ? 2 ** -149 : -(2 ** -149);
-    if (x !== x || x === (isAbove ? Infinity : -Infinity)) return x;
-    bits[0] = x;
-    whole[0] += x > 0 === isAbove ? 1 : -1;
-    return bits[0];
-}"""
 
 
 def float32_literal(number: np.float32) -> str:

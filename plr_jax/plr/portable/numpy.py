@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from functools import cached_property, reduce
+from functools import cache, cached_property, reduce
 from math import floor, sqrt
 from operator import add
 from typing import Any
@@ -22,6 +22,12 @@ from plr_jax.plr.portable.c import c_header, compact_header
 from plr_jax.plr.portable.compact import compact_bytes
 from plr_jax.plr.portable.javascript import js_module
 from plr_jax.plr.portable.writers import Emitter, Expression
+
+_MOST_BITS = 16  # a table of leaves then fits a core's second-level cache
+_UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes no coordinate, despite rounding
+_CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
+_FEW = 8  # most points of a batch that are answered one by one, where a batch takes as long as 16
+_PLAIN = (float, int, np.float64, np.float32)
 
 
 class PythonEmitter(Emitter):
@@ -46,62 +52,44 @@ class PythonEmitter(Emitter):
         return self.atom(f"(int({x * np.float32(1 << 23)}) & {(1 << 23) - 1})", "uint32_t")
 
 
-_MOST_BITS = 16  # the table then fits a core's second-level cache
-
-
 class LeafTable:
-    """A lookup table over a regular grid, and a tree that leads to leaves smaller than the grid's cells."""
+    """A lookup table with a leaf for each cell of a grid, or a node of the tree where leaves are smaller."""
 
     def __init__(self, tree: CodedTree) -> None:
         self.tree, self.kind = tree, (1 << tree.kind_bits) - 1
+        self.children = tree.children.ravel().astype(tree.code_type)
         deepest = np.zeros(tree.dim, np.int64)
         np.maximum.at(deepest, tree.axis, tree.depth + 1)
         bits = spread_bits(deepest, _MOST_BITS)  # halvings of the domain along each axis into the grid's cells
-        cell = np.indices((1 << bits).tolist()).reshape(tree.dim, -1)
-        code = np.full(cell.shape[1], tree.root)
-        moving = np.arange(len(code))
-        while len(moving):
-            node = code[moving] >> tree.kind_bits
-            is_split = code[moving] & self.kind < tree.dim
-            below = np.zeros(len(moving), np.int64)
-            below[is_split] = (bits[tree.axis] - 1 - tree.depth)[node[is_split]]
-            moves = is_split & (below >= 0)
-            moving, node, below = moving[moves], node[moves], below[moves]
-            code[moving] = tree.children[node, (cell[tree.axis[node], moving] >> below) & 1]
-        self.bits, self.is_flat = tuple(bits.tolist()), bool((code & self.kind == tree.dim).all())
+        place = np.indices((1 << bits).tolist()).reshape(tree.dim, -1) << (FRACTION_BITS - bits)[:, None]
         # The table has the deepest node that contains each cell of the grid; the table is flat if these are leaves.
-        self.table, self.children = (codes.astype(tree.code_type) for codes in (code, tree.children.ravel()))
+        self.table = np.full(place.shape[1], tree.root, tree.code_type)
+        self._descend(self.table, list(place), bits)
+        self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind == tree.dim).all())
 
     def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
-        """Return the row of leaf parameters at each offset from the lower corner, in ``2**-23`` of the width."""
+        """Return the row of leaf parameters for points given, by axis, in ``2**-23`` of the domain's width."""
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
         code = self.table[index]
+        self._descend(code, fractions, np.full(self.tree.dim, FRACTION_BITS))
+        return code >> self.tree.kind_bits
+
+    def _descend(
+        self, code: Integer[np.ndarray, "n"], fractions: list[Integer[np.ndarray, "n"]], bits: Int[np.ndarray, "dim"]
+    ) -> None:
+        """Replace nodes, in place, by their descendants that contain points: leaves, or nodes of depth ``bits``."""
         moving = np.flatnonzero(code & self.kind != self.tree.dim)
         while len(moving):
             node = code[moving] >> self.tree.kind_bits
-            axis = self.tree.axis[node]
+            axis, depth = self.tree.axis[node], self.tree.depth[node]
             place = np.choose(axis, [along[moving] for along in fractions])
-            bit = (place >> (FRACTION_BITS - 1 - self.tree.depth[node])) & 1
-            code[moving] = self.children[2 * node + bit]
-            moving = moving[code[moving] & self.kind != self.tree.dim]
-        return code >> self.tree.kind_bits
-
-
-_UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes no coordinate, despite rounding
-_LARGEST = float(np.finfo(np.float64).max)
-
-
-class _Rows(dict):
-    """Rows of a table as tuples of scalars, converted at first access."""
-
-    def __init__(self, table: Float[np.ndarray, "rows count"]):
-        self._table = table
-
-    def __missing__(self, row: int) -> tuple[np.float32, ...]:
-        self[row] = numbers = tuple(self._table[row])
-        return numbers
+            child = self.children[2 * node + (place >> (FRACTION_BITS - 1 - depth) & 1)]
+            moves = depth < bits[axis]
+            moving, child = moving[moves], child[moves]
+            code[moving] = child
+            moving = moving[child & self.kind != self.tree.dim]
 
 
 def point_query(
@@ -128,23 +116,17 @@ def point_query(
     last = np.where(domain.periodic, unwrapped, domain.hi)
     ends = zip(given, domain.lo.tolist(), last.tolist(), strict=True)
     inside = [f"{lo!r} <= {name} <= {hi!r}" for name, lo, hi in ends]
-    origin, beyond = (np.zeros(program.dim) if program.corner is None else domain.lo).tolist(), []
-    for axis, (lo, hi) in enumerate(zip(*program.limits, strict=True)):
-        if domain.periodic[axis]:
-            beyond.append((-_LARGEST, _LARGEST))
-            continue
-        below, above = np.nextafter(lo, np.float32(-np.inf)), np.nextafter(hi, np.float32(np.inf))
-        beyond.append((origin[axis] + float(below), origin[axis] + float(above)))
-    outside = [
-        f"({name} < {least!r}) | ({name} > {most!r})" for name, (least, most) in zip(given, beyond, strict=True)
-    ]
+    origin = (np.zeros(program.dim) if program.corner is None else domain.lo).tolist()
+    outside = []
+    for name, corner, lo, hi in zip(given, origin, *program.limits, strict=True):
+        with np.errstate(over="ignore"):  # limits of periodic axes are the largest numbers
+            below, above = np.nextafter(lo, np.float32(-np.inf)), np.nextafter(hi, np.float32(np.inf))
+        outside.append(f"({name} < {corner + float(below)!r}) | ({name} > {corner + float(above)!r})")
     is_nan = " or ".join(f"{name} != {name}" for name in given)
     # 2. Search of the leaf.
-    precision = np.dtype(program.precision).name
-    of_type = "float" if precision == "float32" else "double"
+    precision, of_type = ("float32", "float") if program.corner is None else ("float64", "double")
     x = [do.let("x", do.atom(f"{precision}({name})", of_type)) for name in given]
-    x = program.fold_and_wrap(do, program.relative(do, x))
-    offsets = program.offsets(do, x)
+    offsets = program.offsets(do, program.relative(do, x))
     fractions = [str(do.let("place", place)) for place in program.fractions(do, offsets)]
     shifted = [f"{place} >> {FRACTION_BITS - bits}" for place, bits in zip(fractions, table.bits, strict=True)]
     index = shifted[0]
@@ -157,7 +139,7 @@ def point_query(
     elsewhere = "-1" if of_leaf else f"nan if {is_nan} else inf"
     if not of_leaf:
         parameters = [f"n{i}" for i in range(numbers.shape[1])]
-        do.statements += [f"leaf = {row}", f"{', '.join(parameters)}, = rows[leaf]"]
+        do.statements += [f"leaf = {row}", f"{', '.join(parameters)}, = row_of(leaf)"]
         row = program.value(do, offsets, [do.atom(name) for name in parameters])
     lines = [
         f"if not ({' and '.join(inside)}):",
@@ -167,16 +149,12 @@ def point_query(
         f"return {row}",
     ]
     source = "\n    ".join([f"def query({', '.join(given)}):", *lines])
-    names: dict[str, Any] = {"rows": _Rows(numbers), "descend": descend, "codes": table.table.data, **do.constants}
+    names: dict[str, Any] = {"descend": descend, "codes": table.table.data, **do.constants}
+    names["row_of"] = cache(lambda row: tuple(numbers[row]))
     names |= {"inf": np.float32(np.inf), "nan": np.float32(np.nan), "floor": floor, "sqrt": sqrt}
     names |= {"float32": np.float32, "float64": np.float64}
     exec(source, names)
     return names["query"]
-
-
-_CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
-_FEW = 8  # most points of a batch that are answered one by one, where a batch takes as long as 16
-_PLAIN = (float, int, np.float64, np.float32)
 
 
 class NumpyPLR:
@@ -224,6 +202,9 @@ class NumpyPLR:
         size = f"dim={self.dim}, num_leaves={self.num_leaves}"
         return f"NumpyPLR({self._program.leaf.name!r}, {size}{proof}, {self.domain})"
 
+    def __reduce__(self) -> Any:  # generated functions cannot be pickled
+        return NumpyPLR, (self._data,)
+
     def to_bytes(self) -> bytes:
         """Return the bytes of the file."""
         return self._data
@@ -251,7 +232,7 @@ class NumpyPLR:
             outside = as_outside(outside)
         answer = self._at_few_points(x, self._distance_query)
         if answer is None or (outside != "inf" and np.isinf(answer).any()):
-            return self._evaluate(x, self._values, (), outside)
+            return self._evaluate(x, self._values, outside)
         return np.array(answer) if type(answer) is list else answer
 
     def waypoint(self, x: ArrayLike) -> Any:
@@ -260,20 +241,15 @@ class NumpyPLR:
         Results are float32, or float64 in a domain far from the origin.
         """
         as_sourced(self._program.leaf)
-        leaf = self._at_few_points(x, self._leaf_query)
-        return self._evaluate(x, self._waypoints, (self.dim,)) if leaf is None else self._waypoint_rows.take(leaf, 0)
+        return self._of_leaves(x, self._waypoint_rows)
 
     def which(self, x: ArrayLike) -> Any:
         """Return the index of the goal that is nearest to each point ``(..., dim)``; -1 outside and for NaN.
 
         Only for cones whose file names their goals; see :meth:`PLR.which`.
         """
-        goals = self._goal_rows
-        leaf = self._at_few_points(x, self._leaf_query)
-        if leaf is not None:
-            return goals.take(leaf)
-        found = self._evaluate(x, self._goals, ())
-        return np.where(np.isfinite(found), found, -1).astype(goals.dtype)[()]
+        goal = self._of_leaves(x, self._goal_rows)
+        return np.where(goal >= 0, goal, -1).astype(np.int64)[()]
 
     def bounds(self, x: ArrayLike) -> tuple[Any, Any]:
         """Return proven lower and upper bounds of the distance at points ``(..., dim)``; see :meth:`PLR.bounds`.
@@ -282,7 +258,7 @@ class NumpyPLR:
         """
         if self._band is None:
             raise ValueError("Nothing is proven of this PLR: construct it with certified=True, or call certify.")
-        answers = self._evaluate(x, self._bounds, (2,))
+        answers = self._evaluate(x, self._bounds)
         return answers[..., 0], answers[..., 1]
 
     @cached_property
@@ -299,11 +275,16 @@ class NumpyPLR:
         return np.pad(waypoints, ((0, 1), (0, 0)), constant_values=np.nan)
 
     @cached_property
-    def _goal_rows(self) -> Int[np.ndarray, "leaves_and_outside"]:
-        return np.append(goal_of_leaves(self._program.leaf, self._program.contents.stored), -1)
+    def _goal_rows(self) -> Float[np.ndarray, "leaves_and_outside"]:
+        return np.append(goal_of_leaves(self._program.leaf, self._program.contents.stored), np.nan)
+
+    def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, "leaves_and_outside *row"]) -> Any:
+        """Return the row of each point's leaf, or the last row, of NaN, for NaN and outside the domain."""
+        leaf = self._at_few_points(x, self._leaf_query)
+        return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)
 
     def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
-        """Return the query's answer at one point, or a list for up to 8; None for other input or if one is None."""
+        """Answer one point, or each of at most 8; return None for other input, or where ``query`` returns None."""
         if type(x) is np.ndarray:
             if x.ndim == 2 and 0 < len(x) <= _FEW:
                 answers = [self._at_few_points(point, query) for point in x.tolist()]
@@ -320,17 +301,13 @@ class NumpyPLR:
         except (TypeError, ValueError):  # coordinates that are no numbers
             return None
 
-    def _evaluate(
-        self, x: ArrayLike, answer: Callable[..., Any], shape: tuple[int, ...], outside: Outside = "inf"
-    ) -> Any:
-        """Apply ``answer``, whose result at one point has the given ``shape``, to all points in chunks."""
+    def _evaluate(self, x: ArrayLike, answer: Callable[..., Any], outside: Outside = "inf") -> Any:
+        """Call ``answer`` for all points in chunks, with points minus the domain's lower corner, and their leaves."""
         x, program = as_queries(x, self.dim), self._program
-        flat = x.reshape(-1, self.dim)
-        of_type = np.float64 if answer == self._waypoints and program.corner is not None else np.float32
-        answers = np.empty((len(flat), *shape), of_type)
+        flat, parts = x.reshape(-1, self.dim), []
         with np.errstate(all="ignore"):
-            for start in range(0, len(flat), _CHUNK):
-                points, part = flat[start : start + _CHUNK], answers[start : start + _CHUNK]
+            for start in range(0, max(1, len(flat)), _CHUNK):
+                points = flat[start : start + _CHUNK]
                 if program.corner is not None:
                     points = points.astype(np.float64)
                 given = list(np.ascontiguousarray(points.T))
@@ -338,22 +315,24 @@ class NumpyPLR:
                     given = program.wrap_in_double(ARRAYS, given)
                 given = [along.astype(program.precision, copy=False) for along in given]
                 if (inside := program.contains(ARRAYS, given)).all():
-                    part[...] = self._evaluate_inside(program.relative(ARRAYS, given), answer)
+                    parts.append(self._evaluate_inside(program.relative(ARRAYS, given), answer))
                     continue
                 lo = self.domain.lo.astype(program.precision)
                 moved = [np.where(inside, along, least) for along, least in zip(given, lo, strict=True)]
-                part[...] = self._evaluate_inside(program.relative(ARRAYS, moved), answer)
+                parts.append(self._evaluate_inside(program.relative(ARRAYS, moved), answer))
                 is_nan, others = np.isnan(points[~inside]).any(axis=1), np.inf
                 if outside == "clamp":
                     beyond = [along[~inside] for along in given]
                     others = self._evaluate_clamped(program.relative(ARRAYS, beyond), answer)
-                elif outside == "nan" or answer == self._waypoints:
+                elif outside == "nan":
                     others = np.nan
-                part[~inside] = np.reshape(np.where(is_nan, np.nan, others), (-1, *[1] * len(shape)))
-        return answers.reshape((*x.shape[:-1], *shape))[()]
+                others = np.where(is_nan, np.nan, others)
+                parts[-1][~inside] = others.reshape(-1, *[1] * (parts[-1].ndim - 1))
+        answers = np.concatenate(parts)
+        return answers.reshape((*x.shape[:-1], *answers.shape[1:]))[()]
 
     def _evaluate_inside(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
-        offsets = self._program.offsets(ARRAYS, self._program.fold_and_wrap(ARRAYS, relative))
+        offsets = self._program.offsets(ARRAYS, relative)
         return answer(offsets, self._table.rows(self._program.fractions(ARRAYS, offsets)))
 
     def _evaluate_clamped(self, relative: list[np.ndarray], answer: Callable[..., Any]) -> np.ndarray:
@@ -370,12 +349,6 @@ class NumpyPLR:
 
     def _values(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
-
-    def _waypoints(self, _: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        return self._waypoint_rows.take(leaf, 0)
-
-    def _goals(self, _: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        return self._goal_rows.take(leaf)
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         assert self._band is not None, "bounds are called only with a proof"

@@ -5,7 +5,6 @@ Values are expressions of the target language; :meth:`Emitter.let` appends a sta
 
 import re
 from abc import ABC, abstractmethod
-from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partialmethod
@@ -18,11 +17,12 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.portable.arithmetic import Operations, Program
 
 _ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # precedence of operators
+_WIDTH = 100  # width of a line of generated code
 
 
 @dataclass(frozen=True, eq=False)
 class Expression:
-    """Source text of an expression; operators combine texts, with parentheses where precedence needs them."""
+    """The source text of an expression; operators join two texts, in parentheses where precedence asks for them."""
 
     text: str
     level: int  # precedence of the outermost operator
@@ -58,9 +58,6 @@ class Expression:
             return self + -other
         return self._joined("-", self, self.language.constant(other), _SUM)
 
-    def __rsub__(self, other: Any) -> "Expression":
-        return self._joined("-", self.language.constant(other), self, _SUM)
-
     def __mul__(self, other: Any) -> "Expression":
         if not isinstance(other, Expression) and other == 1:
             return self
@@ -95,7 +92,6 @@ class Emitter(Operations, ABC):
 
     def __init__(self) -> None:
         self.statements: list[str] = []
-        self._names: Counter[str] = Counter()
 
     def atom(self, text: str, of_type: str = "float") -> Expression:
         """Wrap source text, such as a name or a call, that never needs parentheses."""
@@ -113,8 +109,7 @@ class Emitter(Operations, ABC):
         """Assign an expression to a new, numbered variable; variables are returned unchanged."""
         if value.text.isidentifier():
             return value
-        unique = f"{name}_{self._names[name]}"
-        self._names[name] += 1
+        unique = f"{name}_{len(self.statements)}"
         self.statements.append(self.definition.format(type=value.type, name=unique, value=value))
         return self.atom(unique, value.type)
 
@@ -136,7 +131,7 @@ class Emitter(Operations, ABC):
 
     @abstractmethod
     def fraction(self, x: Expression) -> Expression:
-        """Return the 23 mantissa bits of a value in [1, 2): an integer in Python, else the upper bits of a word."""
+        """Return the 23 mantissa bits of a value in [1, 2): an integer in Python, else the highest bits of 32."""
 
     def used_statements(self) -> list[str]:
         """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
@@ -151,13 +146,16 @@ class Emitter(Operations, ABC):
 def write_lookup(
     do: Emitter, program: Program, of_type: str, read_leaf: Callable[..., list[Expression]], outside: list[str]
 ) -> tuple[list[Expression], list[Expression]]:
-    """Generate the search of the leaf of a point ``x`` in C or JavaScript; return offsets and leaf parameters."""
+    """Append code that finds the leaf of ``x``, the argument of a function in C or JavaScript.
+
+    Return expressions of the point minus the domain's lower corner, by axis, and of the leaf's parameters.
+    """
     x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
     if of_type == "double":
         x = program.wrap_in_double(do, x)
         x = [do.let("x", do.rounded(along)) for along in x] if program.corner is None else x
     do.statements += [f"if (!({program.contains(do, x)})) {{", *indent(outside), "}"]
-    offsets = program.offsets(do, program.fold_and_wrap(do, program.relative(do, x)))
+    offsets = program.offsets(do, program.relative(do, x))
     return offsets, read_leaf(do, program.fractions(do, offsets))
 
 
@@ -176,9 +174,6 @@ def format_domain(domain: Box) -> str:
         f"[{lo}, {hi}{')' if is_periodic else ']'}{' periodic' if is_periodic else ''}"
         for lo, hi, is_periodic in zip(domain.lo.tolist(), domain.hi.tolist(), domain.periodic, strict=True)
     )
-
-
-_WIDTH = 100  # width of a line of generated code
 
 
 def indent(lines: Iterable[str]) -> list[str]:
