@@ -37,9 +37,9 @@ _MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords tried for each obst
 _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
 
 State = TypeVar("State")
-_Points = Float[Array, "n 2"]
-_Rows = UInt32[Array, "n"]
-_Flags = Bool[Array, "n"]
+Points = Float[Array, "n 2"]
+Rows = UInt32[Array, "n"]
+Flags = Bool[Array, "n"]
 Boxes = tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]
 Entries = Int[np.ndarray, "entries"]  # a number for each corner that a leaf lists
 EntryPoints = Float[np.ndarray, "entries 2"]
@@ -81,7 +81,7 @@ class NearWalls:
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
-    def hide(self, leaf: _Rows, place: _Rows, x: _Points, corner: _Points) -> _Flags:
+    def hide(self, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
         """Return whether walls hide a corner, at index ``place`` of a leaf's list, from a point of that leaf."""
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
@@ -89,12 +89,12 @@ class NearWalls:
             return self._are_crossed(self.most, first, x, corner)
         hidden = self._are_crossed(_SHORT, first, x, corner)
 
-        def test_all_walls(_: Any, *rows: Any) -> _Flags:
+        def test_all_walls(_: Any, *rows: Any) -> Flags:
             return self._are_crossed(self.most, *rows)
 
         return updated(hidden, is_long & ~hidden, size // _SHARE, test_all_walls, first, x, corner)
 
-    def _are_crossed(self, most: int, first: _Rows, x: _Points, corner: _Points) -> _Flags:
+    def _are_crossed(self, most: int, first: Rows, x: Points, corner: Points) -> Flags:
         along = jnp.arange(most, dtype=jnp.uint32)[None]
         ax, ay, bx, by = (row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
         (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
@@ -107,7 +107,7 @@ class NearWalls:
 
 
 def updated(
-    state: State, is_open: _Flags, size: int, update: Callable[..., State], *columns: Any, leaves_rest: bool = False
+    state: State, is_open: Flags, size: int, update: Callable[..., State], *columns: Any, leaves_rest: bool = False
 ) -> State:
     """Replace the rows of ``state`` that are open by ``update(state, *columns)``, on ``size`` rows at a time."""
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
@@ -287,7 +287,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     return np.concatenate([ends.reshape(-1, 4), beside], axis=1)
 
 
-def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: _Points, y: _Points) -> _Flags:
+def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: Points, y: Points) -> Flags:
     """Return whether segments between points surely cross an occluder, a chord of an obstacle, despite rounding."""
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py

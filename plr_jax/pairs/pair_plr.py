@@ -13,7 +13,7 @@ from jax.core import Tracer
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float, Shaped, UInt8
 
-from plr_jax._arrays import as_queries
+from plr_jax._arrays import as_finite_point, as_queries
 from plr_jax._compiled import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
@@ -121,7 +121,7 @@ class PairPLR(FileBacked):
         if self._are_few(prod(batch)):
             points, to_corners = (np.asarray(each) for each in (goals.points, goals.to_corners))
             rows = (_rows(each, batch) for each in (x, points, to_corners))
-            answer = self._numpy.distances_to(*rows, outside=outside)[0].reshape(batch)
+            answer = self._numpy.distances_to(*rows, outside=outside).reshape(batch)
         else:
             answer = partial(_distances_to, self.tables, goals, outside=outside)
             answer = answered_in_parts(answer, (_FEW, _MANY), x, number)[0]
@@ -168,10 +168,10 @@ class PairPLR(FileBacked):
         ``y=goal`` instead. ``ValueError`` if the goal is not two finite numbers, is outside the domain, or cannot be
         reached.
         """
-
-        def to_corners(goal: ArrayLike) -> Float[np.ndarray, "corners"]:
-            return np.asarray(self.prepared(goal).to_corners, np.float64)[: self.num_corners]
-
+        goal = as_finite_point("The goal", self.domain.settled(goal), 2)
+        if not self.domain.contains(goal[None])[0]:
+            raise ValueError(f"The goal must be in the domain {self.domain}, got {goal.tolist()}: move it inside.")
+        to_corners = np.asarray(self.prepared(goal).to_corners, np.float64)[: self.num_corners]
         return plr_to(self.stored, self, to_corners, goal)
 
     def numpy(self) -> NumpyPairs:
@@ -197,7 +197,8 @@ class PairPLR(FileBacked):
         with np.errstate(over="ignore"):  # points far outside
             x, y = (np.asarray(p, jax.dtypes.canonicalize_dtype(_floats_of(x, y))) for p in (x, y))
         if self._are_few(prod(batch)):
-            answers = (each.reshape(batch) for each in few(self._numpy, _rows(x, batch), _rows(y, batch)))
+            answers = np.atleast_2d(few(self._numpy, _rows(x, batch), _rows(y, batch)))
+            answers = (each.reshape(batch) for each in answers)
         else:
             answers = answered_in_parts(partial(compiled, self.tables), (_FEW, _MANY), x, y)
         return tuple(map(jax.device_put, answers))  # unlike `jnp.asarray`, compiles nothing

@@ -21,10 +21,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.export import is_symbolic_dim
-from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
+from jaxtyping import Array, Float, Integer, Shaped, UInt32
 
 from plr_jax._arrays import padded_size
-from plr_jax.pairs.hiding import is_across_occluder, updated
+from plr_jax.pairs.hiding import Flags, Points, Rows, is_across_occluder, updated
 from plr_jax.pairs.portable import crossings, winding
 from plr_jax.pairs.tables import NO_WAY, STEEPEST, PairTables
 from plr_jax.plr.query import lookup
@@ -35,6 +35,7 @@ _FEW, _SEARCHED = 2**7, 2**10  # pairs whose rounds take all of them; open pairs
 _LAST_KEY = np.float32(np.inf).view(np.uint32)  # the key of no path
 
 Columns = TypeVar("Columns")
+_Lengths = Float[Array, "n"]
 _Crossed = tuple[Array, Array]  # whether segments cross walls inward, and whether outward
 
 
@@ -52,7 +53,7 @@ class PreparedGoals:
 
 
 @jax.jit
-def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
+def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n size"]:
     """Return the length of the shortest path from each point to each corner through a corner that its leaf lists."""
     leaf: Any = lookup(tables.partition, points)
     legs_of_points = _legs(tables, leaf, points)
@@ -76,10 +77,10 @@ class _Pairs:
     the last bits, its place in the list (:func:`_place_bits`).
     """
 
-    x: Float[Array, "n 2"]
-    y: Float[Array, "n 2"]
-    leaf_x: UInt32[Array, "n"]
-    leaf_y: UInt32[Array, "n"]
+    x: Points
+    y: Points
+    leaf_x: Rows
+    leaf_y: Rows
     keys: UInt32[Array, "n longest"]
 
 
@@ -97,10 +98,10 @@ class _Search:
         hidden_y: A bit for each corner of the second point's list: whether it is hidden.
     """
 
-    length: Float[Array, "n"]
-    via_x: UInt32[Array, "n"]
-    via_y: UInt32[Array, "n"]
-    key: UInt32[Array, "n"]
+    length: _Lengths
+    via_x: Rows
+    via_y: Rows
+    key: Rows
     hidden_y: UInt32[Array, "n words"]
 
 
@@ -117,18 +118,18 @@ class Ways:
             :class:`PreparedGoals`, which do not store it.
     """
 
-    length: Float[Array, "n"]
-    least: Float[Array, "n"]
-    from_x: Float[Array, "n 2"]
-    from_y: Float[Array, "n 2"]
+    length: _Lengths
+    least: _Lengths
+    from_x: Points
+    from_y: Points
 
 
 def shortest_ways(
     tables: PairTables,
-    x: Float[Array, "n 2"],
-    y: Float[Array, "n 2"],
+    x: Points,
+    y: Points,
     to_corners: Float[Array, "goals size"] | None = None,
-    goal: UInt32[Array, "n"] | None = None,
+    goal: Rows | None = None,
 ) -> Ways:
     """Find shortest paths between points of the domain, given relative to its middle.
 
@@ -155,11 +156,7 @@ def _part_by_part(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -
 
 
 def _ways(
-    tables: PairTables,
-    to_corners: Float[Array, "goals size"] | None,
-    x: Float[Array, "n 2"],
-    y: Float[Array, "n 2"],
-    goal: UInt32[Array, "n"] | None = None,
+    tables: PairTables, to_corners: Float[Array, "goals size"] | None, x: Points, y: Points, goal: Rows | None = None
 ) -> Ways:
     leaf_x: Any = lookup(tables.partition, x)
     leaf_y: Any = lookup(tables.partition, y) if goal is None else goal
@@ -196,7 +193,7 @@ def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: 
     size = search.length.shape[0]
 
     # The search ends: each round drops a corner from a list of each open pair of points.
-    def is_open(search: _Search) -> Bool[Array, "n"]:
+    def is_open(search: _Search) -> Flags:
         return _bound_of(search.key, pairs.keys.shape[1]) < search.length
 
     def round_of_all(search: _Search) -> _Search:
@@ -257,49 +254,41 @@ def _place_bits(longest: int) -> np.uint32:
     return np.uint32(padded_size(longest) - 1)
 
 
-def _bound_of(key: UInt32[Array, "n"], longest: int) -> Float[Array, "n"]:
+def _bound_of(key: Rows, longest: int) -> _Lengths:
     return jax.lax.bitcast_convert_type(key & ~_place_bits(longest), jnp.float32)
 
 
-def _least(values: UInt32[Array, "n columns"]) -> UInt32[Array, "n"]:
+def _least(values: UInt32[Array, "n columns"]) -> Rows:
     """Return the least value of each row; compilers find the least of halves of many columns faster than of rows."""
     while values.shape[1] > 8 and values.shape[1] % 2 == 0:
         values = jnp.minimum(*jnp.split(values, 2, axis=1))
     return values.min(axis=1)
 
 
-def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
+def _legs(tables: PairTables, leaf: Rows, x: Points) -> Float[Array, "n longest"]:
     dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
     return jnp.sqrt(dx * dx + dy * dy)
 
 
-def _corner_of(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
+def _corner_of(tables: PairTables, leaf: Rows, place: Rows) -> Points:
     return jnp.stack([tables.x[leaf, place], tables.y[leaf, place]], axis=1)
 
 
-def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+def _norm(v: Points) -> _Lengths:
     return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
 
 
-def _at(
-    table: Shaped[Array, "m ..."], index: Integer[Array, "*n"], mode: str = "promise_in_bounds"
-) -> Shaped[Array, "..."]:
-    return table.at[index].get(mode=mode)
+def _at(table: Shaped[Array, "m ..."], index: Integer[Array, "*n"]) -> Shaped[Array, "..."]:
+    return table.at[index].get(mode="promise_in_bounds")
 
 
-def _is_leg_hidden(
-    tables: PairTables,
-    leaf: UInt32[Array, "n"],
-    place: UInt32[Array, "n"],
-    x: Float[Array, "n 2"],
-    corner: Float[Array, "n 2"],
-) -> Bool[Array, "n"]:
+def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
     if tables.near is None:
         return is_hidden(tables, x, corner)
     return tables.near.hide(leaf, place, x, corner)
 
 
-def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
     """Return whether an obstacle separates points. Occluders decide most hidden pairs, walls the rest.
 
     A segment through an obstacle, whose walls have moved back a little, crosses one wall inward and another outward.
@@ -310,7 +299,7 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
     takes_all = is_symbolic_dim(size) or size <= _TESTED
     (px, py), (dx, dy) = x.T, (y - x).T
 
-    def cross(crossed: _Crossed, walls: Any, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> _Crossed:
+    def cross(crossed: _Crossed, walls: Any, x: Points, y: Points) -> _Crossed:
         goes_in, goes_out = crossed
         for wall in walls:
             inward, outward = crossings(x.T, y.T, wall)
@@ -333,7 +322,7 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
     return hidden | (goes_in | goes_out if tables.is_certain else goes_in & goes_out)
 
 
-def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
+def is_inside(tables: PairTables, x: Points) -> Flags:
     """Return whether points stay in free space when its walls move into it, as for upper bounds (``tables.walls``).
 
     The moved walls wind once around such a point, and less often where they passed one another and no space is left.
