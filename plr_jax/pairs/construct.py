@@ -3,9 +3,8 @@
 1. Round the boundary of free space to a lattice, and find the corners that shortest paths may join.
 2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first.
 
-A query tries the corners that its point's leaf lists, and drops those that the point does not see. It never tries a
-corner in vain that all of the leaf sees. So the cells with the largest product of free area and number of other
-corners are halved first.
+A query tries the corners that the leaf of its point lists; a try is in vain if the point does not see the corner. So
+cells with a large free area and many corners that only a part of the cell sees are halved first.
 """
 
 from collections.abc import Callable
@@ -122,7 +121,7 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
-    """A binary tree of cells during construction, with the corner lists of all its nodes."""
+    """A binary tree of cells, and the corners at which shortest paths from each cell may turn first."""
 
     lists: Lists
     key: Float[np.ndarray, "nodes"]  # priority of halving the node, at most that of its parent
@@ -134,7 +133,7 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return the lists of the leaves that remain if only nodes with keys above this one are halved."""
+        """Return the leaves that remain if only nodes whose priority is above ``key`` are halved."""
         is_halved = ~self.is_leaf & (self.key > key)
         of_halved = np.append(True, is_halved[self.parent[1:]])
         return self.lists.of_cells(np.flatnonzero(of_halved & ~is_halved))
@@ -143,10 +142,10 @@ class _ListTree:
 def grow_lists(
     root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
-    """Halve cells until that saves queries little or a limit is passed; return the lists of the leaves.
+    """Halve cells into at most ``most_leaves`` leaves; return the leaves and the corners listed for each.
 
-    Then undo the least useful halvings until the file, of ``num_bytes(lists)``, fits into ``limits.max_bytes`` and
-    has at most ``most_leaves`` leaves; the root always stays.
+    Halving ends once queries gain little or a limit is passed. Then the least useful halvings are undone until the
+    file, of ``num_bytes(lists)``, fits into ``limits.max_bytes``; the root always stays.
     """
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
     enough = _IN_VAIN * areas(root.pieces).sum()
@@ -227,7 +226,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     first = np.searchsorted(of_corner[order], np.arange(len(visibility.corners.points) + 1))
 
     def in_file(corners: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return the file's corners at workspace corners (two at sharp tips), and the row of the workspace corner."""
+        """Return the file's indices of corners (two at a sharp tip), and for each the row in ``corners``."""
         rows, row = take_ragged(first, corners)
         return order[rows], row
 

@@ -170,10 +170,10 @@ def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
 
 
 def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_Cells, _Cells, int]]:
-    """Yield, for each row of the sector, the corners that still see cells in it, how many cells, and the row.
+    """Yield, row by row, the corners that still see cells of the row, how many cells each sees, and the row's number.
 
-    A row ends with its first cell in ``ends_row``. Later rows end one step after it, and before a cell in
-    ``ends_later``.
+    Rows extend ahead of a corner, and are numbered by how far aside of the corner they are. A row ends with its first
+    cell in ``ends_row``. Later rows are at most as long, and end before the columns of cells in ``ends_later``.
     """
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
     may_step_aside = sector.free & beside[1:, :-1]
@@ -229,7 +229,11 @@ def looked_up(table: Any, index: Any) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerTable:
-    """Distances between all corners in units, as distances between a few (centers) plus small differences."""
+    """Distances between all obstacle corners of a grid; a straight step has the length ``STRAIGHT``.
+
+    Distances between a few corners (centers) are stored in full. Any other distance is stored as its small difference
+    from the distance between a center near one corner and a center near the other.
+    """
 
     center: Integer[Array, "corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
@@ -246,14 +250,17 @@ class CornerTable:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerLabels:
-    """Distances in units from each corner to its ancestors in the elimination order, the corner itself last."""
+    """Distances from each obstacle corner of a grid to its ancestors, of which the corner itself is the last.
+
+    A corner's parent is, of its neighbors when it was eliminated, the one eliminated next. The distance between two
+    corners is the least sum of their distances to a common ancestor. A straight step has the length ``STRAIGHT``.
+    """
 
     first: Int32[Array, "corners_plus_one"]  # index of each corner's first entry
     ancestor: Int32[Array, "ancestors"]
     length: Int32[Array, "ancestors"]
 
     def between(self, a: Any, b: Any) -> Any:
-        """Return distances in units: the least sum of both corners' distances to a common ancestor."""
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         common = xp.minimum(*(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b)))

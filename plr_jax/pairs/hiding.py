@@ -68,7 +68,7 @@ class NearWalls:
         margin: float,
         shape: tuple[int, int],
     ) -> "NearWalls | None":
-        """Find the walls that may hide listed corners (:func:`near_entries`); None if testing all is as fast."""
+        """Find the walls that may hide a corner from the leaf that lists it; None if testing all walls is as fast."""
         worth = len(walls) // _COST // _STEP * _STEP
         if (near := near_entries(boxes, leaf, listed, corners, walls, margin, worth)) is None:
             return None
@@ -142,8 +142,9 @@ def near_entries(
 ) -> NearPairs | None:
     """Find the walls within ``margin`` of the convex hull of a leaf's box and a corner that the leaf lists.
 
-    Entry ``i`` is the corner ``listed[i]`` in the list of ``leaf[i]``; leaves ascend. Return entries, ascending, and
-    a wall near each, among them a few that are not as near; None if ``most`` for one entry, or room, is exceeded.
+    Entry ``i`` is the corner ``listed[i]`` in the list of ``leaf[i]``; leaves ascend. Return pairs of an entry,
+    ascending, and a wall near this entry's hull; a few of the walls are not as near. Return None if an entry has more
+    than ``most`` walls, or all pairs take too much memory.
     """
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
@@ -200,9 +201,10 @@ def _near_pairs(
     wall: PairIndices,
     margin: float,
 ) -> Int[np.ndarray, "near"]:
-    """Return which pairs of an entry and a wall are near: no axis separates the wall from a convex hull.
+    """Return the indices of the pairs of a convex hull and a wall that no axis separates by more than ``margin``.
 
-    A hull is that of a box, given by its least and greatest coordinates, and a corner.
+    A hull contains a box, given by its least and greatest coordinates, and a corner. Pairs are indices of hulls,
+    called entries, and of walls.
     """
     lo, hi, corner = hulls
     a, b = walls[:, :2], walls[:, 2:]

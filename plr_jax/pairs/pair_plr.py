@@ -355,8 +355,8 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     least = shortest_ways(sure, x, y).least
     lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
     # A point near a wall may be behind the wall that is moved into free space.
-    listed_x, listed_y = (along[tables.listed] for along in tables.proud_corners.T)
-    free = replace(tables, walls=tables.proud_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
+    listed_x, listed_y = (along[tables.listed] for along in tables.outset_corners.T)
+    free = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
     is_clear = is_inside(free, x) & is_inside(free, y)
     length = jnp.where(is_clear, shortest_ways(free, x, y).length, jnp.inf)
     upper = (1 + relative) * length + (tables.rounding[1] + absolute)
@@ -377,7 +377,7 @@ def _clamped(
 def _checked(
     tables: PairTables, *points: Array
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, "n"]]:
-    """Return points as rows, their batch shape, and known answers: ``inf`` outside the domain, NaN, or else 0."""
+    """Return points as rows, their batch shape, and answers: ``inf`` outside, NaN for NaN, 0 if not yet known."""
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
     farthest = reduce(jnp.maximum, map(jnp.abs, rows))

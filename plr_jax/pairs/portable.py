@@ -71,7 +71,7 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether walls pass to the right of points upward, and whether downward."""
+    """Return whether a wall on the right of a point leads up past it, and whether a wall there leads down past it."""
     (px, py), (ax, ay, bx, by) = p, wall
     beside = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
     return (ay <= py) & (by > py) & (beside > 0), (by <= py) & (ay > py) & (beside < 0)
@@ -92,12 +92,11 @@ class Scene:
 
     @staticmethod
     def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
-        """Build the scene of a file. If ``is_certain``, walls move into free space, so what is visible surely is.
+        """Build the scene of a file's walls and corners.
 
-        Otherwise, they move back into obstacles, so that rounding hides nothing.
-
-        With ``hides_surely``, only what obstacles certainly hide is hidden: paths may pass between obstacles that
-        touch, and walls of thin obstacles are left out.
+        If ``is_certain``, walls move into free space, so that a path between them is certainly free. Otherwise walls
+        move into their obstacles, so that rounding hides no corner. With ``hides_surely``, walls of thin obstacles
+        are left out too, and paths may pass between obstacles that touch: what is hidden then is certainly hidden.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -119,7 +118,6 @@ class Scene:
 
     @cached_property
     def wall_ends(self) -> Float[np.ndarray, "4 walls"]:
-        """Coordinates of both ends of walls in 32 bits, one row for each."""
         return np.ascontiguousarray(self.walls.T, np.float32)
 
     def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, "n"]:
@@ -287,7 +285,10 @@ class NumpyPairs:
 def _in_blocks(
     answer: Callable[..., np.ndarray], ends: ArrayLike, outside: float, p: _Points, q: _Points, *others: Any
 ) -> Float[np.ndarray, "*answers n"]:
-    """Apply a function to rows in blocks; answer ``outside`` for points outside the domain, and NaN for NaN."""
+    """Apply ``answer`` to the rows of points and other arrays, a few thousand at a time.
+
+    Points beyond ``ends``, the greatest coordinates of the domain, get the answer ``outside``, and NaN gets NaN.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         farthest = np.maximum(np.abs(p), np.abs(q))
         known = np.where((farthest > ends).any(axis=1), outside, 0.0).astype(p.dtype)
@@ -303,9 +304,9 @@ def _in_blocks(
 def _shortest(
     around: Scene, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
 ) -> tuple[_Lengths, _Points, _Points]:
-    """Return lengths of shortest paths, their first turns and their last turns.
+    """Return the lengths of shortest paths from ``p`` to ``q``, their first turns and their last turns.
 
-    The turns of a straight path, or if there is none, are ``q`` and ``p``. For pairs that do not see each other,
+    If a path is straight, or there is no path, the turns are ``q`` and ``p``. For pairs that do not see each other,
     ``paths`` returns possible first turns and last turns, and the length of the path through each pair of these.
     """
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()

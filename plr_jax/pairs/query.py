@@ -71,7 +71,7 @@ def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs of points ``x`` and ``y``, and their leaves; for prepared goals, ``leaf_y`` is the index of the goal.
+    """Pairs of points, and their leaves; if distances from goals ``y`` to all corners are known, the goals' rows.
 
     ``keys`` hold, for each corner that the leaf of ``x`` lists, a lower bound of the path length through it and, in
     the last bits, its place in the list (:func:`_place_bits`).
@@ -87,41 +87,25 @@ class _Pairs:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """State of the search for shortest paths.
+    """The state of a search for shortest paths between pairs of points."""
 
-    Attributes:
-        length: Length of the shortest path found so far, ``inf`` if there is none.
-        via_x: Place in the first point's list of corners of that path's first turn; the list's length if it is
-            straight.
-        via_y: Place in the second point's list of its last turn, likewise.
-        key: Smallest key of the corners of the first point's list that are not yet examined.
-        hidden_y: A bit for each corner of the second point's list: whether it is hidden.
-    """
-
-    length: _Lengths
-    via_x: Rows
-    via_y: Rows
-    key: Rows
+    length: _Lengths  # of the shortest path found so far, `inf` if there is none
+    via_x: Rows  # place of the path's first turn in the list of the first point's leaf; the list's length if straight
+    via_y: Rows  # place of the path's last turn in the list of the second point's leaf, likewise
+    key: Rows  # smallest of `_Pairs.keys` that is not yet tried
+    # A bit for each corner of the second point's list: whether it is known to be hidden from the point.
     hidden_y: UInt32[Array, "n words"]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Shortest paths between points.
+    """Shortest paths between pairs of points."""
 
-    Attributes:
-        length: Length of the shortest path found, ``inf`` if there is none.
-        least: Lower bound of the length of any path.
-        from_x: First turn after the first point; the second point if the path is straight or missing.
-        from_y: Last turn before the second point; the first point if the path is straight or missing, or for
-            :class:`PreparedGoals`, which do not store it.
-    """
-
-    length: _Lengths
-    least: _Lengths
-    from_x: Points
-    from_y: Points
+    length: _Lengths  # of the shortest path found, `inf` if there is none
+    least: _Lengths  # lower bound of the length of any path
+    from_x: Points  # first turn after the first point; the second point if the path is straight or missing
+    from_y: Points  # last turn before the second point; the first point if straight, missing or not known
 
 
 def shortest_ways(
@@ -133,8 +117,8 @@ def shortest_ways(
 ) -> Ways:
     """Find shortest paths between points of the domain, given relative to its middle.
 
-    If swapped, points have the same path to the last bit, unless ``to_corners`` is given. That holds the distances of
-    some goals to all corners; ``goal`` then tells which of these goals each second point is.
+    Swapped points have the same path to the last bit, unless second points are goals whose distances ``to_corners``
+    are known. Then ``goal`` is the row in ``to_corners`` of each second point.
     """
     if goal is not None:
         return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)
@@ -211,7 +195,7 @@ def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: 
 def _after_round(
     tables: PairTables, to_corners: Float[Array, "goals size"] | None, search: _Search, pairs: _Pairs
 ) -> _Search:
-    """Examine the most promising corner that each first point's leaf lists."""
+    """For each pair, try the next corner that the first point's leaf lists, by lower bounds of path lengths."""
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
     first = search.key & _place_bits(pairs.keys.shape[1])
     next_key = _least(jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY))
@@ -259,7 +243,7 @@ def _bound_of(key: Rows, longest: int) -> _Lengths:
 
 
 def _least(values: UInt32[Array, "n columns"]) -> Rows:
-    """Return the least value of each row; compilers find the least of halves of many columns faster than of rows."""
+    """Return the least value of each row: compilers are faster if both halves of the columns are compared first."""
     while values.shape[1] > 8 and values.shape[1] % 2 == 0:
         values = jnp.minimum(*jnp.split(values, 2, axis=1))
     return values.min(axis=1)
@@ -289,11 +273,11 @@ def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corne
 
 
 def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
-    """Return whether an obstacle separates points. Occluders decide most hidden pairs, walls the rest.
+    """Return whether an obstacle separates points. Occluders, chords of obstacles, decide most pairs, walls the rest.
 
-    A segment through an obstacle, whose walls have moved back a little, crosses one wall inward and another outward.
-    A single crossing happens at a point that rounding puts into a wall, or where thin walls have moved past one
-    another. It does not hide, unless paths must be certainly free.
+    Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
+    another outward. A single crossing is a matter of rounding, or of walls of thin obstacles that moved past one
+    another. It does not hide a point, except if ``tables.is_certain``: then paths must be certainly free.
     """
     size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
     takes_all = is_symbolic_dim(size) or size <= _TESTED

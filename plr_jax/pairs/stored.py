@@ -5,10 +5,11 @@ The first of its two layers holds:
 - the largest error of a distance that comes from rounding points to a lattice;
 - the outline of free space on this lattice (:meth:`Outline.write`), and the set of outline points that are corners;
 - the set of pairs of corners that a shortest path may join straight, ordered by the later corner;
-- if there are any, the set of walls of obstacles so thin that a wall that moves back may leave them.
+- if there are any, the set of walls of thin obstacles (``thin_parts.py``).
 
-The second layer makes queries fast. It holds the tree, the set of corners that no leaf lists and, for each level of
-the tree, which corners of its parent's list each half drops. Files of release 0.1 may have three layers.
+The second layer makes queries fast. It holds the tree, the set of corners that no leaf lists and, for each node but
+the root, which of the corners listed by the node's parent the node does not list; a node lists what its leaves list.
+Files of release 0.1 may have three layers.
 """
 
 from collections.abc import Iterator
@@ -135,11 +136,11 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return the ends of walls moved into obstacles by a distance, or into free space if it is negative.
+        """Return the ends of all walls after they move into obstacles, or into free space for negative distances.
 
-        Walls that move into obstacles leave gaps where obstacles touch, and cut off tips. Each gap or tip is closed
-        by two opposite walls, from the contact or near the tip to where the moved walls meet. Walls of thin obstacles
-        stay. With ``surely``, they move too, and no walls are added.
+        When walls move into obstacles, the point where two obstacles touch moves to two places, and a sharp tip moves
+        far. So that no path slips through, two walls of opposite directions join each old place, or a point near the
+        tip, to the new place. Walls of thin obstacles stay. With ``surely``, these move too, and no walls are added.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         moved = self.positions - distance * self._moves(distance, surely)
@@ -164,19 +165,20 @@ class Outline:
         return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
-        """Return the points after their walls move into obstacles, or into free space if the distance is negative."""
+        """Return the points of walls that moved into obstacles, or into free space for negative distances."""
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
-        """Mask of impassable points where obstacles touch, and of points that walls moved into obstacles keep."""
+        """Mask of impassable points where obstacles touch, and of points that stay if walls move into obstacles."""
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return vectors ``v`` such that walls through ``positions - distance * v`` have moved by the distance.
+        """Return vectors ``v`` such that walls move by the distance if each point moves by ``-distance * v``.
 
-        They move into obstacles, or into free space if it is negative; less at sharp corners, as vectors are limited.
-        If it is positive, points between two thin walls stay, unless ``surely``, and so do the ends of a wall that
-        would change direction, as at the end of a thin obstacle.
+        Walls move into obstacles, or into free space if the distance is negative. Vectors at sharp corners are
+        limited, so walls move less there. Into obstacles, unless ``surely``, two kinds of points do not move: those
+        between two walls of thin obstacles, and both ends of a wall that would change direction, as at the end of a
+        thin obstacle.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions

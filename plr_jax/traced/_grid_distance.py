@@ -77,7 +77,7 @@ class GridDistances:
     is_complete: Bool[Array, "*maps"]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return the distance from each point ``x`` to the point ``y`` in its place; see :class:`GridDistance`.
+        """Return distances between points ``x`` and the points ``y`` at the same index; see :class:`GridDistance`.
 
         Points ``(x, y)`` are ``(..., 2)``, real; their leading axes broadcast, else ``ValueError``.
         """

@@ -1,9 +1,10 @@
 """Any-angle shortest paths on a traced grid; they bend only at convex corners of blocked cells.
 
-Segments run between points inside free cells, at a :func:`margin` from the cells' sides, and count as crossing cells
-within a fourth of it. The cells that they cross in a row are compared as bits with the blocked cells. So a segment
-that grazes a corner may count as blocked; the path through that corner is as long. If both ends are independent of
-the map, the crossed cells are computed once, on the host. Distances from corner to corner follow by relaxation.
+Segments run between points inside free cells, at a :func:`margin` from the cells' sides. A segment also crosses the
+cells to which it comes closer than a fourth of this margin. Cells are bits of words, so that the crossed cells of a
+grid row are compared with its blocked cells at once. A segment that grazes a corner may thus count as blocked; the
+path through that corner is as long. If both ends are independent of the map, the crossed cells are computed once, on
+the host. Distances from corner to corner follow by relaxation.
 """
 
 from collections.abc import Iterator
@@ -33,7 +34,7 @@ def margin(shape: Shape, dtype: Any) -> float:
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Return each point moved inside the first and last free cell that contains it, and whether there is one."""
+    """Return points moved into the first and the last free cell around each, and whether there is a free cell."""
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
     which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
@@ -138,7 +139,7 @@ class Corners:
 
     @property
     def _is_lattice(self) -> bool:
-        """Whether the entries are all points of :func:`lattice`, few enough for :func:`crossed_cells`."""
+        """Whether all points of :func:`lattice` have entries, few enough for tables (:func:`crossed_cells`)."""
         return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
@@ -160,7 +161,7 @@ class Corners:
         )
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
-        """Return which convex corners are visible from points, each moved inside up to two free cells."""
+        """Return which convex corners points see, given both places of a point in :func:`inside_free_cells`."""
         corners = self._inset_points(ends.dtype)[None]
         return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
 
