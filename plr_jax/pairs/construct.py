@@ -121,8 +121,6 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
-    """A binary tree of cells, and the corners at which shortest paths from each cell may turn first."""
-
     lists: Lists
     key: Float[np.ndarray, "nodes"]  # priority of halving the node, at most that of its parent
     is_leaf: Bool[np.ndarray, "nodes"]
@@ -198,7 +196,6 @@ def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Li
 
 
 def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, domain: Box) -> CellSources:
-    """Return the convex pieces of free space, and the corners where shortest paths from each may turn first."""
     lists = turns_by_triangle(visibility, triangulation)
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, domain.lo[None], domain.hi[None])
 

@@ -203,7 +203,6 @@ SLACK = 2.0**-20
 def evaluate_pairs(
     tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return lengths in steps of shortest paths between cells of points; ``inf`` without a path or off the grid."""
     batch = x.shape[:-1]
     (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     return _in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
@@ -239,7 +238,6 @@ def evaluate_few(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return path lengths in steps from points' cells to a goal cell, whose distances to all corners are given."""
     p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
@@ -303,11 +301,7 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
-    """Return the length of a likely path between cells, and the blocks through which a shorter path may lead.
-
-    A block is four of the corners stored for a cell; the blocks of the first and of the second cell are bits of a
-    word.
-    """
+    """Return the length of a likely path between cells, and as bits, which blocks of their corners may beat it."""
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
@@ -336,10 +330,7 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flag
 
 
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Blocks:
-    """Return, as bits, through which blocks paths between cells may be shorter than ``length``.
-
-    A block is four of the corners stored for the first cell; only its first 32 blocks have a bit.
-    """
+    """Return a bit for each of a cell's first 32 blocks of corners: whether a path over it may beat ``length``."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
@@ -354,7 +345,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
 
 class _Left(NamedTuple):
-    """Cells, and a bit for each of the first 32 blocks of their corners: whether a search has yet to try the block."""
+    """Cells, and a bit for each of the first 32 blocks of their corners: whether a search has yet to try it."""
 
     cells: Cells
     blocks: _Blocks

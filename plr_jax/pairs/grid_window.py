@@ -61,7 +61,6 @@ def distances_around(
 def _lengths_of_rim(
     tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, asked_first: _RimFlags
 ) -> Rim:
-    """Return path lengths from the border cells of squares to the agents' goals; ``FAR`` or more without a path."""
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)

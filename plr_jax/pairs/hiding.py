@@ -1,11 +1,9 @@
 """Fast tests of whether obstacles hide points from each other: walls between leaves and corners, and occluders.
 
-The near walls of a leaf and a corner that it lists (to which paths may go first) are those that may lie between them.
-They are few, as most of the leaf sees the corner. They are found for runs of neighbor leaves first, then for ever
-shorter runs: a wall that is not between a large box and a corner is not between a part of the box and the corner.
-
-Occluders are long chords of obstacles: a segment that crosses one is blocked. They are chosen greedily to block most
-of some random segments, as long as each saves more time than its test takes. A few dozen replace most wall tests.
+The walls that may hide a corner from a leaf are few, as most of the leaf sees the corners that it lists. They are
+found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a large box and a
+corner is not between a part of the box and the corner. Occluders are long chords inside obstacles, each of which
+hides many of some random pairs of points: a few dozen replace most tests of walls.
 """
 
 from collections.abc import Callable
@@ -201,11 +199,7 @@ def _near_pairs(
     wall: PairIndices,
     margin: float,
 ) -> Int[np.ndarray, "near"]:
-    """Return the indices of the pairs of a convex hull and a wall that no axis separates by more than ``margin``.
-
-    A hull contains a box, given by its least and greatest coordinates, and a corner. Pairs are indices of hulls,
-    called entries, and of walls.
-    """
+    """Return the indices of the pairs of a wall and a convex hull (of a box and a corner) that no axis separates."""
     lo, hi, corner = hulls
     a, b = walls[:, :2], walls[:, 2:]
     # 1. Compare the bounding boxes: most are apart. NumPy compares four bytes faster than it combines them.

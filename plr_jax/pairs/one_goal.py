@@ -75,11 +75,7 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """Return, for each cell, the corner or goal through which distances to the goal fit best, and the mean error.
-
-    Distances through a corner are those of the straight line to it, plus its own distance to the goal. Cells without
-    a path to the goal get -1.
-    """
+    """Return each cell's corner over which paths to the goal fit best (-1: no path), and the mean error."""
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])

@@ -175,7 +175,7 @@ class PairPLR(FileBacked):
         return plr_to(self.stored, self, to_corners, goal)
 
     def numpy(self) -> NumpyPairs:
-        """Return the same distances for NumPy, bit for bit as in other languages: see ``pairs/portable.py``."""
+        """Return the same distances for NumPy, bit for bit as in other languages: see ``pairs/FORMAT.md``."""
         return self._numpy
 
     def js_module(self) -> str:
@@ -271,15 +271,14 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
 
     Distances are exact up to the rounding of 32-bit floats, for any budget, except for points near walls:
 
-    - Points within 4e-6 domain widths of a wall may see past its ends: their distance may be up to 2e-5 widths too
-      small.
-    - Points within 8e-6 widths of a contact (where obstacles touch), or of a wall or gap thinner than that, may get
-      the distance of a point on the other side, or one that is too small. Bounds still hold there. Lower bounds treat
-      such walls as free space, so they may be far below the distance between points on opposite sides.
-    - Points in line with such a wall, up to the rounding of 32-bit floats, and close to the tip of an obstacle from
-      which the wall hangs may get the length of a path through this tip. So may points within 4e-6 widths of another
-      wall, if 32-bit floats do not tell the ends of both walls apart.
-    - Paths around an end of such a wall may be up to 2e-6 widths too long.
+    - A point within 4e-6 domain widths of a wall may see past its ends: distances may be 2e-5 widths too small.
+    - A point within 8e-6 widths of a contact (where obstacles touch), or of a wall or gap thinner than that, may get
+      the distance of a point on the other side, or one that is too small. Bounds still hold there, but lower bounds
+      treat thin walls as free space, so they may be far below distances between opposite sides.
+    - If a thin wall starts at the tip of a thicker obstacle, a point near this tip and in line with the thin wall, up
+      to rounding, may get the length of a path through the tip. So may a point within 4e-6 widths of another wall, if
+      32-bit floats do not tell the ends of both walls apart.
+    - Paths around an end of a thin wall may be up to 2e-6 widths too long.
 
     Gaps between obstacles stay open however narrow they are, and contacts stay closed. Only a gap of less than 6e-8
     widths may be closed where obstacles touch beside it.

@@ -1,27 +1,4 @@
-"""Queries of pairs in NumPy, by an arithmetic that other languages reproduce bit for bit.
-
-Operations follow IEEE 754, round to nearest, are not fused, and use 32-bit floats unless this text says 64. A
-*coefficient* is computed once from the file in 64 bits, by this module and ``stored.py``, then rounded to 32 bits.
-
-1.  *Points* are shifted by the middle of the domain in 64 bits and rounded. The answer is NaN if a coordinate is NaN.
-    It is ``inf`` if a point is farther from the middle than half the domain width, rounded up. Of the two points,
-    ``p`` is the lexicographically smaller, ``q`` the other.
-2.  *Sight.* The coefficients of a wall are its ends ``a`` and ``b``. Let ``d = q - p`` and ``e = b - a``. A point
-    ``x`` is *beside* the wall by ``e[0] (x[1] - a[1]) - e[1] (x[0] - a[0])``. An end ``x`` is *left* if
-    ``d[0] (p[1] - x[1]) <= d[1] (p[0] - x[0])``. The segment from ``p`` to ``q`` crosses the wall if the product of
-    what both are beside it is negative, and only ``b`` is left (inward) or only ``a`` (outward). It is blocked if it
-    crosses one wall inward and one outward.
-3.  *Lengths* are ``sqrt(d[0] d[0] + d[1] d[1])``. If ``p`` sees ``q``, the distance is straight. Else it is the least
-    ``|p - i| + (|q - j| + D(i, j))``, or ``inf``. Corner ``i`` is listed by the leaf of ``p`` and visible from ``p``,
-    corner ``j`` likewise for ``q``. Leaves are found as for a PLR (see ``plr/portable``).
-4.  *Bounds.* The lower bound is ``max(shrunk length - less, 0)``. Its length ignores thin walls and opens contacts.
-    The upper bound is ``stretched length + more``. Its walls and corners are moved into free space, rectangles
-    enclose thin walls, and one crossing in either direction blocks a segment. It is ``inf`` unless both points are
-    inside these walls: the walls to the right of a point that go up outnumber those that go down by one.
-
-``pairs(x, y)`` uses these functions for few pairs of points outside of ``jit``. Compiled functions find the same
-paths up to rounding: they may choose another path of equal length, and compilers may fuse their operations.
-"""
+"""Queries of pairs in NumPy, by the arithmetic of ``FORMAT.md``, which other languages reproduce bit for bit."""
 
 from base64 import b64encode
 from collections.abc import Callable
@@ -205,7 +182,6 @@ class NumpyPairs:
     def distances_to(
         self, p: _Points, goal: _Points, to_corners: Float[np.ndarray, "n size"], outside: Outside
     ) -> _Lengths:
-        """Return distances to goals whose distances ``to_corners`` are known."""
         if outside == "clamp":
             p, way = self._clamped(p)
             return self.distances_to(p, goal, to_corners, "inf") + way
@@ -330,7 +306,6 @@ def _length(v: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
 
 
 def js_pairs_reader() -> str:
-    """Return the JavaScript functions that read and query files of PairPLRs."""
     return Path(__file__).with_name("pairs.js").read_text(encoding="utf-8")
 
 

@@ -87,8 +87,6 @@ class _Pairs:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The state of a search for shortest paths between pairs of points."""
-
     length: _Lengths  # of the shortest path found so far, `inf` if there is none
     via_x: Rows  # place of the path's first turn in the list of the first point's leaf; the list's length if straight
     via_y: Rows  # place of the path's last turn in the list of the second point's leaf, likewise
@@ -100,8 +98,6 @@ class _Search:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Shortest paths between pairs of points."""
-
     length: _Lengths  # of the shortest path found, `inf` if there is none
     least: _Lengths  # lower bound of the length of any path
     from_x: Points  # first turn after the first point; the second point if the path is straight or missing

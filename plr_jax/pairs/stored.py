@@ -1,16 +1,4 @@
-"""The file of a PairPLR: its contents, and their layout in a PLR file (``plr/container.py``) with leaf code 7.
-
-The first of its two layers holds:
-
-- the largest error of a distance that comes from rounding points to a lattice;
-- the outline of free space on this lattice (:meth:`Outline.write`), and the set of outline points that are corners;
-- the set of pairs of corners that a shortest path may join straight, ordered by the later corner;
-- if there are any, the set of walls of thin obstacles (``thin_parts.py``).
-
-The second layer makes queries fast. It holds the tree, the set of corners that no leaf lists and, for each node but
-the root, which of the corners listed by the node's parent the node does not list; a node lists what its leaves list.
-Files of release 0.1 may have three layers.
-"""
+"""The file of a PairPLR: its contents, and their layout, which ``FORMAT.md`` describes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -244,7 +232,6 @@ def distances_by_rows(
 
 
 def distances_table(stored: "PairsFileData", size: int) -> Float[np.ndarray, "size size"]:
-    """Return distances between all corners in 32 bits, padded with ``inf`` to ``(size, size)``."""
     table = np.full((size, size), np.inf, np.float32)
     for first, rows in distances_by_rows(stored.points, stored.edges):
         table[first : first + len(rows), : len(stored.points)] = rows
@@ -259,8 +246,6 @@ _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 @dataclass(frozen=True, eq=False)
 class PairsFileData:
-    """The decoded file of a PairPLR."""
-
     domain: Box
     outline: Outline
     corner: Int[np.ndarray, "corners"]  # outline points that are corners, ascending

@@ -1,6 +1,7 @@
-"""Tables of a PairPLR's file that queries in JAX read."""
+"""Tables of a PairPLR's file that queries in JAX read. Coordinates are relative to the middle of the domain."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -23,29 +24,16 @@ _SHRUNK = np.float32(1 - 8 * np.finfo(np.float32).eps)  # makes up for the round
 _NOWHERE = 1e30  # a coordinate beyond every domain, for boxes of no walls
 
 
-@dataclass(frozen=True)
-class _NoLeaf:
-    least_bytes: float = 1.0
-    has_deep_trees: bool = False
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Groups of neighboring walls, as the coordinates of both ends of each.
-
-    Each box, ``(x, y)`` of its middle and then half its widths, contains a group, with a margin for rounding.
-    """
-
-    groups: Float[Array, "groups 32 4"]
-    boxes: Float[Array, "groups 4"]
+    groups: Float[Array, "groups 32 4"]  # coordinates of both ends of neighboring walls
+    boxes: Float[Array, "groups 4"]  # of a box around each group with a margin for rounding: middle, half widths
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PairTables:
-    """The tables that a query of a PairPLR reads. Coordinates are relative to the middle of the domain."""
-
     partition: Tables
     walls: Walls  # moved into obstacles a little
     occluders: Float[Array, "groups_of_occluders 16 7"]  # segments inside obstacles (`occluders_of`)
@@ -83,6 +71,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     size, rows = table_size(count), size_in_eighths(len(cells))
     seen, free = (Scene.of(stored, is_certain) for is_certain in (False, True))
     sure = Scene.of(stored, False, hides_surely=True).walls
+    no_leaf = SimpleNamespace(least_bytes=1.0, has_deep_trees=False)
     # 1. Pad the lists to one length, a multiple of eight.
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
@@ -125,7 +114,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     corners = padded(seen.corners, size, np.inf).astype(np.float32)
     x, y = (along[listed] for along in corners.T)
     return PairTables(
-        partition=build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes),
+        partition=build_tables(domain, cells, np.zeros((len(cells), 1)), no_leaf, num_bytes),
         walls=in_boxes(seen.walls),
         occluders=in_groups(occluders, _UNROLLED),
         near=near,

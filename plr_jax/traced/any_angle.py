@@ -79,7 +79,6 @@ def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tu
 
 
 def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, "words"]) -> Bool[Array, "n m"]:
-    """Return whether the segments of a table from :func:`crossed_cells` cross no blocked cell."""
     hit = jnp.zeros((), jnp.uint32)
     for crossed, word in zip(table, blocked, strict=True):
         hit |= crossed & word
@@ -122,7 +121,6 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
 
 
 def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
-    """Return the one of the two ``ends`` that is nearer to ``x``."""
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
     return jnp.where(is_second[..., None], second, first)
@@ -230,10 +228,8 @@ def _(primals, tangents):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPaths:
-    """Distances to a goal, straight or through convex corners, whose own distances to the goal are stored."""
-
     corners: Corners
-    distances: Float[Array, "*maps corners"]
+    distances: Float[Array, "*maps corners"]  # from convex corners to the goal
     goal: Float[Array, "*maps 2"]
 
     @classmethod
@@ -267,8 +263,6 @@ class CornerPaths:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPairs:
-    """Distances between any two points, straight or through convex corners, by the distances ``between`` corners."""
-
     corners: Corners
     between: Float[Array, "*maps corners corners"]
 
@@ -293,7 +287,6 @@ class CornerPairs:
 
 
 def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
-    """Return lengths of segments from ``a`` to ``b``; ``inf`` with gradient 0 if the ends do not see each other."""
     return jnp.where(seen, distance(a, b), jnp.inf)
 
 
