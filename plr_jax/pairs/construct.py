@@ -1,14 +1,13 @@
 """Construction of a PairPLR, the file of distances between any two points of a planar workspace.
 
 1. Round the boundary of free space to a lattice, and find the corners that shortest paths may join.
-2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first.
-
-A query tries the corners that the leaf of its point lists; a try is in vain if the point does not see the corner. So
-cells with a large free area and many corners that only a part of the cell sees are halved first.
+2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first. A query tries the
+   listed corners, in vain if its point does not see a corner. So cells with a large free area and many corners that
+   only a part of the cell sees are halved first.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -237,19 +236,13 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     edges = np.unique(np.sort(pairs, axis=1)[:, ::-1], axis=0)[:, ::-1]
     # 2. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
-    none = np.zeros(0, np.int64)
-    unlisted = PairsFileData(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0)
-    true = visibility.corners.points[of_corner]
-    moved = float(np.linalg.norm(true - unlisted.points, axis=1).max(initial=0.0))
-    largest = 0.0
-    for (_, one), (_, other) in zip(
-        distances_by_rows(true, edges), distances_by_rows(unlisted.points, edges), strict=True
-    ):
+    true, rounded = visibility.corners.points[of_corner], outline.positions[corner]
+    moved, largest = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0)), 0.0
+    for (_, one), (_, other) in zip(*(distances_by_rows(each, edges) for each in (true, rounded)), strict=True):
         with np.errstate(invalid="ignore"):
             largest = max(largest, float(np.where(one == other, 0.0, np.abs(one - other)).max()))
     rounding = np.float32(2 * moved + largest + _SLACK * workspace.tolerance)
-
-    unlisted = replace(unlisted, rounding=float(np.nextafter(rounding, np.float32(np.inf))))
+    rounding = float(np.nextafter(rounding, np.float32(np.inf)))
 
     # 3. Grow the leaves and their lists.
     def stored(lists: Lists) -> PairsFileData:
@@ -257,7 +250,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         listed, row = in_file(lists.corner)
         place = np.argsort(tree.order)[lists.cell[row]]
         by_leaf = np.lexsort((listed, place))
-        return replace(unlisted, tree=tree, leaf=place[by_leaf], listed=listed[by_leaf])
+        return PairsFileData(domain, outline, corner, edges, tree, place[by_leaf], listed[by_leaf], rounding)
 
     most = min(limits.max_leaves, most_leaves(len(corner)))
     root = corners_seen(visibility, workspace.triangulation, domain)

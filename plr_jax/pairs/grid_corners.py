@@ -2,19 +2,17 @@
 
 Eliminate corners one by one, and join the neighbors of each by edges as long as the path through it, unless shorter
 edges join them. Then compute distances in reverse order: each is a minimum over a few known rows of the distance
-matrix, those of the corner's neighbors when it was eliminated. ``GRIDS.md`` has the proofs. The corner's *ancestors*
-are itself, the neighbor that is eliminated next (its *parent*), the parent's parent, and so on.
-
-References: D. J. Rose, R. E. Tarjan, G. S. Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J.
-Comput. 5(2), 1976. J. Dibbelt, B. Strasser, D. Wagner, "Customizable contraction hierarchies", ACM JEA 21, 2016. D.
-Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD 2018.
+matrix, those of the corner's neighbors when it was eliminated. ``GRIDS.md`` has the proofs. References: Rose, Tarjan,
+Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J. Comput. 5(2), 1976. Dibbelt, Strasser, Wagner,
+"Customizable contraction hierarchies", ACM JEA 21, 2016. Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD
+2018.
 """
 
 import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,17 +23,15 @@ from tqdm import tqdm
 
 from plr_jax._arrays import parts, ragged_indices
 
-_Numbers = TypeVar("_Numbers")
-
 # Lengths of steps in units: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
 DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2, 3.6e-7 below it
 
 
-def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Numbers:
+def open_length(connectivity: int, rows: Any, columns: Any) -> Any:
     """Return a shortest path's length in units (:data:`STRAIGHT`) across rows and columns of an empty grid."""
-    straight = abs(rows - columns)  # pyright: ignore[reportOperatorIssue]
-    diagonal = (rows + columns - straight) // 2  # pyright: ignore[reportOperatorIssue]
+    straight = abs(rows - columns)
+    diagonal = (rows + columns - straight) // 2
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
 
 
@@ -229,15 +225,12 @@ def looked_up(table: Any, index: Any) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerTable:
-    """Distances between all obstacle corners of a grid; a straight step has the length ``STRAIGHT``.
-
-    Distances between a few corners (centers) are stored in full. Any other distance is stored as its small difference
-    from the distance between a center near one corner and a center near the other.
-    """
+    """Distances between all obstacle corners of a grid; a straight step has the length ``STRAIGHT``."""
 
     center: Integer[Array, "corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
-    differences: Integer[Array, "triangle"]  # for each corner and all up to it, row by row
+    # For each corner and all up to it, row by row: the distance minus that between the centers near both corners.
+    differences: Integer[Array, "triangle"]
 
     def between(self, a: Any, b: Any) -> Any:
         xp: Any = np if isinstance(a, np.ndarray) else jnp

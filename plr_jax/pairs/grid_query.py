@@ -5,11 +5,10 @@ each cell, as on an empty grid, to one of up to dozens of obstacle corners that 
 four. Few pairs of corners need be tried, as no path through a corner is shorter than on an empty grid:
 
 1. For each of two cells, find the stored corner over which the path to the other cell would be shortest on an empty
-   grid. Compute the length of the true path through both of these corners.
-2. Mark the blocks with a corner over which a path on an empty grid would be shorter than that.
-3. Try all pairs of marked blocks.
+grid. Compute the length of the true path through both of these corners. 2. Mark the blocks with a corner over which a
+path on an empty grid would be shorter. Try all pairs of marked blocks.
 
-Pairs of cells are sorted by the work that steps 1 and 3 take, and handled in chunks of about equal work.
+Pairs of cells are sorted by the work that both steps take, and handled in chunks of about equal work.
 """
 
 from collections.abc import Callable

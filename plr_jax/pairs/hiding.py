@@ -151,10 +151,9 @@ def near_entries(
         entries = np.sort(by_corner[first[block.start] : first[block.stop]])
         number, at = listed[entries] - block.start, corners[listed[entries]]
         near = _near_entries(boxes, leaf[entries], number, at, walls, margin)
-        if near is None or np.bincount(near[0]).max(initial=0) > most:
+        if near is None or np.bincount(near[0]).max(initial=0) > most or count + len(near[0]) > _MOST_PAIRS:
             return None
-        if (count := count + len(near[0])) > _MOST_PAIRS:
-            return None
+        count += len(near[0])
         found.append(np.stack([entries[near[0]].astype(np.int32), near[1]]))
     entry, wall = np.concatenate(found, axis=1)
     order = np.argsort(entry, kind="stable")

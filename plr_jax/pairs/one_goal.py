@@ -28,10 +28,10 @@ Point = Float[np.ndarray, "2"]
 
 
 def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Point) -> PLR:
-    """Return the PLR of cones of the distance to a goal; ``to_corners`` gives a goal's distances to all corners.
+    """Return the PLR of cones of the distance to a goal, whose distances to all corners are given.
 
-    A cone is the distance to its apex, a corner or the goal, plus the distance from there to the goal. Each leaf of
-    the pairs gets the cone that fits it best, and is halved a few times if none fits well.
+    A cone is the distance to its apex, a corner or the goal, plus the distance from there to the goal. Each leaf gets
+    the cone that fits it best, and is halved a few times if none fits well.
     """
     domain = stored.domain
     sources = _sources(stored, to_corners, goal)

@@ -34,10 +34,7 @@ _Lengths = Float[np.ndarray, "n"]
 
 
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether lines between points cross walls into an obstacle, and whether out of an obstacle.
-
-    A wall is the coordinates of both ends.
-    """
+    """Return whether segments cross walls, given by the coordinates of both ends, into obstacles, and whether out."""
     (px, py), (qx, qy), (ax, ay, bx, by) = p, q, wall
     ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
     # Differences between close points are exact. They tell sides even if a segment and a wall are almost in line.
@@ -56,16 +53,12 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Walls and corners for path search, relative to the middle of the domain.
-
-    The last corner, at ``inf``, is padding. Corners are at most ``moved`` away from their positions in the file. If
-    ``is_certain``, every path found is certainly free.
-    """
+    """Walls and corners for path search, relative to the middle of the domain."""
 
     walls: Float[np.ndarray, "walls 4"]
-    corners: Float[np.ndarray, "corners 2"]
-    moved: float
-    is_certain: bool
+    corners: Float[np.ndarray, "corners 2"]  # the last, at `inf`, is padding
+    moved: float  # farthest that a corner is from its position in the file
+    is_certain: bool  # whether every path found is certainly free
 
     @staticmethod
     def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
@@ -261,10 +254,7 @@ class NumpyPairs:
 def _in_blocks(
     answer: Callable[..., np.ndarray], ends: ArrayLike, outside: float, p: _Points, q: _Points, *others: Any
 ) -> Float[np.ndarray, "*answers n"]:
-    """Apply ``answer`` to the rows of points and other arrays, a few thousand at a time.
-
-    Points beyond ``ends``, the greatest coordinates of the domain, get the answer ``outside``, and NaN gets NaN.
-    """
+    """Apply ``answer`` to rows in blocks; points beyond ``ends`` of the domain get ``outside``, and NaN gets NaN."""
     with np.errstate(over="ignore", invalid="ignore"):
         farthest = np.maximum(np.abs(p), np.abs(q))
         known = np.where((farthest > ends).any(axis=1), outside, 0.0).astype(p.dtype)

@@ -1,15 +1,10 @@
 """Queries of a PairPLR in JAX: the search for shortest paths.
 
-Two points that see one another are joined by a straight path. Any other path turns first and last at corners that the
-leaves of its ends list. The search is best-first over the corners that the first point's leaf lists, ordered by a
-lower bound of the path length through each:
-
-1. Take the corner with the smallest bound, and the shortest path through it to the second point.
-2. If a wall hides a corner from its point, drop the corner from that point's list.
-3. Stop once no remaining bound is smaller than the length of a path found.
-
-Legs (segments from a point to a listed corner) are tested against the few walls near the leaf and the corner,
-straight paths against all walls. Most pairs of points need one or two rounds. Each round takes only open pairs.
+If two points do not see each other, the path between them turns first and last at corners that the leaves of both
+points list. The search takes the corners in the first point's list in the order of lower bounds of path lengths
+through each. It finds the shortest path through the corner, and drops a corner from a list if a wall hides it from
+that list's point. It stops once no bound is less than the length of a path found. Most pairs of points need one or
+two rounds.
 """
 
 from collections.abc import Callable
@@ -71,16 +66,13 @@ def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs of points, and their leaves; if distances from goals ``y`` to all corners are known, the goals' rows.
-
-    ``keys`` hold, for each corner that the leaf of ``x`` lists, a lower bound of the path length through it and, in
-    the last bits, its place in the list (:func:`_place_bits`).
-    """
-
     x: Points
     y: Points
     leaf_x: Rows
-    leaf_y: Rows
+    leaf_y: Rows  # for prepared goals, the index of the goal instead
+    # For each corner that the leaf of `x` lists, a lower bound of the path length through it and, in the last bits,
+    # its place in the list: compilers find a minimum fast, but its place slowly. Bits of floats of at least 0 are in
+    # the order of the floats.
     keys: UInt32[Array, "n longest"]
 
 
@@ -227,10 +219,7 @@ def _after_round(
 
 
 def _place_bits(longest: int) -> np.uint32:
-    """Return the bits of a key that hold a place in a list; the other bits are those of a float.
-
-    Compilers find a minimum fast, but its place slowly. Bits of floats of at least 0 are in the order of the floats.
-    """
+    """Return the bits of a key that hold a place in a list; the other bits are those of a float."""
     return np.uint32(padded_size(longest) - 1)
 
 
@@ -303,10 +292,7 @@ def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
 
 
 def is_inside(tables: PairTables, x: Points) -> Flags:
-    """Return whether points stay in free space when its walls move into it, as for upper bounds (``tables.walls``).
-
-    The moved walls wind once around such a point, and less often where they passed one another and no space is left.
-    """
+    """Return whether the walls, if moved into free space, leave points in it: they wind around each point once."""
 
     def winds(turns, walls):
         for wall in walls:
