@@ -139,7 +139,7 @@ class _ListTree:
 def grow_lists(
     root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
-    """Halve cells into at most ``most_leaves`` leaves; return the leaves and the corners listed for each.
+    """Halve cells into at most ``most_leaves`` leaves; return them with the corners where paths may turn first.
 
     Halving ends once queries gain little or a limit is passed. Then the least useful halvings are undone until the
     file, of ``num_bytes(lists)``, fits into ``limits.max_bytes``; the root always stays.

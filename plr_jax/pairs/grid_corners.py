@@ -29,7 +29,7 @@ DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2
 
 
 def open_length(connectivity: int, rows: Any, columns: Any) -> Any:
-    """Return a shortest path's length in units (:data:`STRAIGHT`) across rows and columns of an empty grid."""
+    """Return a shortest path's length across rows and columns of an empty grid; see :data:`STRAIGHT` for the unit."""
     straight = abs(rows - columns)
     diagonal = (rows + columns - straight) // 2
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
@@ -168,8 +168,8 @@ def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
 def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_Cells, _Cells, int]]:
     """Yield, row by row, the corners that still see cells of the row, how many cells each sees, and the row's number.
 
-    Rows extend ahead of a corner, and are numbered by how far aside of the corner they are. A row ends with its first
-    cell in ``ends_row``. Later rows are at most as long, and end before the columns of cells in ``ends_later``.
+    Row ``i`` is ``i`` rows aside of the corner and extends ahead of it. A row ends with its first cell in
+    ``ends_row``. Later rows are at most as long, and end before the columns of cells in ``ends_later``.
     """
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
     may_step_aside = sector.free & beside[1:, :-1]
@@ -243,10 +243,11 @@ class CornerTable:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerLabels:
-    """Distances from each obstacle corner of a grid to its ancestors, of which the corner itself is the last.
+    """Distances from each obstacle corner of a grid to its ancestors in a tree; a corner is its own last ancestor.
 
-    A corner's parent is, of its neighbors when it was eliminated, the one eliminated next. The distance between two
-    corners is the least sum of their distances to a common ancestor. A straight step has the length ``STRAIGHT``.
+    Vertex elimination on the graph of corners gives the tree: a corner's parent is, of its neighbors when it is
+    eliminated, the one that is eliminated next. The distance between two corners is the least sum of their distances
+    to a common ancestor. A straight step has the length ``STRAIGHT``.
     """
 
     first: Int32[Array, "corners_plus_one"]  # index of each corner's first entry

@@ -300,7 +300,7 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
-    """Return the length of a likely path between cells, and as bits, which blocks of their corners may beat it."""
+    """Return the length of a path between cells, and for both, bits of the blocks of corners that may beat it."""
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
@@ -329,7 +329,7 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flag
 
 
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Blocks:
-    """Return a bit for each of a cell's first 32 blocks of corners: whether a path over it may beat ``length``."""
+    """Return bits, one for each block of four corners of a cell: whether a path over it may beat ``length``."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
@@ -344,7 +344,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
 
 class _Left(NamedTuple):
-    """Cells, and a bit for each of the first 32 blocks of their corners: whether a search has yet to try it."""
+    """Cells, and for each of the first 32 blocks of four corners of a cell a bit: whether it is still to try."""
 
     cells: Cells
     blocks: _Blocks

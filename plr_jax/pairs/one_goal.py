@@ -75,7 +75,7 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """Return each cell's corner over which paths to the goal fit best (-1: no path), and the mean error."""
+    """Return through which corner each cell's path lengths to the goal fit best (-1: none), and the mean error."""
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])

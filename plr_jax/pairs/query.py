@@ -183,7 +183,7 @@ def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: 
 def _after_round(
     tables: PairTables, to_corners: Float[Array, "goals size"] | None, search: _Search, pairs: _Pairs
 ) -> _Search:
-    """For each pair, try the next corner that the first point's leaf lists, by lower bounds of path lengths."""
+    """For each pair of points, search for a path through the next corner that the first point's leaf lists."""
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
     first = search.key & _place_bits(pairs.keys.shape[1])
     next_key = _least(jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY))

@@ -28,7 +28,7 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 def with_thin_parts(
     outline: Outline, vertex: Int[np.ndarray, "points"], free_space: Any, width: float
 ) -> tuple[Outline, Int[np.ndarray, "found_points"]]:
-    """Find walls of thin obstacles; cut walls that are thin in part, and give sharp tips of thin obstacles two.
+    """Find walls of thin obstacles, cut walls that are thin in part, and give sharp tips of thin walls two points.
 
     Both points of a tip have the same boundary vertex, and are neighbors on the lattice to which the outline is
     rounded. So a point that rounding puts on or across a thin wall sees the tip's corner on its own side. Return the

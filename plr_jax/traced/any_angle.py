@@ -34,7 +34,7 @@ def margin(shape: Shape, dtype: Any) -> float:
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Return points moved into the first and the last free cell around each, and whether there is a free cell."""
+    """Move points into the first and last of up to four free cells around each; also return whether there is one."""
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
     which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
@@ -137,7 +137,7 @@ class Corners:
 
     @property
     def _is_lattice(self) -> bool:
-        """Whether all points of :func:`lattice` have entries, few enough for tables (:func:`crossed_cells`)."""
+        """Whether ``index`` has every point of :func:`lattice`, few enough for tables (:func:`crossed_cells`)."""
         return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
@@ -159,7 +159,7 @@ class Corners:
         )
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
-        """Return which convex corners points see, given both places of a point in :func:`inside_free_cells`."""
+        """Return which convex corners are visible from points; ``ends`` come from :func:`inside_free_cells`."""
         corners = self._inset_points(ends.dtype)[None]
         return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
 
