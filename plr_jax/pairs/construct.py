@@ -1,15 +1,13 @@
 """Construction of a PairPLR, the file of distances between any two points of a planar workspace.
 
 1. Round the boundary of free space to a lattice, and find the corners that shortest paths may join.
-2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first.
-
-A query tries the corners that its point's leaf lists, and drops those that the point does not see. It never tries a
-corner in vain that all of the leaf sees. So the cells with the largest product of free area and number of other
-corners are halved first.
+2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first. A query tries the
+   listed corners, in vain if its point does not see a corner. So cells with a large free area and many corners that
+   only a part of the cell sees are halved first.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -122,8 +120,6 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
-    """A binary tree of cells during construction, with the corner lists of all its nodes."""
-
     lists: Lists
     key: Float[np.ndarray, "nodes"]  # priority of halving the node, at most that of its parent
     is_leaf: Bool[np.ndarray, "nodes"]
@@ -134,7 +130,7 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return the lists of the leaves that remain if only nodes with keys above this one are halved."""
+        """Return the leaves that remain if only nodes whose priority is above ``key`` are halved."""
         is_halved = ~self.is_leaf & (self.key > key)
         of_halved = np.append(True, is_halved[self.parent[1:]])
         return self.lists.of_cells(np.flatnonzero(of_halved & ~is_halved))
@@ -143,10 +139,10 @@ class _ListTree:
 def grow_lists(
     root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
-    """Halve cells until that saves queries little or a limit is passed; return the lists of the leaves.
+    """Halve cells into at most ``most_leaves`` leaves; return them with the corners where paths may turn first.
 
-    Then undo the least useful halvings until the file, of ``num_bytes(lists)``, fits into ``limits.max_bytes`` and
-    has at most ``most_leaves`` leaves; the root always stays.
+    Halving ends once queries gain little or a limit is passed. Then the least useful halvings are undone until the
+    file, of ``num_bytes(lists)``, fits into ``limits.max_bytes``; the root always stays.
     """
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
     enough = _IN_VAIN * areas(root.pieces).sum()
@@ -199,7 +195,6 @@ def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Li
 
 
 def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, domain: Box) -> CellSources:
-    """Return the convex pieces of free space, and the corners where shortest paths from each may turn first."""
     lists = turns_by_triangle(visibility, triangulation)
     return CellSources.of_boxes(corner_sight(visibility, triangulation), lists, domain.lo[None], domain.hi[None])
 
@@ -227,7 +222,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     first = np.searchsorted(of_corner[order], np.arange(len(visibility.corners.points) + 1))
 
     def in_file(corners: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return the file's corners at workspace corners (two at sharp tips), and the row of the workspace corner."""
+        """Return the file's indices of corners (two at a sharp tip), and for each the row in ``corners``."""
         rows, row = take_ragged(first, corners)
         return order[rows], row
 
@@ -241,19 +236,13 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     edges = np.unique(np.sort(pairs, axis=1)[:, ::-1], axis=0)[:, ::-1]
     # 2. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
-    none = np.zeros(0, np.int64)
-    unlisted = PairsFileData(domain, outline, corner, edges, tree_of(Cells.root(2)), none, none, 0.0)
-    true = visibility.corners.points[of_corner]
-    moved = float(np.linalg.norm(true - unlisted.points, axis=1).max(initial=0.0))
-    largest = 0.0
-    for (_, one), (_, other) in zip(
-        distances_by_rows(true, edges), distances_by_rows(unlisted.points, edges), strict=True
-    ):
+    true, rounded = visibility.corners.points[of_corner], outline.positions[corner]
+    moved, largest = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0)), 0.0
+    for (_, one), (_, other) in zip(*(distances_by_rows(each, edges) for each in (true, rounded)), strict=True):
         with np.errstate(invalid="ignore"):
             largest = max(largest, float(np.where(one == other, 0.0, np.abs(one - other)).max()))
     rounding = np.float32(2 * moved + largest + _SLACK * workspace.tolerance)
-
-    unlisted = replace(unlisted, rounding=float(np.nextafter(rounding, np.float32(np.inf))))
+    rounding = float(np.nextafter(rounding, np.float32(np.inf)))
 
     # 3. Grow the leaves and their lists.
     def stored(lists: Lists) -> PairsFileData:
@@ -261,7 +250,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
         listed, row = in_file(lists.corner)
         place = np.argsort(tree.order)[lists.cell[row]]
         by_leaf = np.lexsort((listed, place))
-        return replace(unlisted, tree=tree, leaf=place[by_leaf], listed=listed[by_leaf])
+        return PairsFileData(domain, outline, corner, edges, tree, place[by_leaf], listed[by_leaf], rounding)
 
     most = min(limits.max_leaves, most_leaves(len(corner)))
     root = corners_seen(visibility, workspace.triangulation, domain)

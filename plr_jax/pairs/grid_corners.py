@@ -2,19 +2,17 @@
 
 Eliminate corners one by one, and join the neighbors of each by edges as long as the path through it, unless shorter
 edges join them. Then compute distances in reverse order: each is a minimum over a few known rows of the distance
-matrix, those of the corner's neighbors when it was eliminated. ``GRIDS.md`` has the proofs. The corner's *ancestors*
-are itself, the neighbor that is eliminated next (its *parent*), the parent's parent, and so on.
-
-References: D. J. Rose, R. E. Tarjan, G. S. Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J.
-Comput. 5(2), 1976. J. Dibbelt, B. Strasser, D. Wagner, "Customizable contraction hierarchies", ACM JEA 21, 2016. D.
-Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD 2018.
+matrix, those of the corner's neighbors when it was eliminated. ``GRIDS.md`` has the proofs. References: Rose, Tarjan,
+Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J. Comput. 5(2), 1976. Dibbelt, Strasser, Wagner,
+"Customizable contraction hierarchies", ACM JEA 21, 2016. Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD
+2018.
 """
 
 import heapq
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,17 +23,15 @@ from tqdm import tqdm
 
 from plr_jax._arrays import parts, ragged_indices
 
-_Numbers = TypeVar("_Numbers")
-
 # Lengths of steps in units: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
 DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2, 3.6e-7 below it
 
 
-def open_length(connectivity: int, rows: _Numbers, columns: _Numbers) -> _Numbers:
-    """Return a shortest path's length in units (:data:`STRAIGHT`) across rows and columns of an empty grid."""
-    straight = abs(rows - columns)  # pyright: ignore[reportOperatorIssue]
-    diagonal = (rows + columns - straight) // 2  # pyright: ignore[reportOperatorIssue]
+def open_length(connectivity: int, rows: Any, columns: Any) -> Any:
+    """Return a shortest path's length across rows and columns of an empty grid; see :data:`STRAIGHT` for the unit."""
+    straight = abs(rows - columns)
+    diagonal = (rows + columns - straight) // 2
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
 
 
@@ -170,10 +166,10 @@ def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
 
 
 def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_Cells, _Cells, int]]:
-    """Yield, for each row of the sector, the corners that still see cells in it, how many cells, and the row.
+    """Yield, row by row, the corners that still see cells of the row, how many cells each sees, and the row's number.
 
-    A row ends with its first cell in ``ends_row``. Later rows end one step after it, and before a cell in
-    ``ends_later``.
+    Row ``i`` is ``i`` rows aside of the corner and extends ahead of it. A row ends with its first cell in
+    ``ends_row``. Later rows are at most as long, and end before the columns of cells in ``ends_later``.
     """
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
     may_step_aside = sector.free & beside[1:, :-1]
@@ -229,11 +225,12 @@ def looked_up(table: Any, index: Any) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerTable:
-    """Distances between all corners in units, as distances between a few (centers) plus small differences."""
+    """Distances between all obstacle corners of a grid; a straight step has the length ``STRAIGHT``."""
 
     center: Integer[Array, "corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
-    differences: Integer[Array, "triangle"]  # for each corner and all up to it, row by row
+    # For each corner and all up to it, row by row: the distance minus that between the centers near both corners.
+    differences: Integer[Array, "triangle"]
 
     def between(self, a: Any, b: Any) -> Any:
         xp: Any = np if isinstance(a, np.ndarray) else jnp
@@ -246,14 +243,18 @@ class CornerTable:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerLabels:
-    """Distances in units from each corner to its ancestors in the elimination order, the corner itself last."""
+    """Distances from each obstacle corner of a grid to its ancestors in a tree; a corner is its own last ancestor.
+
+    Vertex elimination on the graph of corners gives the tree: a corner's parent is, of its neighbors when it is
+    eliminated, the one that is eliminated next. The distance between two corners is the least sum of their distances
+    to a common ancestor. A straight step has the length ``STRAIGHT``.
+    """
 
     first: Int32[Array, "corners_plus_one"]  # index of each corner's first entry
     ancestor: Int32[Array, "ancestors"]
     length: Int32[Array, "ancestors"]
 
     def between(self, a: Any, b: Any) -> Any:
-        """Return distances in units: the least sum of both corners' distances to a common ancestor."""
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         common = xp.minimum(*(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b)))

@@ -1,14 +1,4 @@
-r"""Distances between all pairs of cells of a grid: queries, the file, and C code.
-
-The file holds only the grid, as everything else follows from it. Numbers are little-endian:
-
-    4s, 2 u8   magic, b"PGP\n"; version, 1; connectivity, 4 or 8
-    3 u32      number of rows; number of columns; size of the whole file in bytes
-    ...        bit stream (``plr/coding.py``): the set of cells that differ from the cell above, row by row
-    u32        CRC-32 of all previous bytes
-
-Cells above the first row count as blocked. :meth:`GridPairs.c_header` has a file of tables of its own.
-"""
+"""Distances between all pairs of cells of a grid: queries, the file (``FORMAT.md``), and C code."""
 
 import re
 import struct
@@ -218,7 +208,7 @@ class GridPairs:
         return len(self.tables.row)
 
     def to_bytes(self) -> bytes:
-        """Return the bytes of the file, documented in ``plr_jax/pairs/grid_pairs.py``."""
+        """Return the bytes of the file, documented in ``plr_jax/pairs/FORMAT.md``."""
         return np.asarray(self.file).tobytes()
 
     def c_header(self, name: str) -> GridHeader:
@@ -318,9 +308,9 @@ def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
 
 
 def _as_points(name: str, x: ArrayLike) -> Array | np.ndarray:
-    """Check points ``(..., 2)``; round NumPy points down to whole cells before they become 32-bit."""
     if not isinstance(x, jax.Array):
-        x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)  # both ends are outside
+        # Round down to whole cells before numbers become 32-bit; both limits are outside.
+        x = np.clip(np.floor(as_numbers(name, x, "points (..., 2)")), -1, MOST_CELLS)
     elif jax.numpy.iscomplexobj(x):
         raise ValueError(f"{name} must be points (..., 2) of real numbers, got an array of {x.dtype}.")
     if x.shape[-1:] != (2,):

@@ -1,13 +1,14 @@
 """Distances between pairs of grid cells in JAX.
 
 Two cells that see each other are as far apart as on an empty grid. Between other cells, a shortest path leads from
-each cell, as on an empty grid, to one of the obstacle corners that are stored for it. Cells have up to dozens of
-corners, in blocks of four. A known path rules out most pairs of them, as no path through a corner is shorter than on
-an empty grid:
+each cell, as on an empty grid, to one of up to dozens of obstacle corners that are stored for the cell, in blocks of
+four. Few pairs of corners need be tried, as no path through a corner is shorter than on an empty grid:
 
-1. Sort pairs of cells by their numbers of blocks. Find the path through the corners that suit an empty grid best.
-2. Mark the blocks with corners that may give a shorter path.
-3. Sort pairs of cells by the number of pairs of marked blocks. Try these, in chunks of about equal work.
+1. For each of two cells, find the stored corner over which the path to the other cell would be shortest on an empty
+grid. Compute the length of the true path through both of these corners. 2. Mark the blocks with a corner over which a
+path on an empty grid would be shorter. Try all pairs of marked blocks.
+
+Pairs of cells are sorted by the work that both steps take, and handled in chunks of about equal work.
 """
 
 from collections.abc import Callable
@@ -67,7 +68,6 @@ def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
         return around[:, :-2] | around[:, 2:]
 
     def slanted_sums(grid: Grid) -> _Sums:
-        """Count the illegal diagonal steps that end in a cell's row or above, at no greater ``column - row``."""
         cells = np.stack([grid[1:, 1:], grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:]])
         sums = sums_along_rows(np.pad(cells.any(axis=0) & ~cells.all(axis=0), ((1, 0), (1, 0))))
         for row in range(1, len(sums)):
@@ -93,7 +93,7 @@ def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
 
 
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
-    """Return whether cells are free and obstacles block none of the shortest paths of an empty grid between them."""
+    """Return whether both cells are free, and so is every path between them that is shortest on an empty grid."""
     xp: Any = np if isinstance(p, np.ndarray) else jnp
     sums = xp.asarray(sight.sums)
 
@@ -137,7 +137,7 @@ GROUP = 16  # cells whose block offsets share a base
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridTables:
-    """The tables of a query: a grid, the obstacle corners stored for each of its cells, and their distances."""
+    """The tables of a query: a grid, the corners where paths from each cell may turn first, and corner distances."""
 
     sight: IllegalSteps
     group_block: Int32[Array, "groups"]  # first block of corners of each group of 16 cells, in row-major order
@@ -202,7 +202,6 @@ SLACK = 2.0**-20
 def evaluate_pairs(
     tables: GridTables, x: Num[Array, "*batch 2"], y: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return lengths in steps of shortest paths between cells of points; ``inf`` without a path or off the grid."""
     batch = x.shape[:-1]
     (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     return _in_steps(tables.connectivity, lengths_between_cells(tables, p, q), p_inside & q_inside).reshape(batch)
@@ -238,7 +237,6 @@ def evaluate_few(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
-    """Return path lengths in steps from points' cells to a cell, given its :func:`corners_from`."""
     p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
     size = min(_CHUNK, max(len(p), 1))
@@ -255,7 +253,7 @@ def evaluate_to(
 
 @jax.jit
 def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "corners"]:
-    """Return path lengths in units from a cell to each obstacle corner, through a corner stored for the cell."""
+    """Return distances from a cell to all obstacle corners; a straight step has the length ``STRAIGHT``."""
     every = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(every), 2))
     return _least_around(
@@ -302,7 +300,7 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
-    """Return the length of a path between cells, and which blocks of their corners may give a shorter path."""
+    """Return the length of a path between cells, and for both, bits of the blocks of corners that may beat it."""
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
@@ -313,7 +311,7 @@ def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_
 
 
 def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flags) -> tuple[_Lengths, _Lengths]:
-    """Return each cell's corner with the least sum of distances to both on an empty grid, and its distance."""
+    """Return each cell's corner with the shortest way over it to the other cell, and its distance to the cell."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(seen, 0, count)
 
@@ -331,7 +329,7 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flag
 
 
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Blocks:
-    """Return, as bits, which of a cell's first 32 blocks of corners may lead to a path shorter than ``length``."""
+    """Return bits, one for each block of four corners of a cell: whether a path over it may beat ``length``."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
@@ -346,7 +344,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
 
 class _Left(NamedTuple):
-    """Cells, and which of their first 32 blocks of corners are still to try, as bits; later blocks always are."""
+    """Cells, and for each of the first 32 blocks of four corners of a cell a bit: whether it is still to try."""
 
     cells: Cells
     blocks: _Blocks
@@ -402,7 +400,7 @@ def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:
 def _least_around(
     tables: GridTables, cells: Cells, onward: Callable[[_Corners], _Corners], shape: tuple[int, ...]
 ) -> _Lengths:
-    """Return the least sum of a cell's distance to a corner stored for it and the distance ``onward`` from it."""
+    """Return the least sum of a cell's distance to a corner and that corner's distance ``onward`` to a goal."""
     first, count = _blocks_of(tables, cells)
 
     def with_block(block: _Scalar, least: _Lengths) -> _Lengths:

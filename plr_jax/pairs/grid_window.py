@@ -1,7 +1,8 @@
 """Windows of distances around agents on a grid, in JAX.
 
-First compute the distances of some cells on the rim of each window; those of the others follow where distances change
-by one step per cell. Then spread them into the window, by sweeps.
+First find the distances of the cells on the rim of each window. If distances of two rim cells differ by as many steps
+as the cells are apart, distances in between change by one step per cell; else a cell halfway is computed as well.
+Then spread the distances of the rim into the window, by sweeps.
 """
 
 from functools import partial
@@ -32,7 +33,7 @@ _Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
 def distances_around(
     tables: GridTables, goals: Num[Array, "n 2"], positions: Num[Array, "n 2"], radius: int
 ) -> Int32[Array, "n width width"]:
-    """Return whole steps to goals from each cell of squares around positions; -1 without a path."""
+    """Return numbers of steps to each agent's goal from a square of cells around the agent; -1 without a path."""
     (goal, goal_inside), (position, inside) = (cells_of(tables.shape, points) for points in (goals, positions))
     offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
     row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))
@@ -60,7 +61,6 @@ def distances_around(
 def _lengths_of_rim(
     tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, asked_first: _RimFlags
 ) -> Rim:
-    """Return lengths in units to goals from the border cells of squares; at least ``FAR`` without a path."""
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)

@@ -1,11 +1,9 @@
 """Fast tests of whether obstacles hide points from each other: walls between leaves and corners, and occluders.
 
-The near walls of a leaf and a corner that it lists (to which paths may go first) are those that may lie between them.
-They are few, as most of the leaf sees the corner. They are found for runs of neighbor leaves first, then for ever
-shorter runs: a wall that is not between a large box and a corner is not between a part of the box and the corner.
-
-Occluders are long chords of obstacles: a segment that crosses one is blocked. They are chosen greedily to block most
-of some random segments, as long as each saves more time than its test takes. A few dozen replace most wall tests.
+The walls that may hide a corner from a leaf are few, as most of the leaf sees the corners that it lists. They are
+found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a large box and a
+corner is not between a part of the box and the corner. Occluders are long chords inside obstacles, each of which
+hides many of some random pairs of points: a few dozen replace most tests of walls.
 """
 
 from collections.abc import Callable
@@ -37,9 +35,9 @@ _MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords tried for each obst
 _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
 
 State = TypeVar("State")
-_Points = Float[Array, "n 2"]
-_Rows = UInt32[Array, "n"]
-_Flags = Bool[Array, "n"]
+Points = Float[Array, "n 2"]
+Rows = UInt32[Array, "n"]
+Flags = Bool[Array, "n"]
 Boxes = tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]
 Entries = Int[np.ndarray, "entries"]  # a number for each corner that a leaf lists
 EntryPoints = Float[np.ndarray, "entries 2"]
@@ -68,7 +66,7 @@ class NearWalls:
         margin: float,
         shape: tuple[int, int],
     ) -> "NearWalls | None":
-        """Find the walls that may hide listed corners (:func:`near_entries`); None if testing all is as fast."""
+        """Find the walls that may hide a corner from the leaf that lists it; None if testing all walls is as fast."""
         worth = len(walls) // _COST // _STEP * _STEP
         if (near := near_entries(boxes, leaf, listed, corners, walls, margin, worth)) is None:
             return None
@@ -81,7 +79,7 @@ class NearWalls:
         ends = padded(walls[wall].astype(np.float32), size_in_eighths(len(wall) + most))
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
-    def hide(self, leaf: _Rows, place: _Rows, x: _Points, corner: _Points) -> _Flags:
+    def hide(self, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
         """Return whether walls hide a corner, at index ``place`` of a leaf's list, from a point of that leaf."""
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
@@ -89,12 +87,12 @@ class NearWalls:
             return self._are_crossed(self.most, first, x, corner)
         hidden = self._are_crossed(_SHORT, first, x, corner)
 
-        def test_all_walls(_: Any, *rows: Any) -> _Flags:
+        def test_all_walls(_: Any, *rows: Any) -> Flags:
             return self._are_crossed(self.most, *rows)
 
         return updated(hidden, is_long & ~hidden, size // _SHARE, test_all_walls, first, x, corner)
 
-    def _are_crossed(self, most: int, first: _Rows, x: _Points, corner: _Points) -> _Flags:
+    def _are_crossed(self, most: int, first: Rows, x: Points, corner: Points) -> Flags:
         along = jnp.arange(most, dtype=jnp.uint32)[None]
         ax, ay, bx, by = (row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
         (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
@@ -107,7 +105,7 @@ class NearWalls:
 
 
 def updated(
-    state: State, is_open: _Flags, size: int, update: Callable[..., State], *columns: Any, leaves_rest: bool = False
+    state: State, is_open: Flags, size: int, update: Callable[..., State], *columns: Any, leaves_rest: bool = False
 ) -> State:
     """Replace the rows of ``state`` that are open by ``update(state, *columns)``, on ``size`` rows at a time."""
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
@@ -142,8 +140,9 @@ def near_entries(
 ) -> NearPairs | None:
     """Find the walls within ``margin`` of the convex hull of a leaf's box and a corner that the leaf lists.
 
-    Entry ``i`` is the corner ``listed[i]`` in the list of ``leaf[i]``; leaves ascend. Return entries, ascending, and
-    a wall near each, among them a few that are not as near; None if ``most`` for one entry, or room, is exceeded.
+    Entry ``i`` is the corner ``listed[i]`` in the list of ``leaf[i]``; leaves ascend. Return pairs of an entry,
+    ascending, and a wall near this entry's hull; a few of the walls are not as near. Return None if an entry has more
+    than ``most`` walls, or all pairs take too much memory.
     """
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
@@ -152,10 +151,9 @@ def near_entries(
         entries = np.sort(by_corner[first[block.start] : first[block.stop]])
         number, at = listed[entries] - block.start, corners[listed[entries]]
         near = _near_entries(boxes, leaf[entries], number, at, walls, margin)
-        if near is None or np.bincount(near[0]).max(initial=0) > most:
+        if near is None or np.bincount(near[0]).max(initial=0) > most or count + len(near[0]) > _MOST_PAIRS:
             return None
-        if (count := count + len(near[0])) > _MOST_PAIRS:
-            return None
+        count += len(near[0])
         found.append(np.stack([entries[near[0]].astype(np.int32), near[1]]))
     entry, wall = np.concatenate(found, axis=1)
     order = np.argsort(entry, kind="stable")
@@ -200,10 +198,7 @@ def _near_pairs(
     wall: PairIndices,
     margin: float,
 ) -> Int[np.ndarray, "near"]:
-    """Return which pairs of an entry and a wall are near: no axis separates the wall from a convex hull.
-
-    A hull is that of a box, given by its least and greatest coordinates, and a corner.
-    """
+    """Return the indices of the pairs of a wall and a convex hull (of a box and a corner) that no axis separates."""
     lo, hi, corner = hulls
     a, b = walls[:, :2], walls[:, 2:]
     # 1. Compare the bounding boxes: most are apart. NumPy compares four bytes faster than it combines them.
@@ -287,7 +282,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     return np.concatenate([ends.reshape(-1, 4), beside], axis=1)
 
 
-def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: _Points, y: _Points) -> _Flags:
+def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: Points, y: Points) -> Flags:
     """Return whether segments between points surely cross an occluder, a chord of an obstacle, despite rounding."""
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py

@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_finite_point, take_ragged
+from plr_jax._arrays import take_ragged
 from plr_jax._types import ArrayLike, Sources
 from plr_jax.pairs.stored import PairsFileData
 from plr_jax.plr._file import DecodedFile
@@ -23,20 +23,18 @@ _NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
 _ROUNDING = 1e-6  # more than a query's error, relative to the distance plus the domain width
 
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
-CornersFn: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "corners"]]
+ToCorners = Float[np.ndarray, "corners"]
+Point = Float[np.ndarray, "2"]
 
 
-def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: CornersFn, goal: ArrayLike) -> PLR:
-    """Return the PLR of cones of the distance to a goal; ``to_corners`` gives a goal's distances to all corners.
+def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Point) -> PLR:
+    """Return the PLR of cones of the distance to a goal, whose distances to all corners are given.
 
-    A cone is the distance to its apex, a corner or the goal, plus the distance from there to the goal. Each leaf of
-    the pairs gets the cone that fits it best, and is halved a few times if none fits well.
+    A cone is the distance to its apex, a corner or the goal, plus the distance from there to the goal. Each leaf gets
+    the cone that fits it best, and is halved a few times if none fits well.
     """
     domain = stored.domain
-    goal = as_finite_point("The goal", domain.settled(goal), 2)
-    if not domain.contains(goal[None])[0]:
-        raise ValueError(f"The goal must be in the domain {domain}, got {goal.tolist()}: move it inside.")
-    sources = _sources(stored, to_corners(goal), goal)
+    sources = _sources(stored, to_corners, goal)
     cells, owner, done = stored.cells, np.arange(len(stored.cells)), []
     most = max(_HALVINGS, _DEPTH - (len(cells) - 1).bit_length())
     for halvings in range(most + 1):
@@ -57,9 +55,7 @@ def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: CornersFn, goal: Ar
     return plr_of_leaves(DecodedFile(domain, leaf_model("cone"), tree, cones))
 
 
-def _sources(
-    stored: PairsFileData, to_corners: Float[np.ndarray, "corners"], goal: Float[np.ndarray, "2"]
-) -> Sources:
+def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sources:
     """Return the goal and the corners where shortest paths to it turn, with distances and next turns (parents)."""
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, to_corners)
@@ -79,7 +75,7 @@ def _sources(
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """Return the goal or corner whose cone fits each cell best (-1 if none reaches the goal), and the mean error."""
+    """Return through which corner each cell's path lengths to the goal fit best (-1: none), and the mean error."""
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])

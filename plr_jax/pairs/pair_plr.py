@@ -13,7 +13,7 @@ from jax.core import Tracer
 from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float, Shaped, UInt8
 
-from plr_jax._arrays import as_queries
+from plr_jax._arrays import as_finite_point, as_queries
 from plr_jax._compiled import answered_in_parts, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
@@ -121,7 +121,7 @@ class PairPLR(FileBacked):
         if self._are_few(prod(batch)):
             points, to_corners = (np.asarray(each) for each in (goals.points, goals.to_corners))
             rows = (_rows(each, batch) for each in (x, points, to_corners))
-            answer = self._numpy.distances_to(*rows, outside=outside)[0].reshape(batch)
+            answer = self._numpy.distances_to(*rows, outside=outside).reshape(batch)
         else:
             answer = partial(_distances_to, self.tables, goals, outside=outside)
             answer = answered_in_parts(answer, (_FEW, _MANY), x, number)[0]
@@ -168,14 +168,14 @@ class PairPLR(FileBacked):
         ``y=goal`` instead. ``ValueError`` if the goal is not two finite numbers, is outside the domain, or cannot be
         reached.
         """
-
-        def to_corners(goal: ArrayLike) -> Float[np.ndarray, "corners"]:
-            return np.asarray(self.prepared(goal).to_corners, np.float64)[: self.num_corners]
-
+        goal = as_finite_point("The goal", self.domain.settled(goal), 2)
+        if not self.domain.contains(goal[None])[0]:
+            raise ValueError(f"The goal must be in the domain {self.domain}, got {goal.tolist()}: move it inside.")
+        to_corners = np.asarray(self.prepared(goal).to_corners, np.float64)[: self.num_corners]
         return plr_to(self.stored, self, to_corners, goal)
 
     def numpy(self) -> NumpyPairs:
-        """Return the same distances for NumPy, bit for bit as in other languages: see ``pairs/portable.py``."""
+        """Return the same distances for NumPy, bit for bit as in other languages: see ``pairs/FORMAT.md``."""
         return self._numpy
 
     def js_module(self) -> str:
@@ -197,7 +197,8 @@ class PairPLR(FileBacked):
         with np.errstate(over="ignore"):  # points far outside
             x, y = (np.asarray(p, jax.dtypes.canonicalize_dtype(_floats_of(x, y))) for p in (x, y))
         if self._are_few(prod(batch)):
-            answers = (each.reshape(batch) for each in few(self._numpy, _rows(x, batch), _rows(y, batch)))
+            answers = np.atleast_2d(few(self._numpy, _rows(x, batch), _rows(y, batch)))
+            answers = (each.reshape(batch) for each in answers)
         else:
             answers = answered_in_parts(partial(compiled, self.tables), (_FEW, _MANY), x, y)
         return tuple(map(jax.device_put, answers))  # unlike `jnp.asarray`, compiles nothing
@@ -270,15 +271,14 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
 
     Distances are exact up to the rounding of 32-bit floats, for any budget, except for points near walls:
 
-    - Points within 4e-6 domain widths of a wall may see past its ends: their distance may be up to 2e-5 widths too
-      small.
-    - Points within 8e-6 widths of a contact (where obstacles touch), or of a wall or gap thinner than that, may get
-      the distance of a point on the other side, or one that is too small. Bounds still hold there. Lower bounds treat
-      such walls as free space, so they may be far below the distance between points on opposite sides.
-    - Points in line with such a wall, up to the rounding of 32-bit floats, and close to the tip of an obstacle from
-      which the wall hangs may get the length of a path through this tip. So may points within 4e-6 widths of another
-      wall, if 32-bit floats do not tell the ends of both walls apart.
-    - Paths around an end of such a wall may be up to 2e-6 widths too long.
+    - A point within 4e-6 domain widths of a wall may see past its ends: distances may be 2e-5 widths too small.
+    - A point within 8e-6 widths of a contact (where obstacles touch), or of a wall or gap thinner than that, may get
+      the distance of a point on the other side, or one that is too small. Bounds still hold there, but lower bounds
+      treat thin walls as free space, so they may be far below distances between opposite sides.
+    - If a thin wall starts at the tip of a thicker obstacle, a point near this tip and in line with the thin wall, up
+      to rounding, may get the length of a path through the tip. So may a point within 4e-6 widths of another wall, if
+      32-bit floats do not tell the ends of both walls apart.
+    - Paths around an end of a thin wall may be up to 2e-6 widths too long.
 
     Gaps between obstacles stay open however narrow they are, and contacts stay closed. Only a gap of less than 6e-8
     widths may be closed where obstacles touch beside it.
@@ -354,8 +354,8 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     least = shortest_ways(sure, x, y).least
     lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
     # A point near a wall may be behind the wall that is moved into free space.
-    listed_x, listed_y = (along[tables.listed] for along in tables.proud_corners.T)
-    free = replace(tables, walls=tables.proud_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
+    listed_x, listed_y = (along[tables.listed] for along in tables.outset_corners.T)
+    free = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
     is_clear = is_inside(free, x) & is_inside(free, y)
     length = jnp.where(is_clear, shortest_ways(free, x, y).length, jnp.inf)
     upper = (1 + relative) * length + (tables.rounding[1] + absolute)
@@ -376,7 +376,7 @@ def _clamped(
 def _checked(
     tables: PairTables, *points: Array
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, "n"]]:
-    """Return points as rows, their batch shape, and known answers: ``inf`` outside the domain, NaN, or else 0."""
+    """Return points as rows, their batch shape, and answers: ``inf`` outside, NaN for NaN, 0 if not yet known."""
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
     farthest = reduce(jnp.maximum, map(jnp.abs, rows))

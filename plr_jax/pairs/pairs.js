@@ -1,4 +1,4 @@
-// Reads files of a PairPLR (plr_jax/pairs/stored.py), and answers by the arithmetic of plr_jax/pairs/portable.py.
+// Reads files of a PairPLR and answers by its arithmetic (plr_jax/pairs/FORMAT.md).
 
 const EPS = 2 ** -23, RECEDING = 32 * EPS, MARGIN = RECEDING / 4, MOST_CORNERS = 8192;
 

@@ -1,27 +1,4 @@
-"""Queries of pairs in NumPy, by an arithmetic that other languages reproduce bit for bit.
-
-Operations follow IEEE 754, round to nearest, are not fused, and use 32-bit floats unless this text says 64. A
-*coefficient* is computed once from the file in 64 bits, by this module and ``stored.py``, then rounded to 32 bits.
-
-1.  *Points* are shifted by the middle of the domain in 64 bits and rounded. The answer is NaN if a coordinate is NaN.
-    It is ``inf`` if a point is farther from the middle than half the domain width, rounded up. Of the two points,
-    ``p`` is the lexicographically smaller, ``q`` the other.
-2.  *Sight.* The coefficients of a wall are its ends ``a`` and ``b``. Let ``d = q - p`` and ``e = b - a``. A point
-    ``x`` is *beside* the wall by ``e[0] (x[1] - a[1]) - e[1] (x[0] - a[0])``. An end ``x`` is *left* if
-    ``d[0] (p[1] - x[1]) <= d[1] (p[0] - x[0])``. The segment from ``p`` to ``q`` crosses the wall if the product of
-    what both are beside it is negative, and only ``b`` is left (inward) or only ``a`` (outward). It is blocked if it
-    crosses one wall inward and one outward.
-3.  *Lengths* are ``sqrt(d[0] d[0] + d[1] d[1])``. If ``p`` sees ``q``, the distance is straight. Else it is the least
-    ``|p - i| + (|q - j| + D(i, j))``, or ``inf``. Corner ``i`` is listed by the leaf of ``p`` and visible from ``p``,
-    corner ``j`` likewise for ``q``. Leaves are found as for a PLR (see ``plr/portable``).
-4.  *Bounds.* The lower bound is ``max(shrunk length - less, 0)``. Its length ignores thin walls and opens contacts.
-    The upper bound is ``stretched length + more``. Its walls and corners are moved into free space, rectangles
-    enclose thin walls, and one crossing in either direction blocks a segment. It is ``inf`` unless both points are
-    inside these walls: the walls to the right of a point that go up outnumber those that go down by one.
-
-``pairs(x, y)`` uses these functions for few pairs of points outside of ``jit``. Compiled functions find the same
-paths up to rounding: they may choose another path of equal length, and compilers may fuse their operations.
-"""
+"""Queries of pairs in NumPy, by the arithmetic of ``FORMAT.md``, which other languages reproduce bit for bit."""
 
 from base64 import b64encode
 from collections.abc import Callable
@@ -33,7 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import as_queries, ragged_indices
+from plr_jax._arrays import as_queries, parts, ragged_indices
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.stored import PairsFileData, distances_table
@@ -43,23 +20,21 @@ from plr_jax.plr.portable.javascript import js_file_reader
 from plr_jax.plr.portable.numpy import LeafTable
 from plr_jax.plr.portable.writers import format_domain
 
+# How far walls move for sight, in domain widths: several times the rounding error of a query.
 RECEDING = 32 * float(np.finfo(np.float32).eps)
-"""Distance by which walls move back for sight, in domain widths: several times the rounding error of a query."""
-MARGIN = RECEDING / 4
-"""Distance in domain widths within which a wall may matter: more than the rounding error of a query."""
+MARGIN = RECEDING / 4  # distance in domain widths within which a wall may matter: more than a query's rounding error
 _ROUNDINGS = 16 * float(np.finfo(np.float32).eps)  # relative error of a distance: more than a query rounds
 _SHRUNK, _STRETCHED = np.float32(1 - _ROUNDINGS), np.float32(1 + _ROUNDINGS)
-ENDS = np.float32(4 * np.finfo(np.float32).eps)
-"""Relative error of the ends of the domain for points in 32 bits."""
+ENDS = np.float32(4 * np.finfo(np.float32).eps)  # relative error of the ends of the domain for points in 32 bits
 _AT_ONCE = 2**19  # pairs of a segment and a wall that are tested together
 _PAIRS = 2**12  # pairs of points that are answered together
 
+_Points = Float[np.ndarray, "n 2"]
+_Lengths = Float[np.ndarray, "n"]
+
 
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether lines between points cross walls into an obstacle, and whether out of an obstacle.
-
-    A wall is the coordinates of both ends.
-    """
+    """Return whether segments cross walls, given by the coordinates of both ends, into obstacles, and whether out."""
     (px, py), (qx, qy), (ax, ay, bx, by) = p, q, wall
     ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
     # Differences between close points are exact. They tell sides even if a segment and a wall are almost in line.
@@ -70,7 +45,7 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether walls pass to the right of points upward, and whether downward."""
+    """Return whether a wall on the right of a point leads up past it, and whether a wall there leads down past it."""
     (px, py), (ax, ay, bx, by) = p, wall
     beside = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
     return (ay <= py) & (by > py) & (beside > 0), (by <= py) & (ay > py) & (beside < 0)
@@ -78,25 +53,20 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Walls and corners for path search, relative to the middle of the domain.
-
-    The last corner, at ``inf``, is padding. Corners are at most ``moved`` away from their positions in the file. If
-    ``is_certain``, every path found is certainly free.
-    """
+    """Walls and corners for path search, relative to the middle of the domain."""
 
     walls: Float[np.ndarray, "walls 4"]
-    corners: Float[np.ndarray, "corners 2"]
-    moved: float
-    is_certain: bool
+    corners: Float[np.ndarray, "corners 2"]  # the last, at `inf`, is padding
+    moved: float  # farthest that a corner is from its position in the file
+    is_certain: bool  # whether every path found is certainly free
 
     @staticmethod
     def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
-        """Build the scene of a file. If ``is_certain``, walls move into free space, so what is visible surely is.
+        """Build the scene of a file's walls and corners.
 
-        Otherwise, they move back into obstacles, so that rounding hides nothing.
-
-        With ``hides_surely``, only what obstacles certainly hide is hidden: paths may pass between obstacles that
-        touch, and walls of thin obstacles are left out.
+        If ``is_certain``, walls move into free space, so that a path between them is certainly free. Otherwise walls
+        move into their obstacles, so that rounding hides no corner. With ``hides_surely``, walls of thin obstacles
+        are left out too, and paths may pass between obstacles that touch: what is hidden then is certainly hidden.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -118,24 +88,25 @@ class Scene:
 
     @cached_property
     def wall_ends(self) -> Float[np.ndarray, "4 walls"]:
-        """Coordinates of both ends of walls in 32 bits, one row for each."""
         return np.ascontiguousarray(self.walls.T, np.float32)
 
-    def hides(self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        hidden, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
-        for first in range(0, len(p), step):
-            some = slice(first, first + step)
+    def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, "n"]:
+        hidden = np.zeros(len(p), bool)
+        for some in self._blocks(len(p)):
             crossed = crossings(p[some].T[:, :, None], q[some].T[:, :, None], self.wall_ends)
             goes_in, goes_out = (each.any(axis=1) for each in crossed)
             hidden[some] = goes_in | goes_out if self.is_certain else goes_in & goes_out
         return hidden
 
-    def encloses(self, p: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
-        inside, step = np.zeros(len(p), bool), max(1, _AT_ONCE // max(1, len(self.walls)))
-        for first in range(0, len(p), step):
-            up, down = winding(p[first : first + step].T[:, :, None], self.wall_ends)
-            inside[first : first + step] = up.sum(axis=1) - down.sum(axis=1) == 1
+    def encloses(self, p: _Points) -> Bool[np.ndarray, "n"]:
+        inside = np.zeros(len(p), bool)
+        for some in self._blocks(len(p)):
+            up, down = winding(p[some].T[:, :, None], self.wall_ends)
+            inside[some] = up.sum(axis=1) - down.sum(axis=1) == 1
         return inside
+
+    def _blocks(self, n: int) -> list[slice]:
+        return parts(np.full(n, len(self.walls)), _AT_ONCE)
 
 
 class NumpyPairs:
@@ -179,9 +150,7 @@ class NumpyPairs:
         lower, upper = _in_blocks(self._bounds, self._ends, np.inf, p, q).reshape(2, *shape)
         return lower[()], upper[()]
 
-    def _from_middle(
-        self, x: ArrayLike, y: ArrayLike
-    ) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"], tuple[int, ...]]:
+    def _from_middle(self, x: ArrayLike, y: ArrayLike) -> tuple[_Points, _Points, tuple[int, ...]]:
         x, y = (as_queries(each, 2).astype(np.float64, copy=False) for each in (x, y))
         try:
             x, y = np.broadcast_arrays(x, y)
@@ -194,31 +163,21 @@ class NumpyPairs:
     # The functions below are PairPLR's for few points. Points are relative to the middle of the domain, in 32 or 64
     # bits; answers have the same precision. Points in 32 bits that rounding moves out of the domain are inside.
 
-    def distances(
-        self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"], outside: Outside
-    ) -> tuple[Float[np.ndarray, "n"]]:
+    def distances(self, p: _Points, q: _Points, outside: Outside) -> _Lengths:
         if outside == "clamp":
             (p, way_p), (q, way_q) = self._clamped(p), self._clamped(q)
-            return (self.distances(p, q, "inf")[0] + (way_p + way_q),)
-        return (_in_blocks(partial(self._lengths, self._seen), self._rounded_ends, float(outside), p, q),)
+            return self.distances(p, q, "inf") + (way_p + way_q)
+        return _in_blocks(partial(self._lengths, self._seen), self._rounded_ends, float(outside), p, q)
 
-    def bounds_between(
-        self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        lower, upper = _in_blocks(self._bounds, self._rounded_ends, np.inf, p, q)
-        return lower, upper
+    def bounds_between(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
+        return _in_blocks(self._bounds, self._rounded_ends, np.inf, p, q)
 
     def distances_to(
-        self,
-        p: Float[np.ndarray, "n 2"],
-        goal: Float[np.ndarray, "n 2"],
-        to_corners: Float[np.ndarray, "n size"],
-        outside: Outside,
-    ) -> tuple[Float[np.ndarray, "n"]]:
-        """Return distances to goals whose distances ``to_corners`` are known."""
+        self, p: _Points, goal: _Points, to_corners: Float[np.ndarray, "n size"], outside: Outside
+    ) -> _Lengths:
         if outside == "clamp":
             p, way = self._clamped(p)
-            return (self.distances_to(p, goal, to_corners, "inf")[0] + way,)
+            return self.distances_to(p, goal, to_corners, "inf") + way
 
         def lengths(p: Any, goal: Any, to_corners: Any) -> Float[np.ndarray, "some"]:
             single, goal = p.astype(np.float32), goal.astype(np.float32)
@@ -230,9 +189,9 @@ class NumpyPairs:
             length, via, _ = _shortest(self._seen, single, goal, paths)
             return length + (_length(p - via) - _length(single - via))
 
-        return (_in_blocks(lengths, self._rounded_ends, float(outside), p, goal, to_corners),)
+        return _in_blocks(lengths, self._rounded_ends, float(outside), p, goal, to_corners)
 
-    def to_corners(self, goals: Float[np.ndarray, "n 2"], size: int) -> Float[np.ndarray, "n {size}"]:
+    def to_corners(self, goals: _Points, size: int) -> Float[np.ndarray, "n {size}"]:
         """Return the length of the shortest path from each goal to each corner, padded; meaningless if outside."""
         goals = np.where((np.abs(goals) <= self._rounded_ends).all(axis=1, keepdims=True), goals, 0)
         listed, turns, legs = self._legs(self._seen, goals)
@@ -244,23 +203,21 @@ class NumpyPairs:
             np.minimum(within, leg[:, None] + self._distances[corners], out=within)
         return found
 
-    def _clamped(self, p: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+    def _clamped(self, p: _Points) -> tuple[_Points, _Lengths]:
         """Move finite points that are outside to the nearest point of the domain; also return how far they move."""
         beyond = np.isfinite(p).all(axis=1, keepdims=True) & (np.abs(p) > self._rounded_ends)
         nearest = np.where(beyond, np.copysign(self._half.astype(p.dtype), p), p)
         with np.errstate(invalid="ignore"):
             return nearest, np.where(beyond.any(axis=1), np.hypot(*(p - nearest).T), p.dtype.type(0))
 
-    def _bounds(self, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2 n"]:
+    def _bounds(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
         p, q = p.astype(np.float32), q.astype(np.float32)
         lower = np.maximum(_SHRUNK * self._lengths(self._sure, p, q) - self._less, np.float32(0))
         is_clear = self._free.encloses(p) & self._free.encloses(q)
         upper = _STRETCHED * np.where(is_clear, self._lengths(self._free, p, q), np.float32(np.inf)) + self._more
         return np.stack([lower, upper])
 
-    def _lengths(
-        self, around: Scene, p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]
-    ) -> Float[np.ndarray, "n"]:
+    def _lengths(self, around: Scene, p: _Points, q: _Points) -> _Lengths:
         swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
         p, q = np.where(swaps, q, p), np.where(swaps, p, q)
         single_p, single_q = p.astype(np.float32), q.astype(np.float32)
@@ -276,7 +233,7 @@ class NumpyPairs:
         if p.dtype == np.float32:
             return length
 
-        def legs(p: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+        def legs(p: _Points, q: _Points) -> _Lengths:
             is_straight = ((via_p == single_q) & (via_q == single_p)).all(axis=1)
             return np.where(is_straight, _length(p - q), _length(p - via_p) + _length(q - via_q))
 
@@ -284,7 +241,7 @@ class NumpyPairs:
         return length + (legs(p, q) - legs(single_p, single_q))
 
     def _legs(
-        self, around: Scene, p: Float[np.ndarray, "n 2"]
+        self, around: Scene, p: _Points
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest 2"], Float[np.ndarray, "n longest"]]:
         """Return the corners that the leaves of points list, their positions, and their distances to the points."""
         above = np.clip(p, self._frame[Frame.LO], self._ends).T - self._frame[Frame.LO][:, None]
@@ -295,35 +252,27 @@ class NumpyPairs:
 
 
 def _in_blocks(
-    answer: Callable[..., np.ndarray],
-    ends: ArrayLike,
-    outside: float,
-    p: Float[np.ndarray, "n 2"],
-    q: Float[np.ndarray, "n 2"],
-    *others: Any,
+    answer: Callable[..., np.ndarray], ends: ArrayLike, outside: float, p: _Points, q: _Points, *others: Any
 ) -> Float[np.ndarray, "*answers n"]:
-    """Apply a function to rows in blocks; answer ``outside`` for points outside the domain, and NaN for NaN."""
+    """Apply ``answer`` to rows in blocks; points beyond ``ends`` of the domain get ``outside``, and NaN gets NaN."""
     with np.errstate(over="ignore", invalid="ignore"):
         farthest = np.maximum(np.abs(p), np.abs(q))
         known = np.where((farthest > ends).any(axis=1), outside, 0.0).astype(p.dtype)
         known[np.isnan(farthest).any(axis=1)] = np.nan
         inside = np.flatnonzero(known == 0)
         blocks = [inside[first : first + _PAIRS] for first in range(0, max(1, len(inside)), _PAIRS)]
-        parts = [answer(*(each[block] for each in (p, q, *others))) for block in blocks]
-    answers = np.broadcast_to(known, (*parts[0].shape[:-1], len(p))).copy()
-    answers[..., inside] = np.concatenate(parts, axis=-1)
+        found = [answer(*(each[block] for each in (p, q, *others))) for block in blocks]
+    answers = np.broadcast_to(known, (*found[0].shape[:-1], len(p))).copy()
+    answers[..., inside] = np.concatenate(found, axis=-1)
     return answers
 
 
 def _shortest(
-    around: Scene,
-    p: Float[np.ndarray, "n 2"],
-    q: Float[np.ndarray, "n 2"],
-    paths: Callable[..., tuple[Any, Any, Any]],
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 2"], Float[np.ndarray, "n 2"]]:
-    """Return lengths of shortest paths, their first turns and their last turns.
+    around: Scene, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
+) -> tuple[_Lengths, _Points, _Points]:
+    """Return the lengths of shortest paths from ``p`` to ``q``, their first turns and their last turns.
 
-    The turns of a straight path, or if there is none, are ``q`` and ``p``. For pairs that do not see each other,
+    If a path is straight, or there is no path, the turns are ``q`` and ``p``. For pairs that do not see each other,
     ``paths`` returns possible first turns and last turns, and the length of the path through each pair of these.
     """
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()
@@ -347,7 +296,6 @@ def _length(v: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
 
 
 def js_pairs_reader() -> str:
-    """Return the JavaScript functions that read and query files of PairPLRs."""
     return Path(__file__).with_name("pairs.js").read_text(encoding="utf-8")
 
 

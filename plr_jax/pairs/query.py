@@ -1,15 +1,10 @@
 """Queries of a PairPLR in JAX: the search for shortest paths.
 
-Two points that see one another are joined by a straight path. Any other path turns first and last at corners that the
-leaves of its ends list. The search is best-first over the corners that the first point's leaf lists, ordered by a
-lower bound of the path length through each:
-
-1. Take the corner with the smallest bound, and the shortest path through it to the second point.
-2. If a wall hides a corner from its point, drop the corner from that point's list.
-3. Stop once no remaining bound is smaller than the length of a path found.
-
-Legs (segments from a point to a listed corner) are tested against the few walls near the leaf and the corner,
-straight paths against all walls. Most pairs of points need one or two rounds. Each round takes only open pairs.
+If two points do not see each other, the path between them turns first and last at corners that the leaves of both
+points list. The search takes the corners in the first point's list in the order of lower bounds of path lengths
+through each. It finds the shortest path through the corner, and drops a corner from a list if a wall hides it from
+that list's point. It stops once no bound is less than the length of a path found. Most pairs of points need one or
+two rounds.
 """
 
 from collections.abc import Callable
@@ -21,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.export import is_symbolic_dim
-from jaxtyping import Array, Bool, Float, Integer, Shaped, UInt32
+from jaxtyping import Array, Float, Integer, Shaped, UInt32
 
 from plr_jax._arrays import padded_size
-from plr_jax.pairs.hiding import is_across_occluder, updated
+from plr_jax.pairs.hiding import Flags, Points, Rows, is_across_occluder, updated
 from plr_jax.pairs.portable import crossings, winding
 from plr_jax.pairs.tables import NO_WAY, STEEPEST, PairTables
 from plr_jax.plr.query import lookup
@@ -35,6 +30,7 @@ _FEW, _SEARCHED = 2**7, 2**10  # pairs whose rounds take all of them; open pairs
 _LAST_KEY = np.float32(np.inf).view(np.uint32)  # the key of no path
 
 Columns = TypeVar("Columns")
+_Lengths = Float[Array, "n"]
 _Crossed = tuple[Array, Array]  # whether segments cross walls inward, and whether outward
 
 
@@ -52,7 +48,7 @@ class PreparedGoals:
 
 
 @jax.jit
-def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Float[Array, "n size"]:
+def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n size"]:
     """Return the length of the shortest path from each point to each corner through a corner that its leaf lists."""
     leaf: Any = lookup(tables.partition, points)
     legs_of_points = _legs(tables, leaf, points)
@@ -70,70 +66,47 @@ def distances_to_corners(tables: PairTables, points: Float[Array, "n 2"]) -> Flo
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs of points ``x`` and ``y``, and their leaves; for prepared goals, ``leaf_y`` is the index of the goal.
-
-    ``keys`` hold, for each corner that the leaf of ``x`` lists, a lower bound of the path length through it and, in
-    the last bits, its place in the list (:func:`_place_bits`).
-    """
-
-    x: Float[Array, "n 2"]
-    y: Float[Array, "n 2"]
-    leaf_x: UInt32[Array, "n"]
-    leaf_y: UInt32[Array, "n"]
+    x: Points
+    y: Points
+    leaf_x: Rows
+    leaf_y: Rows  # for prepared goals, the index of the goal instead
+    # For each corner that the leaf of `x` lists, a lower bound of the path length through it and, in the last bits,
+    # its place in the list: compilers find a minimum fast, but its place slowly. Bits of floats of at least 0 are in
+    # the order of the floats.
     keys: UInt32[Array, "n longest"]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """State of the search for shortest paths.
-
-    Attributes:
-        length: Length of the shortest path found so far, ``inf`` if there is none.
-        via_x: Place in the first point's list of corners of that path's first turn; the list's length if it is
-            straight.
-        via_y: Place in the second point's list of its last turn, likewise.
-        key: Smallest key of the corners of the first point's list that are not yet examined.
-        hidden_y: A bit for each corner of the second point's list: whether it is hidden.
-    """
-
-    length: Float[Array, "n"]
-    via_x: UInt32[Array, "n"]
-    via_y: UInt32[Array, "n"]
-    key: UInt32[Array, "n"]
+    length: _Lengths  # of the shortest path found so far, `inf` if there is none
+    via_x: Rows  # place of the path's first turn in the list of the first point's leaf; the list's length if straight
+    via_y: Rows  # place of the path's last turn in the list of the second point's leaf, likewise
+    key: Rows  # smallest of `_Pairs.keys` that is not yet tried
+    # A bit for each corner of the second point's list: whether it is known to be hidden from the point.
     hidden_y: UInt32[Array, "n words"]
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Shortest paths between points.
-
-    Attributes:
-        length: Length of the shortest path found, ``inf`` if there is none.
-        least: Lower bound of the length of any path.
-        from_x: First turn after the first point; the second point if the path is straight or missing.
-        from_y: Last turn before the second point; the first point if the path is straight or missing, or for
-            :class:`PreparedGoals`, which do not store it.
-    """
-
-    length: Float[Array, "n"]
-    least: Float[Array, "n"]
-    from_x: Float[Array, "n 2"]
-    from_y: Float[Array, "n 2"]
+    length: _Lengths  # of the shortest path found, `inf` if there is none
+    least: _Lengths  # lower bound of the length of any path
+    from_x: Points  # first turn after the first point; the second point if the path is straight or missing
+    from_y: Points  # last turn before the second point; the first point if straight, missing or not known
 
 
 def shortest_ways(
     tables: PairTables,
-    x: Float[Array, "n 2"],
-    y: Float[Array, "n 2"],
+    x: Points,
+    y: Points,
     to_corners: Float[Array, "goals size"] | None = None,
-    goal: UInt32[Array, "n"] | None = None,
+    goal: Rows | None = None,
 ) -> Ways:
     """Find shortest paths between points of the domain, given relative to its middle.
 
-    If swapped, points have the same path to the last bit, unless ``to_corners`` is given. That holds the distances of
-    some goals to all corners; ``goal`` then tells which of these goals each second point is.
+    Swapped points have the same path to the last bit, unless second points are goals whose distances ``to_corners``
+    are known. Then ``goal`` is the row in ``to_corners`` of each second point.
     """
     if goal is not None:
         return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)
@@ -155,11 +128,7 @@ def _part_by_part(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -
 
 
 def _ways(
-    tables: PairTables,
-    to_corners: Float[Array, "goals size"] | None,
-    x: Float[Array, "n 2"],
-    y: Float[Array, "n 2"],
-    goal: UInt32[Array, "n"] | None = None,
+    tables: PairTables, to_corners: Float[Array, "goals size"] | None, x: Points, y: Points, goal: Rows | None = None
 ) -> Ways:
     leaf_x: Any = lookup(tables.partition, x)
     leaf_y: Any = lookup(tables.partition, y) if goal is None else goal
@@ -196,7 +165,7 @@ def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: 
     size = search.length.shape[0]
 
     # The search ends: each round drops a corner from a list of each open pair of points.
-    def is_open(search: _Search) -> Bool[Array, "n"]:
+    def is_open(search: _Search) -> Flags:
         return _bound_of(search.key, pairs.keys.shape[1]) < search.length
 
     def round_of_all(search: _Search) -> _Search:
@@ -214,7 +183,7 @@ def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: 
 def _after_round(
     tables: PairTables, to_corners: Float[Array, "goals size"] | None, search: _Search, pairs: _Pairs
 ) -> _Search:
-    """Examine the most promising corner that each first point's leaf lists."""
+    """For each pair of points, search for a path through the next corner that the first point's leaf lists."""
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
     first = search.key & _place_bits(pairs.keys.shape[1])
     next_key = _least(jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY))
@@ -250,67 +219,56 @@ def _after_round(
 
 
 def _place_bits(longest: int) -> np.uint32:
-    """Return the bits of a key that hold a place in a list; the other bits are those of a float.
-
-    Compilers find a minimum fast, but its place slowly. Bits of floats of at least 0 are in the order of the floats.
-    """
+    """Return the bits of a key that hold a place in a list; the other bits are those of a float."""
     return np.uint32(padded_size(longest) - 1)
 
 
-def _bound_of(key: UInt32[Array, "n"], longest: int) -> Float[Array, "n"]:
+def _bound_of(key: Rows, longest: int) -> _Lengths:
     return jax.lax.bitcast_convert_type(key & ~_place_bits(longest), jnp.float32)
 
 
-def _least(values: UInt32[Array, "n columns"]) -> UInt32[Array, "n"]:
-    """Return the least value of each row; compilers find the least of halves of many columns faster than of rows."""
+def _least(values: UInt32[Array, "n columns"]) -> Rows:
+    """Return the least value of each row: compilers are faster if both halves of the columns are compared first."""
     while values.shape[1] > 8 and values.shape[1] % 2 == 0:
         values = jnp.minimum(*jnp.split(values, 2, axis=1))
     return values.min(axis=1)
 
 
-def _legs(tables: PairTables, leaf: UInt32[Array, "n"], x: Float[Array, "n 2"]) -> Float[Array, "n longest"]:
+def _legs(tables: PairTables, leaf: Rows, x: Points) -> Float[Array, "n longest"]:
     dx, dy = tables.x[leaf] - x[:, :1], tables.y[leaf] - x[:, 1:]
     return jnp.sqrt(dx * dx + dy * dy)
 
 
-def _corner_of(tables: PairTables, leaf: UInt32[Array, "n"], place: UInt32[Array, "n"]) -> Float[Array, "n 2"]:
+def _corner_of(tables: PairTables, leaf: Rows, place: Rows) -> Points:
     return jnp.stack([tables.x[leaf, place], tables.y[leaf, place]], axis=1)
 
 
-def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+def _norm(v: Points) -> _Lengths:
     return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
 
 
-def _at(
-    table: Shaped[Array, "m ..."], index: Integer[Array, "*n"], mode: str = "promise_in_bounds"
-) -> Shaped[Array, "..."]:
-    return table.at[index].get(mode=mode)
+def _at(table: Shaped[Array, "m ..."], index: Integer[Array, "*n"]) -> Shaped[Array, "..."]:
+    return table.at[index].get(mode="promise_in_bounds")
 
 
-def _is_leg_hidden(
-    tables: PairTables,
-    leaf: UInt32[Array, "n"],
-    place: UInt32[Array, "n"],
-    x: Float[Array, "n 2"],
-    corner: Float[Array, "n 2"],
-) -> Bool[Array, "n"]:
+def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
     if tables.near is None:
         return is_hidden(tables, x, corner)
     return tables.near.hide(leaf, place, x, corner)
 
 
-def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether an obstacle separates points. Occluders decide most hidden pairs, walls the rest.
+def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
+    """Return whether an obstacle separates points. Occluders, chords of obstacles, decide most pairs, walls the rest.
 
-    A segment through an obstacle, whose walls have moved back a little, crosses one wall inward and another outward.
-    A single crossing happens at a point that rounding puts into a wall, or where thin walls have moved past one
-    another. It does not hide, unless paths must be certainly free.
+    Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
+    another outward. A single crossing is a matter of rounding, or of walls of thin obstacles that moved past one
+    another. It does not hide a point, except if ``tables.is_certain``: then paths must be certainly free.
     """
     size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
     takes_all = is_symbolic_dim(size) or size <= _TESTED
     (px, py), (dx, dy) = x.T, (y - x).T
 
-    def cross(crossed: _Crossed, walls: Any, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> _Crossed:
+    def cross(crossed: _Crossed, walls: Any, x: Points, y: Points) -> _Crossed:
         goes_in, goes_out = crossed
         for wall in walls:
             inward, outward = crossings(x.T, y.T, wall)
@@ -333,11 +291,8 @@ def is_hidden(tables: PairTables, x: Float[Array, "n 2"], y: Float[Array, "n 2"]
     return hidden | (goes_in | goes_out if tables.is_certain else goes_in & goes_out)
 
 
-def is_inside(tables: PairTables, x: Float[Array, "n 2"]) -> Bool[Array, "n"]:
-    """Return whether points stay in free space when its walls move into it, as for upper bounds (``tables.walls``).
-
-    The moved walls wind once around such a point, and less often where they passed one another and no space is left.
-    """
+def is_inside(tables: PairTables, x: Points) -> Flags:
+    """Return whether the walls, if moved into free space, leave points in it: they wind around each point once."""
 
     def winds(turns, walls):
         for wall in walls:

@@ -1,15 +1,4 @@
-"""The file of a PairPLR: its contents, and their layout in a PLR file (``plr/container.py``) with leaf code 7.
-
-The first of its two layers holds:
-
-- the largest error of a distance that comes from rounding points to a lattice;
-- the outline of free space on this lattice (:meth:`Outline.write`), and the set of outline points that are corners;
-- the set of pairs of corners that a shortest path may join straight, ordered by the later corner;
-- if there are any, the set of walls of obstacles so thin that a wall that moves back may leave them.
-
-The second layer makes queries fast. It holds the tree, the set of corners that no leaf lists and, for each level of
-the tree, which corners of its parent's list each half drops. Files of release 0.1 may have three layers.
-"""
+"""The file of a PairPLR: its contents, and their layout, which ``FORMAT.md`` describes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -135,11 +124,11 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return the ends of walls moved into obstacles by a distance, or into free space if it is negative.
+        """Return the ends of all walls after they move into obstacles, or into free space for negative distances.
 
-        Walls that move into obstacles leave gaps where obstacles touch, and cut off tips. Each gap or tip is closed
-        by two opposite walls, from the contact or near the tip to where the moved walls meet. Walls of thin obstacles
-        stay. With ``surely``, they move too, and no walls are added.
+        When walls move into obstacles, the point where two obstacles touch moves to two places, and a sharp tip moves
+        far. So that no path slips through, two walls of opposite directions join each old place, or a point near the
+        tip, to the new place. Walls of thin obstacles stay. With ``surely``, these move too, and no walls are added.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         moved = self.positions - distance * self._moves(distance, surely)
@@ -164,19 +153,20 @@ class Outline:
         return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
-        """Return the points after their walls move into obstacles, or into free space if the distance is negative."""
+        """Return the points of walls that moved into obstacles, or into free space for negative distances."""
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
-        """Mask of impassable points where obstacles touch, and of points that walls moved into obstacles keep."""
+        """Mask of impassable points where obstacles touch, and of points that stay if walls move into obstacles."""
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return vectors ``v`` such that walls through ``positions - distance * v`` have moved by the distance.
+        """Return vectors ``v`` such that walls move by the distance if each point moves by ``-distance * v``.
 
-        They move into obstacles, or into free space if it is negative; less at sharp corners, as vectors are limited.
-        If it is positive, points between two thin walls stay, unless ``surely``, and so do the ends of a wall that
-        would change direction, as at the end of a thin obstacle.
+        Walls move into obstacles, or into free space if the distance is negative. Vectors at sharp corners are
+        limited, so walls move less there. Into obstacles, unless ``surely``, two kinds of points do not move: those
+        between two walls of thin obstacles, and both ends of a wall that would change direction, as at the end of a
+        thin obstacle.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
@@ -242,7 +232,6 @@ def distances_by_rows(
 
 
 def distances_table(stored: "PairsFileData", size: int) -> Float[np.ndarray, "size size"]:
-    """Return distances between all corners in 32 bits, padded with ``inf`` to ``(size, size)``."""
     table = np.full((size, size), np.inf, np.float32)
     for first, rows in distances_by_rows(stored.points, stored.edges):
         table[first : first + len(rows), : len(stored.points)] = rows
@@ -257,8 +246,6 @@ _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 @dataclass(frozen=True, eq=False)
 class PairsFileData:
-    """The decoded file of a PairPLR."""
-
     domain: Box
     outline: Outline
     corner: Int[np.ndarray, "corners"]  # outline points that are corners, ascending

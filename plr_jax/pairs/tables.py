@@ -1,6 +1,7 @@
-"""Tables of a PairPLR's file that queries in JAX read."""
+"""Tables of a PairPLR's file that queries in JAX read. Coordinates are relative to the middle of the domain."""
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -23,85 +24,54 @@ _SHRUNK = np.float32(1 - 8 * np.finfo(np.float32).eps)  # makes up for the round
 _NOWHERE = 1e30  # a coordinate beyond every domain, for boxes of no walls
 
 
-@dataclass(frozen=True)
-class _NoLeaf:
-    least_bytes: float = 1.0
-    has_deep_trees: bool = False
-
-
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Groups of neighboring walls, as the coordinates of both ends of each.
-
-    Each box, ``(x, y)`` of its middle and then half its widths, contains a group, with a margin for rounding.
-    """
-
-    groups: Float[Array, "groups 32 4"]
-    boxes: Float[Array, "groups 4"]
+    groups: Float[Array, "groups 32 4"]  # coordinates of both ends of neighboring walls
+    boxes: Float[Array, "groups 4"]  # of a box around each group with a margin for rounding: middle, half widths
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PairTables:
-    """The tables that a query reads. Coordinates are relative to the middle of the domain.
-
-    Attributes:
-        walls: Walls that block sight, moved back a little.
-        occluders: Segments inside obstacles (:func:`occluders_of`), in groups.
-        near: Walls that may hide a listed corner; None if they are too many to save time.
-        x: First coordinate of the corners that each leaf lists, padded with ``inf``; ``y`` likewise.
-        listed: Indices of the corners that each leaf lists; the padding is one more than the last index.
-        onward: For each leaf and corner, a lower bound of the length of paths from the corner to points of the leaf
-            through corners that the leaf lists. It is linear in the point. The last 16 bits are the bound at the
-            middle of the leaf's box, in units of ``step``, rounded down; two times 8 bits are slopes along both axes,
-            ``STEEPEST`` above their multiple of ``1 / STEEPEST``.
-        step: Unit of the lengths of ``onward``.
-        middles: Middles of the leaves' boxes.
-        middle: The middle of the domain in 32 bits, and the remainder.
-        half: Half the domain width along each axis.
-        proud_walls: Walls moved into free space; ``proud_corners`` move twice as far.
-        sure_walls: Walls for lower bounds, without thin obstacles and with gaps where obstacles touch; None if equal
-            to ``walls``.
-        rounding: Largest error of a distance through listed corners, and through ``proud_corners``.
-        unresolved: Point types that cannot be answered (:func:`unresolved_types`).
-        is_certain: Whether every path found is certainly free.
-    """
-
     partition: Tables
-    walls: Walls
-    occluders: Float[Array, "groups_of_occluders 16 7"]
-    near: NearWalls | None
-    x: Float[Array, "leaves longest"]
+    walls: Walls  # moved into obstacles a little
+    occluders: Float[Array, "groups_of_occluders 16 7"]  # segments inside obstacles (`occluders_of`)
+    near: NearWalls | None  # walls that may hide a listed corner; None if they are too many to save time
+    x: Float[Array, "leaves longest"]  # of the corners that each leaf lists, padded with `inf`
     y: Float[Array, "leaves longest"]
-    listed: UInt16[Array, "leaves longest"]
-    distances: Float[Array, "size size"]
+    listed: UInt16[Array, "leaves longest"]  # index of each of these corners; padding is the number of corners
+    distances: Float[Array, "size size"]  # between corners
+    # A lower bound of the length of paths from each corner, by the corners that a leaf lists, to points of the leaf.
+    # It is linear in the point. The last 16 bits are its value at the middle of the leaf's box, in units of `step`,
+    # rounded down. Two times 8 bits are its slopes along both axes, times `STEEPEST`, plus `STEEPEST`.
     onward: UInt32[Array, "leaves size"]
     step: Float[Array, ""]
-    middles: Float[Array, "leaves 2"]
-    middle: Float[Array, "2 2"]
-    half: Float[Array, "2"]
-    proud_walls: Walls
-    proud_corners: Float[Array, "size 2"]
-    sure_walls: Walls | None
-    rounding: Float[Array, "2"]
-    unresolved: tuple[str, ...] = field(metadata={"static": True})
-    is_certain: bool = field(default=False, metadata={"static": True})
+    middles: Float[Array, "leaves 2"]  # of the boxes of leaves
+    middle: Float[Array, "2 2"]  # of the domain, rounded to 32 bits, and the rounding error
+    half: Float[Array, "2"]  # half the width of the domain
+    outset_walls: Walls  # moved into free space
+    outset_corners: Float[Array, "size 2"]  # moved twice as far
+    sure_walls: Walls | None  # without thin obstacles, and open where obstacles touch; None if equal to `walls`
+    rounding: Float[Array, "2"]  # largest error of a distance through corners, and through `outset_corners`
+    unresolved: tuple[str, ...] = field(metadata={"static": True})  # point types too coarse for the domain
+    is_certain: bool = field(default=False, metadata={"static": True})  # whether every path found is certainly free
 
 
 def table_size(num_corners: int) -> int:
-    """Return the number of corners, plus at least one row of ``inf``, rounded up to one of a few sizes."""
+    """Return the size of tables over corners: room for at least one more corner, at ``inf``; one of a few sizes."""
     return size_in_eighths(num_corners + 1)
 
 
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
-    """Build the tables of a file of ``num_bytes`` bytes, from which some of their sizes follow."""
+    """Build the tables of a file; some get a size that depends only on ``num_bytes``, the size of the file."""
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
     size, rows = table_size(count), size_in_eighths(len(cells))
     seen, free = (Scene.of(stored, is_certain) for is_certain in (False, True))
     sure = Scene.of(stored, False, hides_surely=True).walls
+    no_leaf = SimpleNamespace(least_bytes=1.0, has_deep_trees=False)
     # 1. Pad the lists to one length, a multiple of eight.
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
@@ -144,7 +114,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     corners = padded(seen.corners, size, np.inf).astype(np.float32)
     x, y = (along[listed] for along in corners.T)
     return PairTables(
-        partition=build_tables(domain, cells, np.zeros((len(cells), 1)), _NoLeaf(), num_bytes),
+        partition=build_tables(domain, cells, np.zeros((len(cells), 1)), no_leaf, num_bytes),
         walls=in_boxes(seen.walls),
         occluders=in_groups(occluders, _UNROLLED),
         near=near,
@@ -157,8 +127,8 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         middles=in_32_bits(middles),
         middle=in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=in_32_bits(stored.domain.width / 2),
-        proud_walls=in_boxes(free.walls),
-        proud_corners=in_32_bits(padded(free.corners[:-1], size, np.inf)),
+        outset_walls=in_boxes(free.walls),
+        outset_corners=in_32_bits(padded(free.corners[:-1], size, np.inf)),
         sure_walls=None if np.array_equal(sure, seen.walls) else in_boxes(sure),
         rounding=in_32_bits(stored.rounding + 2 * np.array([seen.moved, free.moved])),
         unresolved=unresolved_types(stored.domain),
@@ -173,10 +143,11 @@ def _bounds_to_leaves(
     halves: Float[np.ndarray, "rows 2"],
     step: Float[np.ndarray, ""],
 ) -> UInt32[np.ndarray, "rows size"]:
-    """Return `PairTables.onward`, given each leaf's corners, the middle of its box and half its widths.
+    """Return lower bounds of path lengths from corners to the points of leaves, as `PairTables.onward`.
 
-    The distance from a corner is convex: nowhere below its tangent plane at the middle. Take the slopes of the
-    shortest path to the middle, and lower this plane until it is below the tangent planes of all paths in the box.
+    A leaf is given by its listed corners, the middle of its box and half the box's widths. The distance from a corner
+    is convex: nowhere below its tangent plane at the middle. Take the plane of the corner with the shortest path to
+    the middle, and lower it until it is below the planes of all listed corners in the box.
     """
     onward = np.full((len(listed), len(distances)), NO_WAY, np.uint32)
     counts = np.isfinite(corners[:, 0])[listed].sum(axis=1)

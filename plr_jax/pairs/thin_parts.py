@@ -1,8 +1,8 @@
 """Thin parts of obstacles, whose two sides 32-bit floats hardly tell apart.
 
-For tests of visibility, walls move back into their obstacles, so that rounding hides no corner. Walls of obstacles
-that are thinner than this distance stay instead, and corners move in front of them. Both work only if a wall is thin
-as a whole or not at all, and if a sharp tip of a thin obstacle has a corner on either side.
+For tests of visibility, walls move back into their obstacles, so that rounding hides no corner. A wall stays if its
+obstacle is so thin that the moved wall would come near free space; corners move in front of it instead. For this, a
+wall must be thin as a whole or not at all, and a sharp tip of a thin obstacle must have a corner on either side.
 """
 
 from dataclasses import replace
@@ -28,10 +28,11 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 def with_thin_parts(
     outline: Outline, vertex: Int[np.ndarray, "points"], free_space: Any, width: float
 ) -> tuple[Outline, Int[np.ndarray, "found_points"]]:
-    """Find thin walls, cut walls that are thin in part, and give sharp tips of thin obstacles two points.
+    """Find walls of thin obstacles, cut walls that are thin in part, and give sharp tips of thin walls two points.
 
-    The points of a tip are neighbors on the lattice with the same ``vertex``. A point that rounding puts on or across
-    a thin wall sees the corner on its side. Return the outline, and the vertex at each point, -1 inside walls.
+    Both points of a tip have the same boundary vertex, and are neighbors on the lattice to which the outline is
+    rounded. So a point that rounding puts on or across a thin wall sees the tip's corner on its own side. Return the
+    new outline, and the boundary vertex at each of its points, -1 where a wall is cut.
     """
     spans = _thin_spans(outline, free_space, width)
     if not any(spans.values()):
@@ -73,7 +74,7 @@ def with_thin_parts(
 
 
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, list[tuple[float, float]]]:
-    """Return, for each wall that is thin in part, the intervals where it is, as distances from its start."""
+    """Return the intervals of each wall where its obstacle is thin, as distances from the start of the wall."""
     reach, following, start = RECEDING * width, outline.following_past_contacts, outline.positions
     onward, moved = start[following] - start, outline.moved_walls(reach, surely=True).reshape(-1, 2, 2)
     lengths, is_turned = np.linalg.norm(onward, axis=1), (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0

@@ -46,17 +46,11 @@ class GridDistance:
         return _cells(self)
 
     def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """Return the distance of each point to the goal.
+        """Return distances ``(...)`` in cell sides from points ``(x, y)``, ``(..., 2)``, to the goal.
 
-        Args:
-            x: Points ``(x, y)``, ``(..., 2)``, real, else ``ValueError``.
-
-        Returns:
-            Distances in cell sides, ``(...)``. They are ``inf`` with gradient 0 outside the grid, inside blocked
-            cells and where no path exists, and NaN where a coordinate of the point or goal is NaN, or if
-            ``is_complete`` is false.
-
-        Points of an integer type are corners of cells, and give a ``UserWarning``.
+        They are ``inf`` with gradient 0 outside the grid, inside blocked cells and where no path exists. They are NaN
+        where a coordinate of the point or goal is NaN, and if ``is_complete`` is false. ``ValueError`` if points are
+        not real. Points of an integer type are corners of cells, and give a ``UserWarning``.
         """
         _require_one_map(self, "jax.vmap(lambda field, x: field(x))(fields, x)")
         return _distance(self, *_as_floats(x=_as_points("x", x)))
@@ -77,7 +71,7 @@ class GridDistances:
     is_complete: Bool[Array, "*maps"]
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Float[Array, "*batch"]:
-        """Return the distance from each point ``x`` to the point ``y`` in its place; see :class:`GridDistance`.
+        """Return distances between points ``x`` and the points ``y`` at the same index; see :class:`GridDistance`.
 
         Points ``(x, y)`` are ``(..., 2)``, real; their leading axes broadcast, else ``ValueError``.
         """
@@ -215,14 +209,12 @@ def _as_mask(free: ArrayLike) -> Bool[Array | np.ndarray, "h w"]:
 
 
 def _require_one_map(field: GridDistance | GridDistances, call: str) -> None:
-    """Raise an error if the field holds several maps; under ``vmap``, it holds one."""
     if maps := jnp.shape(field.is_complete):
         batch = " x ".join(map(str, maps))
         raise ValueError(f"This field holds a batch of {batch} maps (it was made under vmap): use it as {call}.")
 
 
 def _as_points(name: str, value: ArrayLike) -> Array | np.ndarray:
-    """Return points ``(..., 2)`` as an array of floats or integers."""
     try:
         points = _as_array(value)
     except (TypeError, ValueError, OverflowError):
@@ -260,5 +252,4 @@ def _as_array(value: ArrayLike) -> Array | np.ndarray:
 
 
 def _finite(x: Points) -> Points:
-    """Replace coordinates that are not finite by -1, which is outside every grid."""
-    return jnp.where(jnp.isfinite(x), x, -1)
+    return jnp.where(jnp.isfinite(x), x, -1)  # outside every grid

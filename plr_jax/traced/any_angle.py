@@ -1,9 +1,10 @@
 """Any-angle shortest paths on a traced grid; they bend only at convex corners of blocked cells.
 
-Segments run between points inside free cells, at a :func:`margin` from the cells' sides, and count as crossing cells
-within a fourth of it. The cells that they cross in a row are compared as bits with the blocked cells. So a segment
-that grazes a corner may count as blocked; the path through that corner is as long. If both ends are independent of
-the map, the crossed cells are computed once, on the host. Distances from corner to corner follow by relaxation.
+Segments run between points inside free cells, at a :func:`margin` from the cells' sides. A segment also crosses the
+cells to which it comes closer than a fourth of this margin. Cells are bits of words, so that the crossed cells of a
+grid row are compared with its blocked cells at once. A segment that grazes a corner may thus count as blocked; the
+path through that corner is as long. If both ends are independent of the map, the crossed cells are computed once, on
+the host. Distances from corner to corner follow by relaxation.
 """
 
 from collections.abc import Iterator
@@ -33,7 +34,7 @@ def margin(shape: Shape, dtype: Any) -> float:
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Return each point moved inside the first and last free cell that contains it, and whether there is one."""
+    """Move points into the first and last of up to four free cells around each; also return whether there is one."""
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
     which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
@@ -78,7 +79,6 @@ def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tu
 
 
 def are_unobstructed(table: UInt32[np.ndarray, "words n m"], blocked: UInt32[Array, "words"]) -> Bool[Array, "n m"]:
-    """Return whether the segments of a table from :func:`crossed_cells` cross no blocked cell."""
     hit = jnp.zeros((), jnp.uint32)
     for crossed, word in zip(table, blocked, strict=True):
         hit |= crossed & word
@@ -121,7 +121,6 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
 
 
 def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array, "... 2"]:
-    """Return the one of the two ``ends`` that is nearer to ``x``."""
     first, second = ends[..., 0, :], ends[..., 1, :]
     is_second = jnp.sum((x - (first + second) / 2) * (second - first), axis=-1) > 0
     return jnp.where(is_second[..., None], second, first)
@@ -138,7 +137,7 @@ class Corners:
 
     @property
     def _is_lattice(self) -> bool:
-        """Whether the entries are all points of :func:`lattice`, few enough for :func:`crossed_cells`."""
+        """Whether ``index`` has every point of :func:`lattice`, few enough for tables (:func:`crossed_cells`)."""
         return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
@@ -160,7 +159,7 @@ class Corners:
         )
 
     def seen_from(self, ends: Ends) -> Bool[Array, "n corners"]:
-        """Return which convex corners are visible from points, each moved inside up to two free cells."""
+        """Return which convex corners are visible from points; ``ends`` come from :func:`inside_free_cells`."""
         corners = self._inset_points(ends.dtype)[None]
         return is_unobstructed(pack(~self.free), self.free.shape, _end_facing(ends[:, None], corners), corners)
 
@@ -229,10 +228,8 @@ def _(primals, tangents):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPaths:
-    """Distances to a goal, straight or through convex corners, whose own distances to the goal are stored."""
-
     corners: Corners
-    distances: Float[Array, "*maps corners"]
+    distances: Float[Array, "*maps corners"]  # from convex corners to the goal
     goal: Float[Array, "*maps 2"]
 
     @classmethod
@@ -266,8 +263,6 @@ class CornerPaths:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerPairs:
-    """Distances between any two points, straight or through convex corners, by the distances ``between`` corners."""
-
     corners: Corners
     between: Float[Array, "*maps corners corners"]
 
@@ -292,7 +287,6 @@ class CornerPairs:
 
 
 def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Array, "*batch"]:
-    """Return lengths of segments from ``a`` to ``b``; ``inf`` with gradient 0 if the ends do not see each other."""
     return jnp.where(seen, distance(a, b), jnp.inf)
 
 

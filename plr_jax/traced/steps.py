@@ -90,8 +90,6 @@ class Steps:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class StepPairs:
-    """Path lengths between any two cells, by steps between neighbors; ``inf`` for blocked cells."""
-
     table: Float[Array, "*maps h w h w"]
 
     @classmethod
