@@ -1,4 +1,4 @@
-"""The nearest of several goals: by straight motions, or by the path from a grid node, read from nodes' costs."""
+"""The nearest of several goals, by distance or along the shortest path from a node of a grid."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from plr_jax.spaces import MotionCost
 Points = Float[np.ndarray, "n dim"]
 GoalIndex = Int[np.ndarray, "*shape"]
 
-_CHECK_BITS = 8  # of the code of a goal that is found among several
+_CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 
 
 def nearest_goals(
@@ -51,10 +51,10 @@ def carried_goals(
 ) -> GoalIndex:
     """Return the goal to which each node's path leads, -1 without a path, given the goals of some nodes of a grid.
 
-    The cost of a node depends on its cheapest neighbor along each axis, in shares that are the differences over the
-    squared steps. Bits of the goals' indices, as numbers 1 and -1, are averaged with these shares, so their signs
-    tell the goal of more than half of the shares. Check bits tell where no goal has so much; a node there takes the
-    goal of the neighbor with the largest share.
+    A path comes from the cheapest neighbor along each axis; a neighbor's share is the fall of cost to it, over the
+    squared step. Bits of the goals' indices, as numbers 1 and -1, are averaged with these shares along paths. The
+    averages have the signs of a goal's bits if more than half of all paths lead to it. If some check bits do not fit,
+    no goal has so many, and the node takes the goal of the neighbor with the largest share.
     """
     # 1. Shares of neighbors, in the order of costs.
     open_ = np.flatnonzero(np.isfinite(cost))

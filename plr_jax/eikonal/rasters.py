@@ -63,18 +63,18 @@ class CostDistance:
     def path(self, point: ArrayLike) -> Float[np.ndarray, "n 2"]:
         """Return the least-cost path between the cell of a point and the nearest source.
 
-        Its cost is the ``distance`` in that cell. If distances were computed with heights and ``from_sources``, it is
-        walked from its last vertex to its first.
+        The path's cost is the ``distance`` in that cell.
 
         Args:
             point: A point ``(x, y)``, in the coordinates of the sources.
 
         Returns:
-            Vertices of the path, ``(n, 2)``, from the center of the cell to the source. With heights, it ends at the
-            center of the source's cell. One vertex if both ends are equal, none if the distance is ``inf``.
+            Vertices of the path, ``(n, 2)``, from the center of the cell to the source, or with heights to the center
+            of the source's cell; with ``from_sources`` too, although motion is from the source. One vertex if both
+            ends are equal, none if the distance is ``inf``.
 
         Raises:
-            ValueError: If the point is outside the raster, or a front marched over the raster.
+            ValueError: If the point is outside the raster, or a front marched, as over more than 2 million cells.
         """
         if self._tree is None or self._box is None:
             raise ValueError(
@@ -193,7 +193,7 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
-    """Return costs by ascending coordinates, ``inf`` in barriers; their box; slices that restore the order."""
+    """Return costs by ascending coordinates, ``inf`` in barriers, their box, and slices that restore the order."""
     cost = raster_values("costs", costs)
     if cost.ndim != 2 or cost.size == 0:
         raise ValueError(
@@ -217,7 +217,7 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
 
 
 def _cells(points: Float[np.ndarray, "*n 2"], box: Box, shape: tuple[int, int]) -> Float[np.ndarray, "*n 2"]:
-    """Return rows and columns of the cells of points, given relative to the lower corner of the raster."""
+    """Return rows and columns of the cells of points, relative to the lower corner of the raster."""
     cells = np.floor(points / (box.width / shape[::-1]))[..., ::-1]
     return np.where(points[..., ::-1] == box.width[::-1], cells - 1, cells)  # the upper border is in the last cell
 

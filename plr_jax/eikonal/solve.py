@@ -1,8 +1,4 @@
-"""Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap.
-
-A convex program gives the lower bound. It is solved on meshes that are refined where the lower bound is estimated to
-be farthest below the truth.
-"""
+"""Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap."""
 
 import math
 import warnings
@@ -69,8 +65,8 @@ def solve_eikonal(
     from which the goal can be reached.
 
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
-      every face that is not proven blocked, and nowhere steeper than a step costs. The straight line to the nearest
-      goal is a lower bound too; with several goals, it serves only as far as the bounds of leaves express it.
+      every face that is not proven blocked, and nowhere steeper than a step costs. If costs are lengths and no axis
+      is periodic, the straight line to a single goal is a lower bound too.
     - The upper bound is the cost of paths through cells that are proven free, and in voxel spaces also of paths from
       voxel to voxel. It is ``inf`` where no path was found.
 
@@ -107,7 +103,8 @@ def solve_eikonal(
             blocked. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid
             sees a goal. If a directional cost map comes with a space whose costs are no lengths.
 
-    References: Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952.
+    References: Section VII of the paper asks for such a PLR. Finding the largest lower bound is dual to Beckmann's
+    problem of a cheapest flow, "A continuous model of transportation", 1952.
     """
     require_space(space)
     if cost_map is not None and not isinstance(cost_map, CostMap):
@@ -148,7 +145,7 @@ def solve_eikonal(
             f"The goal must be seen from a node of the grid of {nodes} nodes",
             ": it is too close to obstacles. Move it, or leave out certified=False",
         )
-        _require_costs(guide.largest)
+        _require_costs(float(guide.cost.max(where=np.isfinite(guide.cost), initial=-np.inf)))
         limits: dict[str, Any] = {"max_leaves": leaves, "max_bytes": max_bytes, "seed": seed}
         if len(space.motion_cost.blocks) > 1:
             # The free space of a turning body is thin: continuous leaves would reach through its walls.
@@ -189,13 +186,11 @@ def _require_goals(
 
 
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each leaf's priority to be split: its error, and more if it is large and cut off from the goal.
+    """Return each leaf's priority to be split: its error, or more if it is large and cut off from the goal.
 
     The error is the geometric mean of the largest error and the error's L2 norm over the leaf. Mean errors of the PLR
-    are then smaller than with largest errors alone, and largest errors hardly larger.
-
-    A leaf without a path to the goal borrows the function of an adjacent leaf, for points that rounding places in it.
-    If it contains free points, it must be small, since these should answer ``inf``.
+    are then smaller than with largest errors alone, and largest errors hardly larger. A leaf without a path to the
+    goal answers the function of an adjacent leaf, but its free points should answer ``inf``: so it must be small.
     """
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()
     norm = np.sqrt(np.ldexp(mean_square, -fit.cells.depth.sum(axis=1)))  # the volume is 2**-(sum of halvings)
@@ -245,8 +240,7 @@ def _field(
     return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, guide)
 
 
-# Share of all cells in the first mesh, and its least number of cells: in a single cell, flows to a goal in its middle
-# cancel.
+# Share of all cells in the first mesh, and its least number: in one cell, flows to a goal in its middle cancel.
 _COARSEST, _FEWEST = 1 / 16, 2
 _SHARE = 0.8  # share of the loss (gap) in the cells that are refined together
 # If mixed cells have more than `_LEAKING` of the loss, flows leak through walls. Some cells are then saved for later,
@@ -262,7 +256,7 @@ _INSET = 1e-9  # distance of points from the faces of a cell, as a share of its 
 
 
 class SlopeSolver:
-    """The convex program for the lower bound, solved on finer and finer meshes."""
+    """A solver of the largest lower bound of the cost-to-go, on meshes that it refines where that bound is loose."""
 
     def __init__(
         self, space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, max_cells: int, tolerance: float
@@ -280,7 +274,6 @@ class SlopeSolver:
 
     @property
     def values(self) -> Float[np.ndarray, "dofs"]:
-        """The values of the solution, shifted to at most 0 at the goals."""
         assert self.iterate is not None
         return self.program.below_goals(self.iterate.values)
 
@@ -301,18 +294,17 @@ class SlopeSolver:
             x = fine.fractions(space.node_of // size, inset)
             cell = coarse.locate(x)
             values = self.program.space.interpolation(cell, coarse.local(cell, x)) @ self.iterate.values
-            parent = coarse.locate(fine.fractions(fine.open_cells, np.full(fine.dim, 0.5)))
+            parent = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
             place = np.zeros(len(coarse.state), np.int64)
             place[coarse.open_cells] = np.arange(len(coarse.open_cells))
-            flow = self.iterate.flow.reshape(fine.dim, -1, size).mean(axis=2)[:, place[parent]]
+            flow = self.iterate.flow.reshape(fine.dim, -1, size).mean(axis=2)[:, place[parent[fine.open_cells]]]
             iterate = Iterate(values, np.repeat(flow, size, axis=1), self.iterate.inflow)
             progress.update(len(fine.state) - len(coarse.state))
             if len(fine.state) + parts <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
             # Cells that are not new keep their answer (free or blocked) to whether paths pass through.
-            before = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
-            is_same = (coarse.cells.depth[before] == fine.cells.depth).all(axis=1)
-            self._through = np.where(is_same, self._through[before], np.int8(CellState.MIXED))
+            is_same = (coarse.cells.depth[parent] == fine.cells.depth).all(axis=1)
+            self._through = np.where(is_same, self._through[parent], np.int8(CellState.MIXED))
             self.program, self.iterate = finer, iterate
         self.iterate, has_converged = self.program.solve_thoroughly(self.iterate, _MOST)
         if not has_converged:
@@ -323,14 +315,14 @@ class SlopeSolver:
             )
 
     def mesh_without_mixed(self) -> Mesh:
-        """Return the mesh with each mixed cell counted as free or blocked, as in the mesh where it first appeared."""
+        """Return the mesh with each mixed cell counted as free or blocked, by whether a motion through it is free."""
         mesh = self.mesh
         mixed = np.flatnonzero(mesh.state == CellState.MIXED)
         new = mixed[self._through[mixed] == CellState.MIXED]
         slope = np.zeros((len(mesh.state), mesh.dim))
         slope[mesh.open_cells] = self.program.mean_gradients(self.values) / self.space.motion_cost.scale
         lo, hi = (corner[new] for corner in mesh.boxes)
-        # A cell counts as free if the motion through its middle, along the gradient of the lower bound, is free.
+        # The motion passes the middle of the cell along the gradient of the lower bound.
         share = np.abs(slope[new] / (hi - lo)).max(axis=1, keepdims=True)
         half = np.divide(slope[new], 2 * share, out=np.zeros_like(lo), where=share > 0)
         is_free = self.space.are_free((lo + hi) / 2 - half, (lo + hi) / 2 + half)
@@ -338,7 +330,7 @@ class SlopeSolver:
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
-        """Return cells to refine, those of goals that hide a loss first, then by loss, and how many may be added."""
+        """Return cells to refine, most urgent first, and how many cells to add; each adds at most ``parts``."""
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow
@@ -373,7 +365,7 @@ _NUM_SAMPLES, _NUM_OF_MOTION = 8, 33  # numbers of samples of a box, and of a mo
 
 @dataclass(frozen=True, eq=False)
 class SampledSpace(CheckedSpace):
-    """A space that only tests configurations. Samples classify its boxes, so nothing is proven."""
+    """A space that only tests configurations: samples classify its boxes and motions, so nothing is proven."""
 
     seed: int
 
