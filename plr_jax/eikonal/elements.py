@@ -38,7 +38,7 @@ class FunctionSpace:
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
-        """Return, by axis, matrices from degrees of freedom to Bernstein coefficients of derivatives by ``scale * x``."""
+        """Return, by axis, the matrix from degrees of freedom to Bernstein coefficients of the derivative / scale."""
         # Rows are `number * nodes_of_cell + control point` for the cells that are not blocked.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
         rows = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()

@@ -55,7 +55,7 @@ Shape = tuple[int, ...]
 CellStates = Int8[np.ndarray, "*shape"]
 Nodes = Float[np.ndarray, "*shape dim"]
 # Costs of motions at points: a factor of the norm, and perhaps two vectors: the larger scalar product is added.
-Rates = tuple[Float[np.ndarray, "n"], Float[np.ndarray, "2 n dim"] | None]
+Rates = tuple[Float[np.ndarray, "places"], Float[np.ndarray, "2 places dim"] | None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -85,7 +85,7 @@ class PathTree:
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
-    """Search with cells divided into ``parts`` per axis: return distances, nearest sources, bounds if asked, paths."""
+    """Search over ``parts`` of cells per axis: return distances, nearest sources, bounds if asked for, and paths."""
     fine, of_part = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1), side / parts[::-1]
     distance, at_corners, nearest, tree = search(fine, of_part, points)
     results = [distance, nearest]
