@@ -69,8 +69,7 @@ def read_image(
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
     Raises:
-        ValueError: If the file is not such a picture, is damaged or too large, nothing is free, or an argument is
-            invalid.
+        ValueError: If the file is no such picture, damaged or too large, nothing is free, or an argument is invalid.
     """
     path = Path(path)
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
@@ -153,10 +152,7 @@ def _require_plain(picture: Any, numbers: bool) -> None:
 
 
 def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
-    """Yield rows of a picture with their lightness, the lightness of white, and their opacity from 0 to 255.
-
-    Opacity is None if all pixels are opaque.
-    """
+    """Yield rows of a picture, their lightness, that of white, and their opacity up to 255 (None if all opaque)."""
     step = max(1, _BAND // picture.width)
     for top in range(0, picture.height, step):
         bottom = min(top + step, picture.height)
@@ -243,11 +239,10 @@ def read_cost_map(
     :meth:`RasterCost.from_occupancy_grid`, and not for a TIFF.
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
-    factors themselves: costs per unit of length. A cell is blocked where the factor is ``inf``, NaN or the no-data
-    value of GDAL. A GeoTIFF (OGC standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs, a
-    pixel is a square of side 1, and the outer corner of the lower left pixel is at ``(0, 0)``: the first row of the
-    file has the highest y. For pixels of another size, give the array of pixels, its last row first, to
-    ``RasterCost(values, bounds)``.
+    factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF
+    (OGC standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs a pixel has side 1, and the
+    outer corner of the lower left pixel (of the file's last row) is at ``(0, 0)``. For pixels of another size, give
+    the array of pixels, its last row first, to ``RasterCost(values, bounds)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are

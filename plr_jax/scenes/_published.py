@@ -59,9 +59,9 @@ _MOST_TRIALS = 1_000_000
 def door(num_robots: int) -> Problem:
     """Discs of radius 0.4 in two halls, 10 x 20 each, that change halls through one door, 1.5 diameters wide.
 
-    Half of them, the first ones, start in the left hall, on points (1 + 1.7 i, 2 + 3.9 j), row by row; the others
-    start on their mirror images. Each goes to the mirror image of its start, so pairs of robots swap places.
-    ``num_robots`` is even, from 2 to 50; otherwise ``ValueError`` is raised.
+    The first half of the robots start in the left hall, on points (1 + 1.7 i, 2 + 3.9 j), row by row, the others on
+    the mirror images of these points. All goals are the mirror images of starts, so pairs of robots swap places.
+    ``ValueError`` is raised unless ``num_robots`` is even, from 2 to 50.
     """
     require_integer("num_robots", num_robots, 2)
     if num_robots % 2 or num_robots > _MOST_AT_A_DOOR:
@@ -100,7 +100,7 @@ def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[
 
 
 _FOLDER = Path(__file__).parent / "published"
-# Walls as boxes (x0, y0, x1, y1). No side lies on a dyadic line, where a cell boundary would coincide with it.
+# Walls as boxes (x0, y0, x1, y1). No side lies on a dyadic line, where the side of a cell would coincide with it.
 _MAZE = (
     (0.00, 0.19, 0.71, 0.23),
     (0.27, 0.43, 1.00, 0.47),
