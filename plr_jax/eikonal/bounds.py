@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.estimate import GridEstimate
-from plr_jax.eikonal.goals import nearest_goals
+from plr_jax.eikonal.goals import Points, nearest_goals
 from plr_jax.eikonal.mesh import CellIndex, Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, SlopeProgram
@@ -39,11 +39,8 @@ _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-1
 # A warning says where an estimate is outside of its bounds by more than `_OFF` of the lower bound, or of `_NEAR`
 # times the largest lower bound if that is more.
 _OFF, _NEAR = 0.1, 0.01
-
 # Relative margin for the length of a straight line in 32 bits; range of lengths whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
-
-Points: TypeAlias = Float[np.ndarray, "n dim"]
 Numbers: TypeAlias = Float[np.ndarray, "n"]
 AtCorners: TypeAlias = Float[np.ndarray, "n corners"]
 CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
@@ -312,11 +309,10 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 
 def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
-    """Add proven bounds to each leaf: the worst bounds of all cells of the mesh that meet it."""
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
-    # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself
-    #    or, for a flush blocked cell, each open cell beside it, over what they share.
+    # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself or, for
+    #    a flush blocked cell, each open cell beside it, over what they share. The worst bounds count.
     leaf, cell = overlapping_leaves(tree, mesh.tree)
     order = np.argsort(cell, kind="stable")
     flush, beside = mesh.flush_pairs

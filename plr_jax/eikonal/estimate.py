@@ -18,7 +18,7 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.goals import carried_goals, nearest_goals
+from plr_jax.eikonal.goals import Goals, Points, carried_goals, nearest_goals
 from plr_jax.eikonal.march import Costs, GoalIndex, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
@@ -48,9 +48,6 @@ _BLOCK = 8  # cells along each axis of the blocks that are classified first
 _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
 _RADIUS = {1: 100.0, 2: 32.0, 3: 12.0}  # of balls around goals, in shortest steps, by the number of axes
 _NEAR_GOALS = 4  # most goals to which each node has a straight motion
-
-Points = Float[np.ndarray, "n dim"]
-Goals = Float[np.ndarray, "goals dim"]
 Shape = tuple[int, ...]
 CellStates = Int8[np.ndarray, "*shape"]
 Nodes = Float[np.ndarray, "*shape dim"]
@@ -227,9 +224,9 @@ def _grid(
 ) -> tuple[Box, Shape]:
     """Return a box and its number of cells along each axis; the centers of these cells are the nodes of the grid.
 
-    There are about ``num_nodes``, but not fewer than the default for this dimension. Nodes are centers of voxels, or
-    of cells of a raster that fills the domain, or of an odd number of parts of each along each axis. Otherwise nodes
-    lie on the domain's faces, and steps are round decimals if these fit: walls often have round coordinates.
+    There are at least ``num_nodes``, up to rounding. Nodes are centers of voxels, or of cells of a raster that fills
+    the domain, or of an odd number of parts of each along each axis. Otherwise the outermost nodes lie on the
+    domain's faces, and steps are round decimals if these fit: walls often have round coordinates.
     """
     domain = space.domain
     # 1. The centers of given cells, unless these are too many.

@@ -13,13 +13,13 @@ from plr_jax.geometry.box import Box
 from plr_jax.spaces import MotionCost
 
 Points = Float[np.ndarray, "n dim"]
+Goals = Float[np.ndarray, "goals dim"]
 GoalIndex = Int[np.ndarray, "*shape"]
-
 _CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 
 
 def nearest_goals(
-    goals: Float[np.ndarray, "goals dim"], domain: Box, motion: MotionCost, x: Points, count: int = 1
+    goals: Goals, domain: Box, motion: MotionCost, x: Points, count: int = 1
 ) -> tuple[Float[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
     """Return Euclidean distances to the nearest goals, nearest first, and the indices of these goals.
 

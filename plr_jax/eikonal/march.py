@@ -18,7 +18,6 @@ _NO_TIME = 1e-9  # of a step, for a node on the first front
 # Costs of two nodes two steps apart do not jump up to this factor. An error that differs by more than this share
 # between two grids does not fall as the step does.
 _NO_JUMP, _LARGEST_CHANGE = 1.35, 0.02
-
 IsOpen = Bool[np.ndarray, "*shape"]
 Costs = Float[np.ndarray, "*shape"]
 Sides = Float[np.ndarray, "dim"]

@@ -21,7 +21,6 @@ _MOST_SLENDER = 2e5  # largest ratio of a cell's widths: beyond it, the equation
 _NO_BIT = 62  # a bit that is 0 in every slot: descents stop at leaves
 _LONG = 0.7  # a cell is halved along axes in which it is wider than this share of its largest width
 _LEAST_PERIODIC = 2  # least number of halvings of a periodic axis: no two cells may touch on both sides
-
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
 Fractions: TypeAlias = Float[np.ndarray, "n dim"]
 Corners: TypeAlias = tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]

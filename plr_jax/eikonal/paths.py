@@ -17,6 +17,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import parts, ragged_indices
+from plr_jax.eikonal.goals import Points
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.program import CellCosts
 from plr_jax.plr.tree import corner_bits
@@ -30,12 +31,10 @@ _ROUNDING = 1e-10  # share by which upper bounds are increased, for rounding
 _EDGES_AT_ONCE = 1 << 18  # edges handled together, to bound the memory
 # Most nodes, the nearest ones, that are joined to goals whose cells are not free; least number for each goal.
 _NEAR_GOAL, _LEAST_NEAR_GOAL = 512, 32
-
 Nodes: TypeAlias = Int[np.ndarray, "_"]
 Costs: TypeAlias = Float[np.ndarray, "nodes"]
 Edges: TypeAlias = Int[np.ndarray, "_"]
 EdgeCosts: TypeAlias = Float[np.ndarray, "_"]
-Points: TypeAlias = Float[np.ndarray, "n dim"]
 
 
 @dataclass(frozen=True, eq=False)

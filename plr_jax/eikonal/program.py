@@ -31,9 +31,7 @@ Numbers: TypeAlias = Float[np.ndarray, "n"]
 Vectors: TypeAlias = Float[np.ndarray, "dim controls"]
 PerControl: TypeAlias = Float[np.ndarray, "controls"]
 Dofs: TypeAlias = Float[np.ndarray, "dofs"]
-
-ROUNDING = 1e-9
-"""Relative margin for rounding of values and slopes."""
+ROUNDING = 1e-9  # relative margin for rounding of values and slopes
 _TINY = float(np.finfo(float).tiny)
 # Number of parts of a cell along each axis in which the factor of costs is bounded, by the number of axes.
 _PARTS = {1: 16, 2: 8, 3: 3, 4: 2}
@@ -286,10 +284,7 @@ class SlopeProgram:
         return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 
     def losses_at_goals(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """Return losses of the goals' cells as if all flow there went straight to the goal; other cells have 0.
-
-        A flow that passes the cell would have no loss, although values behind the goal are far too low.
-        """
+        """Return losses of the goals' cells as if all flow there went straight to the goal; other cells have 0."""
         space, mesh, domain = self.space, self.space.mesh, self.space.mesh.domain
         nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion, domain.at(space.points))[1][:, 0]
         change = domain.difference(domain.width * self.at[nearest], domain.width * space.points)

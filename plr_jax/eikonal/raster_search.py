@@ -35,7 +35,6 @@ _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums
 # Lower bounds start this share below the distances, and are projected so often, by so much of the way that a
 # projection asks for. Where costs jump, 400 projections halve the gap that 100 leave.
 _SLACK, _PROJECTIONS, _RELAXATION = 0.02, 400, 1.5
-
 Raster = Float[np.ndarray, "rows columns"]
 AtCorners = Float[np.ndarray, "rows+1 columns+1"]
 Nearest = Int[np.ndarray, "rows columns"]
@@ -278,10 +277,7 @@ def _straight_costs(
     home: Int[np.ndarray, "k 2"],
     near: Int[np.ndarray, "nodes 2"],
 ) -> Float[np.ndarray, "k nodes"]:
-    """Return costs of straight motions from points in cells ``home`` to nodes around them.
-
-    The offset of a node from the center of the cell is ``near``, in half cells.
-    """
+    """Return costs of straight motions from points in cells ``home`` to nodes, ``near`` half cells off centers."""
     begin = points[:, None, ::-1] / side[::-1]
     change = home[:, None] + 0.5 + near / 2 - begin
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -307,10 +303,7 @@ def _mean_factor(
     slope_fn: Slope,
     from_sources: bool,
 ) -> np.ndarray:
-    """Return the mean cost factor along a straight motion by ``(i, j)`` cells, which depends on the slope.
-
-    ``height_at`` returns the heights of cells that are so many rows and columns away.
-    """
+    """Return the mean cost factor of the slopes along a motion by ``(i, j)`` cells; ``height_at`` takes offsets."""
     heights, count = [], max(abs(i), abs(j))
     for part in range(count + 1):
         (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))

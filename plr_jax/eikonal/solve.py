@@ -15,6 +15,7 @@ from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require
 from plr_jax._types import ArrayLike
 from plr_jax.eikonal.bounds import CostToGoField, plr_of_bytes, plr_on_mesh
 from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
+from plr_jax.eikonal.goals import Goals
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
@@ -37,8 +38,6 @@ _LEAF_SAMPLES = 64  # samples in a leaf of an estimate, in which the grid has fe
 _LEAST_COST = 1e-30  # least cost that 32 bits resolve
 _BESIDE = 1e-6  # share of the domain's width by which a goal may lie outside: a space may count such goals as free
 
-Goals = Float[np.ndarray, "goals dim"]
-
 
 def solve_eikonal(
     space: ConfigurationSpace | FreeTest,
@@ -53,16 +52,14 @@ def solve_eikonal(
 ) -> PLR:
     """Build a PLR of the cost-to-go of a configuration space, without an oracle or a roadmap.
 
-    With several goals, such as exits, the cost-to-go is that of the nearest, and ``plr.which(x)`` tells which one
-    that is.
+    With several goals, such as exits, the nearest counts, and ``plr.which(x)`` returns its index.
 
     With ``certified=False`` the PLR is an estimate, and takes about a second: scikit-fmm marches over a grid of
     160,000 nodes in the plane or up to a million in space, and continuous leaves compress the result. The mean error
     is mostly 0.01 to 0.5 %, as on the grid.
 
-    By default the PLR also has proven bounds, which takes longer. Cells are halved where that matters, and proven
-    free or blocked, or stay mixed. ``plr(x)`` is an estimate between ``plr.bounds(x)``, which hold for every point
-    from which the goal can be reached.
+    By default the PLR also has proven bounds, which takes longer. ``plr(x)`` is an estimate between
+    ``plr.bounds(x)``, which hold for every point from which the goal can be reached.
 
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
       every face that is not proven blocked, and nowhere steeper than a step costs. If costs are lengths and no axis
@@ -76,7 +73,8 @@ def solve_eikonal(
         goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free.
         cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
         max_leaves: Most leaves, at least 1. None: 2,000, or as many as ``max_bytes`` allows, if not certified; else
-            2,000 on a line, 10,000 in the plane, 50,000 in more dimensions. A certified PLR has a leaf for each cell.
+            2,000 on a line, 10,000 in the plane, 50,000 in more dimensions. A certified PLR has a leaf for each cell
+            of a mesh; cells are halved where bounds are loose.
         max_bytes: Most bytes of the file; None: no limit. If a leaf for each cell takes more, a certified PLR has
             fewer leaves than cells. Each then has the worst bounds of the cells that it meets, and an upper bound of
             ``inf`` if one of these has none.

@@ -22,7 +22,6 @@ _MOST_ROWS, _MOST_MET = 2**22, 2**26  # rows and voxels that the triangles meet,
 _AT_A_TIME = 2**15  # slabs or rows in a batch, which bounds the memory
 _TOUCHES = 1e-6  # voxels: a surface this close to a voxel meets it
 _FARTHEST = 2**30  # voxels: within this distance, rounding errors of coordinates stay below `_TOUCHES`
-
 Edges: TypeAlias = Float[np.ndarray, "_ 2 _ n"]
 Voxels: TypeAlias = Bool[np.ndarray, "x y z"]
 
