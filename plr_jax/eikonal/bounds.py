@@ -207,7 +207,7 @@ class CostToGoField:
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
-        """Three nodes of ``paths`` for each cell; -1 for a node to which not all straight motions are free."""
+        """Three nodes of ``paths`` for each cell, or -1 where a straight motion from the cell to it is not free."""
         mesh, paths = self.mesh, self.paths
         if self.program.costs.cost_map is not None:
             return np.full((0, len(mesh.state)), -1)
@@ -226,7 +226,7 @@ class CostToGoField:
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
-        """A margin for rounding, also of points: the cost of motions from just outside a cell into it."""
+        """A margin for rounding of values, and the cost of motions into a cell from points that count as in it."""
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
         way = costs.motion.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
@@ -235,7 +235,7 @@ class CostToGoField:
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
-        """Whether all straight motions to a cell's corner are free, from the cell and points beside its faces."""
+        """Whether all straight motions to a cell's corner are free, from the cell and from points just outside."""
         mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
         free = np.flatnonzero(mesh.state == CellState.FREE)
         is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE

@@ -114,7 +114,7 @@ def _straight_costs(
 
 
 def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Points) -> Float[np.ndarray, "n"]:
-    """Return the distance to the nearest goal, or the cost of the straight motion to it, at the goal's rate."""
+    """Return distances or straight costs to the nearest goal, by which costs-to-go are divided to remove kinks."""
     if _is_euclidean(space, goals, at_goals):
         return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
     least = np.full(len(x), np.inf)

@@ -51,10 +51,10 @@ def carried_goals(
 ) -> GoalIndex:
     """Return the goal to which each node's path leads, -1 without a path, given the goals of some nodes of a grid.
 
-    A path comes from the cheapest neighbor along each axis; a neighbor's share is the fall of cost to it, over the
-    squared step. Bits of the goals' indices, as numbers 1 and -1, are averaged with these shares along paths. The
-    averages have the signs of a goal's bits if more than half of all paths lead to it. If some check bits do not fit,
-    no goal has so many, and the node takes the goal of the neighbor with the largest share.
+    A node's path divides among its cheapest neighbors along the axes. A neighbor's share is the fall of the cost to
+    it, over the squared step. Bits of goal indices, as numbers 1 and -1, are averaged with these shares; so their
+    signs are the bits of the goal to which more than half of the path leads. Where check bits do not fit, there is no
+    such goal, and the node takes the goal of the neighbor with the largest share.
     """
     # 1. Shares of neighbors, in the order of costs.
     open_ = np.flatnonzero(np.isfinite(cost))

@@ -116,7 +116,7 @@ class Mesh:
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
 
     def locate(self, x: Fractions) -> CellIndex:
-        """Return the cell at each point, and the nearest cell outside of the domain; a face is in the upper cell."""
+        """Return the cell at each point: the upper cell on a face, the nearest cell outside of the domain."""
         most = (1 << self._finest) - 1
         slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most).ravel()
         first, node, (child, bit) = self.dim * np.arange(len(x)), np.zeros(len(x), np.int64), self._descent
@@ -144,7 +144,7 @@ class Mesh:
         return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
     def shared_boxes(self, cell: CellIndex, other: CellIndex) -> tuple[Fractions, Fractions, Fractions]:
-        """Return corners of the boxes that touching cells share, and shifts (-1, 0 or 1 periods) into ``other``."""
+        """Return corners of the box that each two touching cells share, and its shift (in periods) into ``other``."""
         (lo, hi), (low, high) = (
             [self.fractions(c, np.full(self.dim, end)) for end in (0.0, 1.0)] for c in (cell, other)
         )
@@ -163,7 +163,7 @@ class Mesh:
         return mesh
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
-        """Return the mesh with cells ``which`` halved, the first ones first, until no ``room`` for cells is left."""
+        """Return the mesh with cells ``which`` halved, the first ones first, while ``room`` for cells is left."""
         parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
         while num < len(which) and room >= most:
             batch = which[num : num + room // most]

@@ -137,7 +137,7 @@ def rescaling_of(
 
 @dataclass(frozen=True, eq=False)
 class SlopeSets:
-    """The convex set of gradients that a lower bound of the cost-to-go may have in each part of a cell.
+    """The convex sets for the gradient of a lower bound, one for each of its Bernstein coefficients in each cell.
 
     The gradient lies in a ball if costs are lengths, and in a product of balls if costs are sums of norms over groups
     of axes (``blocks``). If costs depend on the direction, minus the gradient lies in a ball around a point of the
@@ -284,7 +284,7 @@ class SlopeProgram:
         return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 
     def losses_at_goals(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """Return losses of the goals' cells as if all flow there went straight to the goal; other cells have 0."""
+        """Return :meth:`losses` of the goals' cells as if all flow there went straight to the goal; 0 for others."""
         space, mesh, domain = self.space, self.space.mesh, self.space.mesh.domain
         nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion, domain.at(space.points))[1][:, 0]
         change = domain.difference(domain.width * self.at[nearest], domain.width * space.points)
@@ -296,7 +296,7 @@ class SlopeProgram:
         return np.where(np.isin(mesh.open_cells, self.goal_cells), gap[mesh.open_cells], 0.0)
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
-        """Run iterations of the solver; before those in ``factor_at``, the method's penalties are set to the flow."""
+        """Run iterations of :class:`_Splitting`; before those in ``factor_at``, penalties are fitted to the flow."""
         if start is None:
             flow, inflow = np.zeros((self.dim, len(self.volume))), np.full(len(self.at), self.weight.sum())
             start = Iterate(np.zeros(len(self.weight)), flow, inflow)

@@ -198,7 +198,8 @@ def search(
 ) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
     """Find shortest paths to the sources ``points``, for raster cells of width and height ``side``.
 
-    Return their costs from centers and from corners (None with heights) of cells, the nearest sources, and the paths.
+    With heights, costs are multiplied by ``slope_fn`` of the slope, toward or ``from_sources``. Return the paths'
+    costs at the centers and at the corners (None with heights) of cells, the nearest sources, and the paths.
     """
     # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
@@ -303,7 +304,7 @@ def _mean_factor(
     slope_fn: Slope,
     from_sources: bool,
 ) -> np.ndarray:
-    """Return the mean cost factor of the slopes along a motion by ``(i, j)`` cells; ``height_at`` takes offsets."""
+    """Return the mean cost factor of the slopes along a motion by ``(i, j)`` cells, or back if ``from_sources``."""
     heights, count = [], max(abs(i), abs(j))
     for part in range(count + 1):
         (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
