@@ -228,13 +228,12 @@ def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Me
     if width.max() > _MOST_SLENDER * width.min():
         raise ValueError(
             f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
-            f"{max_cells} in {space.domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
+            f"{max_cells} in {domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
             f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
         )
-    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
-    position = position.reshape(-1, space.domain.dim)
+    position = np.indices(1 << depth).reshape(domain.dim, -1).T
     cells = Cells(np.tile(depth, (len(position), 1)), position)
-    return _mesh(space.domain, cells, *_classify(cells, space.domain, space))
+    return _mesh(domain, cells, *_classify(cells, domain, space))
 
 
 def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:

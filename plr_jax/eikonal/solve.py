@@ -128,9 +128,9 @@ def solve_eikonal(
     _require_goals(goal, is_fine, must, f": it does not lie in the domain {domain}")
     is_free = as_booleans("is_free", space.is_free(goals), len(goals))
     _require_goals(goal, is_free, must, ": it is in an obstacle, or too close to one")
-    # Of equal goals, the first counts.
-    at, first = np.unique(np.clip(at, 0.0, 1.0), axis=0, return_index=True)
-    at, first = at[np.argsort(first)], np.sort(first)
+    at = np.clip(at, 0.0, 1.0)
+    first = np.sort(np.unique(at, axis=0, return_index=True)[1])  # of equal goals, the first counts
+    at = at[first]
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
     if not certified:
         leaves = _MAX_LEAVES if max_leaves is None and max_bytes is None else max_leaves
