@@ -131,7 +131,7 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     around = np.stack([each for p in ends for each in (corner[p], 2 * middle - corner[p])])
     lower = np.interp(middle, *rescaling_of(*(each.ravel() for each in (around.min(0), around.max(0), factor))))
     # 4. Subtract the largest value that a source may have.
-    home = _homes(cost, side, points)
+    home = cells_of(points, side, cost.shape)
     to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
     home = tuple(home.T)
     most_at_sources = np.max(lower[home] + cost[home] * to_center)
@@ -139,8 +139,9 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     return np.where(np.isfinite(at_centers), least * lower, np.inf)
 
 
-def _homes(cost: Raster, side: Sides, points: Points) -> Int[np.ndarray, "k 2"]:
-    return np.minimum((points / side).astype(np.int64)[:, ::-1], np.array(cost.shape) - 1)
+def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, int]) -> Int[np.ndarray, "*k 2"]:
+    """Return rows and columns of the cells of points in a raster, relative to its lower corner."""
+    return np.minimum((points / side).astype(np.int64)[..., ::-1], np.array(shape) - 1)
 
 
 def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
@@ -150,7 +151,10 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
             f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
             f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
         )
-    cost, home = cost / least, tuple(_homes(cost, side, points)[::-1].T)  # scikit-fmm ignores some small costs
+    cost, home = (
+        cost / least,
+        tuple(cells_of(points, side, cost.shape)[::-1].T),
+    )  # scikit-fmm ignores some small costs
     front, label = np.full(cost.shape, side.min()), np.full(cost.shape, -1, np.int32)
     front[home], label[home] = -_TINY * side.min(), np.arange(len(points))[::-1]  # the first of several sources
     distance = np.where(label >= 0, 0.0, np.inf)
@@ -203,7 +207,7 @@ def search(
     """
     # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
-    home, (rows, columns) = _homes(cost, side, points), cost.shape
+    home, (rows, columns) = cells_of(points, side, cost.shape), cost.shape
     if height is not None:
         nearest_open: Any = ndimage.distance_transform_edt(
             np.isinf(cost), sampling=side[::-1], return_distances=False, return_indices=True
