@@ -231,7 +231,7 @@ def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Me
             f"{max_cells} in {domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
             f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
         )
-    position = np.indices(1 << depth).reshape(domain.dim, -1).T
+    position = np.indices((1 << depth).tolist()).reshape(domain.dim, -1).T
     cells = Cells(np.tile(depth, (len(position), 1)), position)
     return _mesh(domain, cells, *_classify(cells, domain, space))
 
