@@ -1,8 +1,4 @@
-"""Bounds of the cost-to-go on a mesh, an estimate between them, and their PLR.
-
-The PLR has a leaf for each cell of the mesh or, if bytes are limited, a partition of its own. The bounds of a leaf
-are the worst bounds of all cells that it meets.
-"""
+"""Bounds of the cost-to-go on a mesh, an estimate between them, and a PLR with both."""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -16,8 +12,8 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.estimate import GridEstimate
-from plr_jax.eikonal.goals import nearest_goals
-from plr_jax.eikonal.mesh import Mesh
+from plr_jax.eikonal.goals import Points, nearest_goals
+from plr_jax.eikonal.mesh import CellIndex, Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, SlopeProgram
 from plr_jax.oracles import VoxelGraph
@@ -43,12 +39,8 @@ _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-1
 # A warning says where an estimate is outside of its bounds by more than `_OFF` of the lower bound, or of `_NEAR`
 # times the largest lower bound if that is more.
 _OFF, _NEAR = 0.1, 0.01
-
 # Relative margin for the length of a straight line in 32 bits; range of lengths whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
-
-CellIndex: TypeAlias = Int[np.ndarray, "n"]
-Points: TypeAlias = Float[np.ndarray, "n dim"]
 Numbers: TypeAlias = Float[np.ndarray, "n"]
 AtCorners: TypeAlias = Float[np.ndarray, "n corners"]
 CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
@@ -56,7 +48,7 @@ CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
 
 @dataclass(frozen=True, eq=False)
 class MeshEstimate:
-    """An estimate of the cost-to-go, multilinear in each cell of a mesh; ``inf`` in blocked cells."""
+    """An estimate of the cost-to-go that is multilinear in each cell of a mesh, and ``inf`` in blocked cells."""
 
     mesh: Mesh
     corner_values: CellCorners  # 0 in blocked cells
@@ -116,7 +108,7 @@ class CostToGoField:
 
     @cached_property
     def estimate(self) -> MeshEstimate:
-        """The estimate, clipped to the bounds (with a warning if it is far off); unknown values come from nearby."""
+        """The estimate, clipped to the bounds; where it is unknown, nearby values are continued."""
         mesh, lower, upper = self.mesh, self._lower_at_corners, self._upper_at_corners
         node, cell = mesh.corners[mesh.open_cells], mesh.open_cells
         excess = np.where(np.isfinite(self.nodal_estimate), self.nodal_estimate, np.nan)[node] - lower[cell]
@@ -134,7 +126,6 @@ class CostToGoField:
         return MeshEstimate(mesh, values)
 
     def which(self, x: Points) -> CellIndex:
-        """Return the index of the goal to which the shortest path from each point leads."""
         mesh = self.mesh
         if self.nodal_goal is None:
             assert self.guide is not None
@@ -155,11 +146,11 @@ class CostToGoField:
         return float((self._upper_at_corners - self._lower_at_corners)[known].mean()) if known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Bound the cost-to-go minus multilinear functions from both sides, over boxes in cells that are not blocked.
+        """Return lower and upper bounds of the cost-to-go minus multilinear functions, over boxes in open cells.
 
-        Boxes are in local coordinates of their cell, functions are given by their values at the boxes' ``corners``.
+        Boxes are in local coordinates of their cells. ``corners`` are the functions' values at the boxes' corners.
         The bounds also hold at points that rounding may place in a box, with the function at the box's nearest point.
-        Upper bounds are ``inf`` if no path is known from all free points.
+        Upper bounds are ``inf`` if paths are not known from all free points of a box.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
@@ -199,7 +190,7 @@ class CostToGoField:
         return below, above
 
     def _below_straight(self, lo: Points, hi: Points) -> AtCorners:
-        """Return, at corners of boxes, concave lower bounds of the cost of straight motions to the nearest goal."""
+        """Return, at corners of boxes, lower bounds of the cost to the nearest goal, concave over each box."""
         costs, domain, bits = self.program.costs, self.mesh.domain, corner_bits(self.mesh.dim)
         if domain.is_periodic:  # costs of motions either way around are not convex
             return np.zeros((len(lo), len(bits)))
@@ -216,7 +207,7 @@ class CostToGoField:
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
-        """For each cell, three path nodes to which all straight motions from the cell are free; -1 for others."""
+        """Three nodes of ``paths`` for each cell, or -1 where a straight motion from the cell to it is not free."""
         mesh, paths = self.mesh, self.paths
         if self.program.costs.cost_map is not None:
             return np.full((0, len(mesh.state)), -1)
@@ -235,7 +226,7 @@ class CostToGoField:
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
-        """A margin for rounding, including motions to a cell from points that rounding places in it."""
+        """A margin for rounding of values, and the cost of motions into a cell from points that count as in it."""
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
         way = costs.motion.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
@@ -244,7 +235,7 @@ class CostToGoField:
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
-        """Whether straight motions to a cell's corner are free from all points that rounding places in the cell."""
+        """Whether all straight motions to a cell's corner are free, from the cell and from points just outside."""
         mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
         free = np.flatnonzero(mesh.state == CellState.FREE)
         is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE
@@ -268,7 +259,7 @@ class CostToGoField:
 
 
 def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> CellCorners:
-    """Replace unknown values (NaN) at nodes by means of known values in their cells, cell by cell outward."""
+    """Replace NaN at nodes by averages of known values in the same cells, repeatedly; 0 where nothing is known."""
     values, num = values.copy(), int(node.max()) + 1
     while True:
         known = np.isfinite(values)
@@ -284,7 +275,7 @@ def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> Cell
 
 
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
-    """Return a PLR with a leaf for each cell, continuous across open faces; None if its file is too large."""
+    """Return a PLR with a leaf for each cell, continuous between open cells; None if its file is too large."""
     mesh = estimate.mesh
     closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
     step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
@@ -299,7 +290,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Build a PLR of an estimate in at most ``max_bytes`` bytes, with proven bounds unless ``field`` is None."""
+    """Build a PLR of an estimate with a partition of its own, and with proven bounds unless ``field`` is None."""
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     limits = check_limits(
@@ -318,11 +309,10 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 
 def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
-    """Add proven bounds to each leaf: the worst over all cells of the mesh that meet it."""
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
-    # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself
-    #    or, for a flush blocked cell, each open cell beside it, over what they share.
+    # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself or, for
+    #    a flush blocked cell, each open cell beside it, over what they share. The worst bounds count.
     leaf, cell = overlapping_leaves(tree, mesh.tree)
     order = np.argsort(cell, kind="stable")
     flush, beside = mesh.flush_pairs
@@ -366,7 +356,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
 
 
 def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
-    """Return goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if it has another form."""
+    """Return goal, rate and margin of a lower bound ``rate * |x - goal| - margin``, None if it is of another form."""
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
     (_, weight), *others = costs.motion.blocks

@@ -1,10 +1,8 @@
-"""Finite elements of degree 1 or 2 that are continuous across the open faces of a mesh.
+"""Finite elements of degree 1 or 2 that are continuous across faces between cells that are not blocked.
 
-An open face is between two cells that are not blocked. Each cell has a lattice of ``degree + 1`` nodes along every
-axis. Nodes of two cells at the same point of an open face are identified. A node on a face of a larger cell that has
-no node there *hangs*: it takes the value of that cell's polynomial. The other nodes are degrees of freedom. Bernstein
-coefficients of the gradient (control vectors) enclose the gradient, so a convex condition on all of them holds
-everywhere in the cell.
+A node on a face of a larger cell that has no node there *hangs*: it takes the value of that cell's polynomial. The
+other nodes are degrees of freedom. Bernstein coefficients of the gradient (control vectors) enclose the gradient, so
+a convex condition on all of them holds everywhere in the cell.
 """
 
 from dataclasses import dataclass
@@ -26,7 +24,7 @@ _TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1
 
 @dataclass(frozen=True, eq=False)
 class FunctionSpace:
-    """The continuous piecewise polynomials on a mesh, of ``degree`` along every axis."""
+    """The continuous piecewise polynomials on a mesh, of degree 1 or 2 along every axis."""
 
     mesh: Mesh
     degree: int
@@ -36,11 +34,11 @@ class FunctionSpace:
     node_of: Int[np.ndarray, "dofs"]  # a node of each degree of freedom, numbered like the rows of `values`
 
     def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
-        """Return the matrix from degrees of freedom to values at points of cells, from 0 to 1 along each axis."""
+        """Return the matrix from degrees of freedom to values at points ``t``, in their cells' local coordinates."""
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
-        """Return, by axis, the matrix to Bernstein coefficients of the derivative by coordinates times ``scale``."""
+        """Return, by axis, the matrix from degrees of freedom to Bernstein coefficients of the derivative / scale."""
         # Rows are `number * nodes_of_cell + control point` for the cells that are not blocked.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
         rows = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
@@ -68,7 +66,7 @@ class FunctionSpace:
 
 
 def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n nodes"]:
-    """Evaluate the basis functions of a cell's nodes at points ``t``, from 0 to 1 along all axes of the cell."""
+    """Evaluate the basis functions of a cell's nodes at points ``t``, in local coordinates from 0 to 1."""
     if degree == 1:
         along = np.stack([1 - t, t], axis=-1)
     else:
@@ -85,7 +83,6 @@ def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
 
 
 def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
-    """Build the piecewise polynomials that are continuous across faces between cells that are not blocked."""
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
     # 1. Find nodes that are one with a node of another cell, and nodes that hang on a cell, with their place in it.

@@ -1,13 +1,9 @@
 """An estimate of the cost-to-go on a regular grid, interpolated between its nodes.
 
-- If motions cost the same in every direction, a front marches over the grid from the goal (``march.py``).
-- If costs depend on the direction, or are the sum of norms of several groups of axes (as for a body that turns),
-  shortest paths over edges of several steps are the estimate. They are up to a few percent too long.
-
-Walls are moved to the nearest nodes. Many nodes cost less time than a correction for this would.
-
-With several goals, one front starts from all of them. Near the goals it is known to which of them the path of a node
-leads. Elsewhere this follows from the differences of costs.
+If motions cost the same in every direction, a front marches over the grid from all goals (``march.py``). If costs
+depend on the direction, or are the sum of norms of several groups of axes (as for a body that turns), the estimate is
+the cost of shortest paths over edges of several steps, which are up to a few percent too long. Walls are moved to the
+nearest nodes: many nodes cost less time than a correction for this would.
 """
 
 from dataclasses import dataclass
@@ -22,7 +18,7 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax.eikonal.goals import carried_goals, nearest_goals
+from plr_jax.eikonal.goals import Goals, Points, carried_goals, nearest_goals
 from plr_jax.eikonal.march import Costs, GoalIndex, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
 from plr_jax.geometry.box import Box
 from plr_jax.oracles import GridField
@@ -34,6 +30,7 @@ from plr_jax.spaces import (
     PlaneSpace,
     RasterCost,
     VoxelSpace,
+    motion_rates,
     point_costs,
     pulled,
 )
@@ -51,53 +48,34 @@ _BLOCK = 8  # cells along each axis of the blocks that are classified first
 _CLEAR = 1e-3  # half width, in steps, of the free box around an open node
 _RADIUS = {1: 100.0, 2: 32.0, 3: 12.0}  # of balls around goals, in shortest steps, by the number of axes
 _NEAR_GOALS = 4  # most goals to which each node has a straight motion
-
-Points = Float[np.ndarray, "n dim"]
-Goals = Float[np.ndarray, "goals dim"]
 Shape = tuple[int, ...]
 CellStates = Int8[np.ndarray, "*shape"]
 Nodes = Float[np.ndarray, "*shape dim"]
+# Costs of motions at points: a factor of the norm, and perhaps two vectors: the larger scalar product is added.
+Rates = tuple[Float[np.ndarray, "places"], Float[np.ndarray, "2 places dim"] | None]
 
 
 @dataclass(frozen=True, eq=False)
 class GridEstimate:
-    """The cost-to-go at the nodes of a grid, interpolated between them.
-
-    Attributes:
-        at_goals: Factors of the norm and pulls (see :class:`CellCosts`) of the cost of motions at the goals; pulls
-            may be None.
-        ratio: The cost-to-go, divided by the cost of the straight motion to a goal if all motions cost as at the
-            goal, or by the distance to the nearest of several goals.
-        cost: The cost-to-go at each node; ``inf`` where no path leads to a goal.
-        known_goal: The goals to which the paths of some nodes lead, else -1.
-        unseen: Indices of the goals that no node sees.
-    """
+    """The cost-to-go at the nodes of a grid, interpolated between them."""
 
     space: ConfigurationSpace
     goals: Goals
-    at_goals: tuple[Float[np.ndarray, "goals"], Float[np.ndarray, "2 goals dim"] | None]
-    ratio: GridField
-    cost: Costs
-    known_goal: GoalIndex
-    unseen: Int[np.ndarray, "unseen"]
+    at_goals: Rates  # the cost of motions at the goals
+    ratio: GridField  # the cost-to-go divided by a function with the same kinks at the goals: see `_divisors`
+    cost: Costs  # the cost-to-go at each node; inf where no path leads to a goal
+    known_goal: GoalIndex  # the goal to which the path of each node leads, -1 where unknown
+    unseen: Int[np.ndarray, "unseen"]  # indices of the goals that no node sees
 
     def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
-        """Return the estimate at points of the domain; ``inf`` if no adjacent node reaches the goal."""
+        """Return the estimate at points of the domain; ``inf`` if no path leads from an adjacent node to a goal."""
         ratio, is_open = self.ratio.interpolated(x)
         beside = np.flatnonzero(~is_open & np.isfinite(ratio))
         ratio[beside[~self.space.is_free(x[beside])]] = np.inf
         return ratio * _divisors(self.space, self.goals, self.at_goals, x)
 
-    @property
-    def largest(self) -> float:
-        """The largest finite cost at a node; ``-inf`` if no node reaches the goal."""
-        return float(self.cost.max(where=np.isfinite(self.cost), initial=-np.inf))
-
     def which(self, x: Points) -> Int[np.ndarray, "n"]:
-        """Return the index of the goal to which the shortest path from each point of the domain leads.
-
-        Where no adjacent node reaches a goal, it is the goal of the nearest node that does.
-        """
+        """Return the index of the goal to which the shortest path from each point of the domain leads."""
         box, shape = self.ratio.bounds, np.array(self.cost.shape)
         place = ((box.wrapped(x) - box.lo) / box.width * shape).astype(np.intp)
         goal = self.node_goal[tuple(np.clip(place, 0, shape - 1).T)]
@@ -111,12 +89,12 @@ class GridEstimate:
         return goal
 
     def which_reached(self, x: Points) -> Int[np.ndarray, "n"]:
-        """Return the index of each point's goal as :meth:`which` does, but -1 where the estimate is ``inf``."""
+        """Return what :meth:`which` returns, but -1 at points where the estimate is ``inf``."""
         return np.where(np.isfinite(self(x)), self.which(x), -1)
 
     @cached_property
     def node_goal(self) -> GoalIndex:
-        """The goal to which the path of each node leads; at nodes without a path, that of the nearest other node."""
+        """The goal to which the path of each node leads; for nodes without a path, the goal of the nearest node."""
         side = self.ratio.bounds.width / self.cost.shape
         goal = carried_goals(self.cost, self.known_goal, side, self.space.domain.periodic, len(self.goals))
         if (goal < 0).all():
@@ -128,45 +106,34 @@ class GridEstimate:
 
 
 def _straight_costs(
-    space: ConfigurationSpace,
-    at: tuple[Float[np.ndarray, "#n"], Float[np.ndarray, "2 #n dim"] | None],
-    change: Points,
+    space: ConfigurationSpace, rates: Rates, index: Int[np.ndarray, "n"], change: Points
 ) -> Float[np.ndarray, "n"]:
-    """Return the costs of straight motions, given factors of their norm and pulls."""
-    factor, pulls = at
-    return factor * space.motion_cost.norm(change) + pulled(
-        None if pulls is None else np.broadcast_to(pulls, (2, *change.shape)), change
-    )
+    """Return the costs of straight motions, each at the rate of a point, given by its index."""
+    factor, pulls = rates
+    return factor[index] * space.motion_cost.norm(change) + pulled(None if pulls is None else pulls[:, index], change)
 
 
-def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Any, x: Points) -> Float[np.ndarray, "n"]:
-    """Return the numbers by which costs-to-go are divided for interpolation. Both have the same kinks at goals."""
+def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Points) -> Float[np.ndarray, "n"]:
+    """Return distances or straight costs to the nearest goal, by which costs-to-go are divided to remove kinks."""
     if _is_euclidean(space, goals, at_goals):
         return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
     least = np.full(len(x), np.inf)
-    for number, goal in enumerate(goals):
-        some = slice(number, number + 1)
-        at = at_goals[0][some], None if at_goals[1] is None else at_goals[1][:, some]
-        least = np.minimum(
-            least, _straight_costs(space, at, space.domain.difference(np.broadcast_to(goal, x.shape), x))
-        )
+    for number in range(len(goals)):
+        index = np.full(len(x), number)
+        change = space.domain.difference(goals[index], x)
+        least = np.minimum(least, _straight_costs(space, at_goals, index, change))
     return least
 
 
-def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Any) -> bool:
-    """Return whether divisors are distances to several goals: quicker than costs, whose ratio differs by a factor."""
+def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> bool:
+    # Distances to several goals take less time than costs.
     return len(goals) > 1 and len(space.motion_cost.blocks) == 1 and at_goals[1] is None
 
 
 def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
 ) -> GridEstimate:
-    """Estimate the cost-to-go on a grid of some 160,000 nodes in the plane, 200,000 to a million in space.
-
-    Nodes are the centers of voxels, or of the cells of a :class:`RasterCost` that fills the domain. If these are few,
-    each cell is divided into an odd number of parts along each axis. For ``num_leaves`` leaves there are at least 16
-    nodes each, up to rounding. Several goals must differ.
-    """
+    """Estimate the cost-to-go on a grid of at least 16 nodes for each of ``num_leaves`` leaves. Goals must differ."""
     domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
     box, shape = _grid(space, cost_map, is_isotropic, num_leaves * _NODES_A_LEAF)
@@ -176,7 +143,7 @@ def grid_estimate(
 
     # 1. The costs of motions at open nodes and at the goals.
     factor, pulls = np.ones(shape), None
-    at_goals: tuple[Any, Any] = (np.ones(len(goals)), None)
+    at_goals: Rates = np.ones(len(goals)), None
     if cost_map is not None:
         factor[is_open], pulls_of_open = point_costs(motion, cost_map, node[is_open])
         at_goals = point_costs(motion, cost_map, goals)
@@ -186,6 +153,7 @@ def grid_estimate(
 
     # 2. The cost of straight motions from open nodes to goals near them; inf if no motion is free.
     flat = node.reshape(-1, dim)
+    at_nodes = factor.ravel(), None if pulls is None else pulls.reshape(2, -1, dim)
     distance, nearest = nearest_goals(goals, domain, motion, flat, min(len(goals), _NEAR_GOALS))
     radius = _RADIUS[dim] * float(side.min()) / len(goals) ** (0.5 / dim)  # less, the more goals there are
     reach = radius + 2 * np.linalg.norm(side)
@@ -205,14 +173,12 @@ def grid_estimate(
         near, change = near[sees], change[sees]
         if rank == 0:
             sees_nearest.ravel()[near] = True
-        here = factor.ravel()[near], None if pulls is None else pulls.reshape(2, -1, dim)[:, near]
         goal = index[near]
         is_seen[goal] = True
-        there = at_goals[0][goal], None if at_goals[1] is None else at_goals[1][:, goal]
-        costs = (_straight_costs(space, here, change) + _straight_costs(space, there, change)) / 2
+        costs = _straight_costs(space, at_nodes, near, change) + _straight_costs(space, at_goals, goal, change)
+        costs = costs / 2
         if cost_map is not None:  # by Simpson's rule
-            halfway = point_costs(motion, cost_map, flat[near] + change / 2)
-            costs = (costs + 2 * _straight_costs(space, halfway, change)) / 3
+            costs = (costs + 2 * motion_rates(motion, cost_map, flat[near] + change / 2, change)) / 3
         better = costs < straight.ravel()[near]
         straight.ravel()[near[better]], known.ravel()[near[better]] = costs[better], goal[better]
 
@@ -256,11 +222,11 @@ def grid_estimate(
 def _grid(
     space: ConfigurationSpace, cost_map: CostMap | None, is_isotropic: bool, num_nodes: int
 ) -> tuple[Box, Shape]:
-    """Return a box and its number of cells along each axis; the cell centers are the nodes of the grid.
+    """Return a box and its number of cells along each axis; the centers of these cells are the nodes of the grid.
 
-    There are about ``num_nodes``, but not fewer than the default for this dimension. Without a raster, the first and
-    the last nodes lie on the domain's faces, and steps are round decimals if these fit: walls often have round
-    coordinates.
+    There are at least ``num_nodes``, up to rounding. Nodes are centers of voxels, or of cells of a raster that fills
+    the domain, or of an odd number of parts of each along each axis. Otherwise the outermost nodes lie on the
+    domain's faces, and steps are round decimals if these fit: walls often have round coordinates.
     """
     domain = space.domain
     # 1. The centers of given cells, unless these are too many.
@@ -293,7 +259,7 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return the state of each cell of a grid, which nodes (centers) are open to paths, and which touch no wall."""
+    """Return the state of each grid cell, whether paths may pass its center, and whether that touches no wall."""
     domain = space.domain
 
     def classified(lo, hi):
@@ -355,14 +321,14 @@ def _over_stencil(
     cells: CellStates,
     is_open: IsOpen,
     node: Nodes,
-    costs: tuple[Costs, Any],
+    costs: tuple[Costs, Float[np.ndarray, "2 *shape dim"] | None],
     straight: Costs,
     goal: GoalIndex,
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    """Return costs of shortest paths over edges of a few steps along axes that share a norm, and their goals.
+    """Return costs of shortest paths over edges of a few steps within a group of axes, and goals of the paths.
 
-    Their last edges are motions of costs ``straight``, which lead to ``goal``.
+    The last edge of a path is a motion from a node to the goal of index ``goal``, of cost ``straight``.
     """
     domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs

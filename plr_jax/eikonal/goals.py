@@ -1,4 +1,4 @@
-"""The nearest of several goals: by straight motions, or by the path from a grid node, read from nodes' costs."""
+"""The nearest of several goals, by distance or along the shortest path from a node of a grid."""
 
 from typing import Any
 
@@ -13,13 +13,13 @@ from plr_jax.geometry.box import Box
 from plr_jax.spaces import MotionCost
 
 Points = Float[np.ndarray, "n dim"]
+Goals = Float[np.ndarray, "goals dim"]
 GoalIndex = Int[np.ndarray, "*shape"]
-
-_CHECK_BITS = 8  # of the code of a goal that is found among several
+_CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 
 
 def nearest_goals(
-    goals: Float[np.ndarray, "goals dim"], domain: Box, motion: MotionCost, x: Points, count: int = 1
+    goals: Goals, domain: Box, motion: MotionCost, x: Points, count: int = 1
 ) -> tuple[Float[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
     """Return Euclidean distances to the nearest goals, nearest first, and the indices of these goals.
 
@@ -51,10 +51,10 @@ def carried_goals(
 ) -> GoalIndex:
     """Return the goal to which each node's path leads, -1 without a path, given the goals of some nodes of a grid.
 
-    The cost of a node depends on its cheapest neighbor along each axis, in shares that are the differences over the
-    squared steps. Bits of the goals' indices, as numbers 1 and -1, are averaged with these shares, so their signs
-    tell the goal of more than half of the shares. Check bits tell where no goal has so much; a node there takes the
-    goal of the neighbor with the largest share.
+    A node's path divides among its cheapest neighbors along the axes. A neighbor's share is the fall of the cost to
+    it, over the squared step. Bits of goal indices, as numbers 1 and -1, are averaged with these shares; so their
+    signs are the bits of the goal to which more than half of the path leads. Where check bits do not fit, there is no
+    such goal, and the node takes the goal of the neighbor with the largest share.
     """
     # 1. Shares of neighbors, in the order of costs.
     open_ = np.flatnonzero(np.isfinite(cost))

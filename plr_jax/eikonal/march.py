@@ -1,12 +1,9 @@
-"""Fast marching over a regular grid, from exact costs around the goals, without the error at corners.
+"""Fast marching over a regular grid by scikit-fmm, from exact costs around the goals, without the error at corners.
 
-scikit-fmm marches to second order. Its stencils have no diagonals, so no path passes where two obstacles touch in an
-edge or a corner. Behind corners the error is proportional to the step. Richardson extrapolation from a march over
-every second node removes this part, if the walls lie on these nodes and costs do not jump.
+Stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner.
 
-References:
-    Sethian, "A fast marching level set method for monotonically advancing fronts", 1996.
-    Richardson, "The deferred approach to the limit", 1927.
+References: Sethian, "A fast marching level set method for monotonically advancing fronts", 1996. Richardson, "The
+deferred approach to the limit", 1927.
 """
 
 from typing import Any, cast
@@ -21,7 +18,6 @@ _NO_TIME = 1e-9  # of a step, for a node on the first front
 # Costs of two nodes two steps apart do not jump up to this factor. An error that differs by more than this share
 # between two grids does not fall as the step does.
 _NO_JUMP, _LARGEST_CHANGE = 1.35, 0.02
-
 IsOpen = Bool[np.ndarray, "*shape"]
 Costs = Float[np.ndarray, "*shape"]
 Sides = Float[np.ndarray, "dim"]
@@ -39,11 +35,11 @@ def balls(
     radius: float,
     side: Sides,
 ) -> tuple[Costs, float]:
-    """Return costs of nodes in balls around the goals, in which paths are straight, and where to begin a march.
+    """Return the cost-to-go of nodes in balls around the goals, ``inf`` elsewhere, and the cost at which to march on.
 
-    ``at_goal`` and ``lengths`` are the slowness at the nearest goal, which ``sees_nearest`` nodes see, and the
-    distance from it. Motions of costs ``straight`` lead to ``goal``. All nodes of a ball see the goal, and cost about
-    as much as the goal, except the cheapest node. The march begins at nodes up to the returned cost.
+    Nodes of a ball see its goal, at about the goal's slowness; each goal's cheapest node is in a ball in any case.
+    ``at_goal``, ``sees_nearest`` and ``lengths`` are the slowness at each node's nearest goal, whether the node sees
+    it, and the distance. Motions of cost ``straight`` lead to ``goal``.
     """
     differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
     stops = is_open & (~sees_nearest | differs | (lengths >= radius))
@@ -62,11 +58,11 @@ def balls(
 def marched(
     is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
 ) -> Costs:
-    """Return the costs of nodes by marching from those whose known costs, ``start``, are at most ``level``.
+    """Return the costs of nodes by marching from the nodes whose known costs, ``start``, are at most ``level``.
 
-    scikit-fmm begins at a surface that cuts edges between nodes. The times of the ends of these edges are their
-    distances to the surface, by a formula that errs by a share of a step, times their slowness, which serves for
-    nothing else. So these nodes get the slowness for which their times are right. Times inside count as negative.
+    scikit-fmm starts at a surface that cuts edges between nodes. It uses the slowness of the ends of such an edge
+    only to compute their times from their distances to the surface, with a large error. So these nodes get the
+    slowness for which their times are right. Times on the side of the known nodes count as negative.
     """
     is_core = start <= level
     known, inverse_square = start.copy(), np.zeros(is_open.shape)
@@ -98,7 +94,7 @@ def marched(
 
 
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
-    """Return whether every second node makes a grid with the same walls, and costs do not jump between nodes."""
+    """Return whether every second node makes a grid with the same walls, and costs do not jump between its nodes."""
     if any(n % 2 == 0 for n in is_open.shape):
         return False
     for axis in range(is_open.ndim):
@@ -114,10 +110,7 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
 
 
 def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, side: Sides) -> Costs:
-    """Remove the part of the error that is proportional to the step, by Richardson extrapolation.
-
-    March again over every second node, from the given costs up to ``level``, and add the difference of both results.
-    """
+    """Remove the error that is proportional to the step, by Richardson extrapolation from every second node."""
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]
     twice = marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))

@@ -17,11 +17,10 @@ from plr_jax.plr.faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 
-_COARSE = 4  # boxes of the grid that locates points, for each cell
 _MOST_SLENDER = 2e5  # largest ratio of a cell's widths: beyond it, the equations lose all digits along the long axis
+_NO_BIT = 62  # a bit that is 0 in every slot: descents stop at leaves
 _LONG = 0.7  # a cell is halved along axes in which it is wider than this share of its largest width
 _LEAST_PERIODIC = 2  # least number of halvings of a periodic axis: no two cells may touch on both sides
-
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
 Fractions: TypeAlias = Float[np.ndarray, "n dim"]
 Corners: TypeAlias = tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]
@@ -86,15 +85,11 @@ class Mesh:
         return points, node.reshape(len(self.cells), -1)
 
     @cached_property
-    def _coarse(self) -> tuple[Int[np.ndarray, "dim"], Int[np.ndarray, "..."]]:
-        """A grid to locate points: its halvings along each axis, and each box's smallest tree node around it."""
-        depth = np.zeros(self.dim, np.int64)
-        while (depth < self._finest).any() and 2 ** (depth.sum() + 1) <= _COARSE * len(self.state):
-            depth[np.argmax(self._finest - depth)] += 1
-        shape = tuple(1 << depth)
-        box = np.stack(np.unravel_index(np.arange(np.prod(shape)), shape), axis=1)
-        node = self._descended(np.zeros(len(box), np.int64), box << (self._finest - depth), depth)
-        return depth, node.reshape(shape)
+    def _descent(self) -> Int[np.ndarray, "2 nodes"]:
+        """For each tree node, its lower child (itself for leaves), and the bit of a slot that chooses the child."""
+        tree, node = self.tree, np.arange(len(self.tree.child))
+        bit = self._finest[tree.axis] - tree.cells.depth[node, tree.axis] - 1
+        return np.where(tree.child < 0, [node, np.full_like(node, _NO_BIT)], [tree.child, bit])
 
     @property
     def nodes(self) -> Float[np.ndarray, "nodes dim"]:
@@ -109,11 +104,6 @@ class Mesh:
     def volumes(self) -> Float[np.ndarray, "cells"]:
         return self.widths.prod(axis=1)
 
-    @property
-    def inset(self) -> Float[np.ndarray, "dim"]:
-        """A quarter of the smallest cell's width along each axis, as a fraction of the domain."""
-        return np.ldexp(0.25, -self._finest)
-
     def fractions(self, cell: Int[np.ndarray, "*#n"], t: Num[np.ndarray, "*#n dim"]) -> Float[np.ndarray, "*_ dim"]:
         return np.ldexp(self.cells.position[cell] + t, -self.cells.depth[cell])
 
@@ -126,24 +116,13 @@ class Mesh:
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
 
     def locate(self, x: Fractions) -> CellIndex:
-        """Return the cells that contain points, given as fractions: the upper of several, the nearest outside."""
+        """Return the cell at each point: the upper cell on a face, the nearest cell outside of the domain."""
         most = (1 << self._finest) - 1
-        slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most)
-        depth, node = self._coarse
-        return self.tree.leaf_of_node[self._descended(node[tuple((slot >> (self._finest - depth)).T)], slot)]
-
-    def _descended(
-        self, node: CellIndex, slot: Int[np.ndarray, "n dim"], most: Int[np.ndarray, "dim"] | None = None
-    ) -> CellIndex:
-        tree, row, node = self.tree, np.arange(len(node)), node.copy()
-        while True:
-            at, axis = node[row], tree.axis[node[row]]
-            depth = tree.cells.depth[at, axis]
-            below = tree.child[at] >= 0 if most is None else (tree.child[at] >= 0) & (depth < most[axis])
-            row, at, axis, depth = row[below], at[below], axis[below], depth[below]
-            if not len(row):
-                return node
-            node[row] = tree.child[at] + (slot[row, axis] >> (self._finest[axis] - depth - 1) & 1)
+        slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most).ravel()
+        first, node, (child, bit) = self.dim * np.arange(len(x)), np.zeros(len(x), np.int64), self._descent
+        for _ in self.tree.splits:
+            node = child[node] + (slot[first + self.tree.axis[node]] >> bit[node] & 1)
+        return self.tree.leaf_of_node[node]
 
     @property
     def open_cells(self) -> Int[np.ndarray, "open"]:
@@ -160,12 +139,12 @@ class Mesh:
 
     @property
     def flush_pairs(self) -> Int[np.ndarray, "2 pairs"]:
-        """Pairs of a blocked cell that borders on free space, and a cell that touches it and is not blocked."""
+        """Indices of each flush blocked cell (in row 0) and each open cell that touches it (in row 1)."""
         flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
         return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
     def shared_boxes(self, cell: CellIndex, other: CellIndex) -> tuple[Fractions, Fractions, Fractions]:
-        """Return the ends of the boxes that touching cells share, and the turns (-1, 0, 1) across periodic seams."""
+        """Return corners of the box that each two touching cells share, and its shift (in periods) into ``other``."""
         (lo, hi), (low, high) = (
             [self.fractions(c, np.full(self.dim, end)) for end in (0.0, 1.0)] for c in (cell, other)
         )
@@ -173,7 +152,6 @@ class Mesh:
         return np.maximum(lo, low - turn), np.minimum(hi, high - turn), turn
 
     def connected_to(self, cells: CellIndex | int) -> Mask:
-        """Return a mask of the cells that chains of open faces connect to any of the given cells."""
         num, faces = len(self.state), self.open_faces
         graph = coo_array((np.ones(len(faces), bool), (faces.lower, faces.upper)), (num, num))
         part = connected_components(graph, directed=False)[1]
@@ -184,23 +162,16 @@ class Mesh:
         mesh.state = state
         return mesh
 
-    def with_blocked(self, is_closed: Mask) -> "Mesh":
-        return self.with_state(np.where(is_closed, np.int8(CellState.BLOCKED), self.state))
-
-    def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int | None = None) -> "Mesh":
-        """Return the mesh with cells ``which``, in this order, halved along all their long axes.
-
-        At most ``room`` cells are added; None: any number. If halving a mixed cell along one axis gives a half that
-        is proven free or blocked, only this axis is halved, so that walls along halves of cells take few cells.
-        """
+    def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
+        """Return the mesh with cells ``which`` halved, the first ones first, while ``room`` for cells is left."""
         parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
-        while num < len(which) and (room is None or room >= most):
-            batch = which[num:] if room is None else which[num : num + room // most]
+        while num < len(which) and room >= most:
+            batch = which[num : num + room // most]
             children, *of_children = self._parts(batch, space)
             parts.append(children)
             known.append(of_children)
             num += len(batch)
-            room = None if room is None else room - len(children) + len(batch)
+            room -= len(children) - len(batch)
         stays = np.ones(len(self.state), bool)
         stays[which[:num]] = False
         known.insert(0, (self.state[stays], self.is_flush[stays]))
@@ -217,7 +188,7 @@ class Mesh:
             halved = halved.split(np.full(len(halved), axis))
         for known, of_parts in zip((state, is_flush), _classify(halved, self.domain, space), strict=True):
             known[mixed] = of_parts.reshape(-1, len(bits))
-        # 2. Choose one axis that gives a proven half, else all long axes.
+        # 2. Choose one axis that gives a proven half, so that walls along halves take few cells, else all long axes.
         width = self.widths[which] * space.motion_cost.scale
         width = width / width.max(axis=1, keepdims=True)
         halves = np.stack([state[:, bits[:, axis] == end] for axis in range(self.dim) for end in (0, 1)], axis=1)
@@ -239,7 +210,7 @@ class Mesh:
 
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:
-    """Return a mesh of equal cells of similar widths: at least ``num_cells``, if ``max_cells`` allows."""
+    """Return a mesh of equal cells about as wide as long: at least ``num_cells``, if ``max_cells`` allows."""
     domain, scale = space.domain, space.motion_cost.scale
     width = domain.width * scale
     least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
@@ -257,13 +228,12 @@ def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Me
     if width.max() > _MOST_SLENDER * width.min():
         raise ValueError(
             f"max_leaves must be so many that no cell is more than {_MOST_SLENDER:,.0f} times as long as wide, but "
-            f"{max_cells} in {space.domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
+            f"{max_cells} in {domain} are {width.max() / width.min():,.0f} times: allow more, or leave out "
             f"axis {np.argmin(width)}, along which the cost-to-go changes by nothing beside the others."
         )
-    position = np.stack(np.meshgrid(*(np.arange(1 << d) for d in depth), indexing="ij"), axis=-1)
-    position = position.reshape(-1, space.domain.dim)
+    position = np.indices((1 << depth).tolist()).reshape(domain.dim, -1).T
     cells = Cells(np.tile(depth, (len(position), 1)), position)
-    return _mesh(space.domain, cells, *_classify(cells, space.domain, space))
+    return _mesh(domain, cells, *_classify(cells, domain, space))
 
 
 def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:
@@ -272,9 +242,7 @@ def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:
 
 
 def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> tuple[States, Mask]:
-    """Return the state of cells, and which are blocked although rounding may place free points there (flush)."""
-    if not len(cells):
-        return np.zeros(0, np.int8), np.zeros(0, bool)
+    """Return the state of cells, and whether each is flush: blocked, but rounding may place free points in it."""
     state = as_states(space.classify(*cells.boxes(domain)), len(cells))
     is_flush, blocked = np.zeros(len(cells), bool), np.flatnonzero(state == CellState.BLOCKED)
     is_flush[blocked] = space.classify(*_grown_boxes(cells[blocked], domain)) != CellState.BLOCKED
@@ -287,12 +255,13 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Count a blocked cell as mixed if open (not blocked) cells touch only in an edge or a corner of it.
+    """Count a blocked cell as mixed if open (not blocked) cells touch one another only in its edge or corner.
 
-    A path may begin on either side of such a contact, and may pass if the space lets robots squeeze through.
+    A path may begin on either side of this edge or corner, and may pass if the space lets robots squeeze through.
     """
     dim, periodic = mesh.dim, mesh.domain.periodic
     signs, shares = (np.array(list(product(ends, repeat=dim))) for ends in ((-1, 1), (0.0, 0.5, 1.0)))
+    inset = np.ldexp(0.25, -mesh.cells.depth.max(axis=0))  # a quarter of the smallest cell's width along each axis
     while dim > 1:
         # 1. Find edges and corners that flush and open cells share, as middles and half widths in fractions.
         flush, beside = mesh.flush_pairs
@@ -304,12 +273,12 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
         edges = np.unique(np.append(np.where(periodic, x % 1.0, x), half, axis=2)[is_edge], axis=0)
         middle, half = edges[:, :dim], edges[:, dim:]
         # 2. Find which cells around each are open.
-        x = middle[:, None] + signs * mesh.inset
+        x = middle[:, None] + signs * inset
         around = mesh.locate(np.where(periodic, x % 1.0, x).reshape(-1, dim)).reshape(x.shape[:2])
         is_open = (mesh.state[around] != CellState.BLOCKED) & (((x > 0) & (x < 1)) | periodic).all(axis=2)
         # 3. Beside the edge, an open cell may be blocked.
         edge, side = np.nonzero(is_open & _are_parted(is_open)[:, None])
-        beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * mesh.inset)
+        beside = middle[edge] + np.where(half[edge] > 0, 0.0, signs[side] * inset)
         lo, hi = np.minimum(middle[edge], beside) - half[edge], np.maximum(middle[edge], beside) + half[edge]
         is_open[edge, side] = space.classify(mesh.domain.at(lo), mesh.domain.at(hi)) != CellState.BLOCKED
         touches = np.zeros(len(mesh.state), bool)
@@ -322,6 +291,6 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
 
 
 def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, "edges"]:
-    """Return whether the open sides around each edge are not all joined through one another."""
+    """Return whether the open places around each edge or corner of cells fall into parts that share no face."""
     is_first = is_open & (np.cumsum(is_open, axis=1) == 1)
     return np.asarray((is_open & ~spread(is_first, is_open)).any(axis=1))

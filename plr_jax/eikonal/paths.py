@@ -1,9 +1,8 @@
 """Short paths from the nodes of a mesh to the nearest goal, through free cells: upper bounds of the cost-to-go.
 
-Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. They zigzag. As in
-Theta*, a node then skips the next node of its path, or takes the next node of a neighbor's path, if the straight
-motion there stays in free cells and costs less. If a goal's cell is not free, as beside a wall, straight motions to
-the goal are tested one by one.
+Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. These paths zigzag.
+As in Theta*, a node then skips the next node of its path, or takes the next node of a neighbor's path, if the
+straight motion there stays in free cells and costs less.
 
 References: Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
 """
@@ -18,6 +17,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import parts, ragged_indices
+from plr_jax.eikonal.goals import Points
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.eikonal.program import CellCosts
 from plr_jax.plr.tree import corner_bits
@@ -31,25 +31,23 @@ _ROUNDING = 1e-10  # share by which upper bounds are increased, for rounding
 _EDGES_AT_ONCE = 1 << 18  # edges handled together, to bound the memory
 # Most nodes, the nearest ones, that are joined to goals whose cells are not free; least number for each goal.
 _NEAR_GOAL, _LEAST_NEAR_GOAL = 512, 32
-
 Nodes: TypeAlias = Int[np.ndarray, "_"]
 Costs: TypeAlias = Float[np.ndarray, "nodes"]
 Edges: TypeAlias = Int[np.ndarray, "_"]
 EdgeCosts: TypeAlias = Float[np.ndarray, "_"]
-Points: TypeAlias = Float[np.ndarray, "n dim"]
 
 
 @dataclass(frozen=True, eq=False)
 class NodePaths:
-    """Paths to the nearest goal from the nodes (corners of cells) of a mesh."""
+    """Paths to the nearest goal from the corners of a mesh's cells (the nodes)."""
 
     points: Float[np.ndarray, "nodes dim"]  # the nodes as fractions of the domain, then the goals
     cost: Costs  # of each node's path, rounded up; inf if none was found
-    next: Nodes  # the second node of each path; a goal itself for goals, the first goal without a path
+    next: Nodes  # the second node of each path; for a goal, itself; without a path, the first goal
 
     @property
     def ends(self) -> Nodes:
-        """Index of the goal to which each path leads, the first goal's without a path."""
+        """The goal to which each node's path leads, as an index of ``points``; the first goal if there is no path."""
         ends = self.next
         while (ends != ends[ends]).any():
             ends = ends[ends]
@@ -57,12 +55,12 @@ class NodePaths:
 
 
 def graph_costs(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> Costs:
-    """Return costs of paths from a mesh's nodes to a goal along edges in free cells; ``inf`` if there is none."""
+    """Return costs of shortest paths from the corners of a mesh's cells along edges within free cells, or ``inf``."""
     return _along(*_FreeGraph(mesh, costs, goals, space).cheapest_edges())[: len(mesh.nodes)]
 
 
 def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> NodePaths:
-    """Find short paths from the corners of free cells to the nearest of goals, given as fractions of the domain."""
+    """Find short paths through free cells from the cells' corners to the nearest goal, in fractions of the domain."""
     graph = _FreeGraph(mesh, costs, goals, space)
     next_, leg = graph.cheapest_edges()
     cost, node = _along(next_, leg), np.arange(len(next_))
@@ -71,10 +69,10 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
         before = cost
         for kind in range(2):
             ahead = next_[next_] if kind == 0 else graph.next_of_neighbors(cost, next_)
-            gains = graph.least_costs(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
+            gains = graph.lower_bounds(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
             straight = np.where(gains & (ahead == tested), found, np.inf).min(axis=0)
             some = np.flatnonzero(gains & (ahead != tested).all(axis=0))
-            straight[some] = found[kind, some] = graph.straight_costs(some, ahead[some])
+            straight[some] = found[kind, some] = graph.upper_bounds(some, ahead[some])
             tested[kind, some] = ahead[some]
             better = straight + cost[ahead] < (1 - _GAIN) * cost
             next_, leg = np.where(better, ahead, next_), np.where(better, straight, leg)
@@ -86,7 +84,7 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
 
 
 def _along(next_: Nodes, leg: Costs) -> Costs:
-    """Sum the costs of the paths' first edges (``leg``) along each path to a goal, by pointer doubling."""
+    """Sum edge costs along each node's path; ``leg`` is the cost of the edge from a node to the next node."""
     cost = leg
     while (next_ != next_[next_]).any():
         cost, next_ = cost + cost[next_], next_[next_]
@@ -100,7 +98,7 @@ class _FreeGraph:
         self.mesh, self.costs, num = mesh, costs, len(mesh.nodes)
         self.points, self.goals = np.append(mesh.nodes, goals, axis=0), num + np.arange(len(goals))
         homes = mesh.locate(goals)
-        self.begin, self.end, self.cost = (np.concatenate(each) for each in zip(*self._edges(homes), strict=True))
+        edges = list(self._edges(homes))
         for goal in self.goals[mesh.state[homes] != CellState.FREE]:
             # Nodes near the goal from which the straight motion is free, and upper bounds of its cost.
             change = self._changes(np.arange(num), np.full(num, goal))
@@ -113,11 +111,10 @@ class _FreeGraph:
                 box = np.minimum(q, q + change), np.maximum(q, q + change)
                 _, upper, pulls = cost_bounds(costs.motion, costs.cost_map, *box)
                 straight = straight * upper + pulled(pulls, change)
-            order = np.argsort(near[free])
-            node, straight = near[free][order], straight[order]
-            place = np.searchsorted(self.begin, node, side="right")
-            self.begin, self.end = (np.insert(a, place, b) for a, b in ((self.begin, node), (self.end, goal)))
-            self.cost = np.insert(self.cost, place, straight)
+            edges.append((near[free].astype(np.int32), np.full(len(free), goal, np.int32), straight))
+        begin, end, cost = (np.concatenate(each) for each in zip(*edges, strict=True))
+        order = np.argsort(begin, kind="stable")
+        self.begin, self.end, self.cost = begin[order], end[order], cost[order]
         self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # the first edge of each node
 
     def _changes(self, begin: Edges, end: Edges) -> Float[np.ndarray, "edges dim"]:
@@ -125,7 +122,7 @@ class _FreeGraph:
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
     def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
-        """Yield begins, ends and costs of the edges, sorted, for some nodes at a time."""
+        """Yield begins, ends and costs of all edges within free cells; ``homes`` are the cells of the goals."""
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
         nodes, cells = [self.goals[is_free[homes]]], [homes[is_free[homes]]]
@@ -176,24 +173,23 @@ class _FreeGraph:
         return next_, leg
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
-        """Return, for each node, the best second node of a neighbor's path, as if no wall were in the way."""
+        """Return the neighbors' next node through which each node's path would cost least if no wall were there."""
         best, bounds = next_.copy(), np.append(self.first, len(self.end))
         counts = np.diff(bounds)
         for some in parts(counts, _EDGES_AT_ONCE):
             edges = slice(bounds[some.start], bounds[some.stop])
             begin, ahead = self.begin[edges], next_[self.end[edges]]
-            total = self.least_costs(begin, ahead) + cost[ahead]
+            total = self.lower_bounds(begin, ahead) + cost[ahead]
             least = np.minimum.reduceat(total, self.first[some] - edges.start)
             is_best = np.flatnonzero(total == np.repeat(least, counts[some]))
             best[begin[is_best]] = ahead[is_best]
         return best
 
-    def least_costs(self, begin: Edges, end: Edges) -> EdgeCosts:
-        """Return lower bounds of the costs of straight motions between nodes."""
+    def lower_bounds(self, begin: Edges, end: Edges) -> EdgeCosts:
         return self.costs.motion.norm(self._changes(begin, end)) * self.costs.least_rate
 
-    def straight_costs(self, begin: Edges, end: Edges) -> EdgeCosts:
-        """Return upper bounds of the costs of straight motions; ``inf`` if a motion leaves free cells."""
+    def upper_bounds(self, begin: Edges, end: Edges) -> EdgeCosts:
+        """Return upper bounds of the costs of straight motions between nodes; ``inf`` if one leaves free cells."""
         x = self.points[begin]
         change = self._changes(begin, end)
         mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))

@@ -1,11 +1,10 @@
 """A convex program for the largest lower bound of the cost-to-go in a finite-element space.
 
-A function is nowhere above the cost of any path if it is 0 at the goal, continuous across every face that is not
-proven blocked, and nowhere steeper than a step costs. The Bernstein coefficients of the gradient (control vectors)
-bound its slope. The program maximizes the function's integral. The alternating direction method of multipliers solves
-it, with a Poisson equation in each iteration; the multipliers are a flow along cheapest paths to the goal. At last a
-piecewise linear function of the values rescales them until they satisfy the constraints, rounding included. So the
-bound is proven after any number of iterations. With several goals, the function is at most 0 at each.
+A function is a lower bound if it is at most 0 at the goals, continuous across every face that is not proven blocked,
+and nowhere steeper than a step costs. The Bernstein coefficients of the gradient (control vectors) bound its slope.
+The program maximizes the function's integral, by the alternating direction method of multipliers. The multipliers are
+a flow along cheapest paths. At last a piecewise linear function of the values rescales them until they satisfy the
+constraints, rounding included. So the bound is proven after any number of iterations.
 
 References: Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and
 degenerate elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
@@ -18,24 +17,21 @@ from itertools import product
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.sparse import csc_matrix, csr_array, csr_matrix, diags_array, vstack
 from scipy.sparse.linalg import cg, splu
 
 from plr_jax.eikonal.elements import FunctionSpace, function_space, to_bernstein
 from plr_jax.eikonal.goals import nearest_goals
-from plr_jax.eikonal.mesh import Mesh, with_open_contacts
+from plr_jax.eikonal.mesh import CellIndex, Mesh, with_open_contacts
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds, pulled
 
-CellIndex: TypeAlias = Int[np.ndarray, "n"]
 Motions: TypeAlias = Float[np.ndarray, "n dim"]
 Numbers: TypeAlias = Float[np.ndarray, "n"]
 Vectors: TypeAlias = Float[np.ndarray, "dim controls"]
 PerControl: TypeAlias = Float[np.ndarray, "controls"]
 Dofs: TypeAlias = Float[np.ndarray, "dofs"]
-
-ROUNDING = 1e-9
-"""Relative margin for rounding of values and slopes."""
+ROUNDING = 1e-9  # relative margin for rounding of values and slopes
 _TINY = float(np.finfo(float).tiny)
 # Number of parts of a cell along each axis in which the factor of costs is bounded, by the number of axes.
 _PARTS = {1: 16, 2: 8, 3: 3, 4: 2}
@@ -45,10 +41,11 @@ _LEAST_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class CellCosts:
-    """Bounds of the cost of motions in each cell, and from points beside a cell that rounding may place in it.
+    """Bounds of the cost of motions in each cell of a mesh, and just outside, as rounding may place points in a cell.
 
-    A motion ``dq`` costs from ``lower |dq| + max(pulls . dq)`` to ``upper |dq| + max(pulls . dq)``, where ``|dq|`` is
-    the norm ``motion``. Without pulls, the factor of ``|dq|`` also lies between two linear functions of the place.
+    A motion by the vector ``dq`` costs from ``lower |dq| + p`` to ``upper |dq| + p``. Here ``|dq|`` is the norm
+    ``motion``, and ``p`` the larger scalar product of ``dq`` with one of two vectors, the ``pulls``. Without pulls,
+    ``p`` is 0, and the factor of ``|dq|`` also lies between two linear functions of the place.
     """
 
     motion: MotionCost
@@ -62,7 +59,7 @@ class CellCosts:
 
     @property
     def midway(self) -> "CellCosts":
-        """Costs for estimates: the middle of both bounds replaces the upper bounds of the factor."""
+        """Costs for estimates instead of bounds: the mean of lower and upper bounds replaces the upper bounds."""
         lower, least = self.lower, self.least
         if self.pulls is not None:  # no cost is negative
             longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
@@ -71,13 +68,13 @@ class CellCosts:
 
     @cached_property
     def least_rate(self) -> float:
-        """A lower bound, at least 0, of the cost of any motion of length 1."""
+        """A lower bound, at least 0, of the cost of any motion whose norm is 1."""
         if self.pulls is None:
             return float(self.lower.min())
         return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
 
     def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
-        """Return upper bounds of the costs of straight motions in cells, tighter if their middles are known."""
+        """Return upper bounds of the costs of straight motions in cells; local middles, if known, tighten them."""
         factor = self.upper[cell]
         if middle is not None:
             factor = np.minimum(self.most[cell] + np.sum(self.slope[cell] * (middle - 0.5), axis=1), factor)
@@ -121,12 +118,11 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
 def rescaling_of(
     lowest: Numbers, highest: Numbers, factor: Numbers
 ) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-    """Return a piecewise linear function that reduces the slopes of a bound where they are larger than admissible.
+    """Return breakpoints and values of a piecewise linear function, which makes a too steep function a lower bound.
 
-    In a cell, values lie between ``lowest`` and ``highest``, and the slope is ``factor`` times the largest admissible
-    one; the function's slope between these values is at most ``1 / factor``. Values farther from the goal fall by
-    this loss alone, far less than if all were divided by the largest factor. Return its ascending breakpoints, and
-    its values there; it is 0 at 0.
+    In each cell, the too steep function has values from ``lowest`` to ``highest``, and a slope of ``factor`` times
+    the largest admissible slope. The returned function maps 0 to 0, and its slope from ``lowest`` to ``highest`` is
+    at most ``1 / factor``. So values lose far less than if all were divided by the largest factor.
     """
     order = np.argsort(factor, kind="stable")
     order = order[factor[order] > 1]
@@ -141,11 +137,11 @@ def rescaling_of(
 
 @dataclass(frozen=True, eq=False)
 class SlopeSets:
-    """The convex set of admissible gradients of a lower bound, at each control point.
+    """The convex sets for the gradient of a lower bound, one for each of its Bernstein coefficients in each cell.
 
-    A bound may fall along a motion by at most the motion's cost. So minus its gradient lies in a ball if costs are
-    lengths, and in a product of balls if they are sums of norms over groups of axes (``blocks``). If costs depend on
-    the direction, it lies in a ball around a point of the segment between the two ``pulls`` of :class:`CellCosts`.
+    The gradient lies in a ball if costs are lengths, and in a product of balls if costs are sums of norms over groups
+    of axes (``blocks``). If costs depend on the direction, minus the gradient lies in a ball around a point of the
+    segment between two vectors, the ``pulls`` of :class:`CellCosts`.
     """
 
     blocks: Sequence[Sequence[int]]
@@ -171,7 +167,7 @@ class SlopeSets:
         return first + np.clip(t, 0.0, 1.0) * along
 
     def factors(self, g: Vectors) -> PerControl:
-        """Return the factors by which to divide vectors to make them admissible; at most 1 for those that are."""
+        """Return the factors by which to divide vectors so that they are in their sets; at most 1 if they are."""
         g = g - self._nearest_offset(g)
         length = np.max(self.lengths(g), axis=0)
         if self.pulls is None:
@@ -180,7 +176,7 @@ class SlopeSets:
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
-        """Return the cost of motion against a flow, which leads toward the goal."""
+        """Return the costs of motions by the vectors ``-flow``."""
         norm = np.sum(self.lengths(flow), axis=0)
         if self.pulls is None:
             return self.radius * norm
@@ -200,16 +196,16 @@ _MOST_FACTORED, _COARSEST_GRID = 100_000, 100
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """Values of the degrees of freedom, flow at the control points (where gradients are bounded) and into goals."""
+    """An iterate of the solver: the values of the lower bound, and multipliers, a flow along cheapest paths."""
 
-    values: Dofs
-    flow: Vectors
-    inflow: Float[np.ndarray, "goals"]
+    values: Dofs  # of the degrees of freedom
+    flow: Vectors  # at the control points of gradients
+    inflow: Float[np.ndarray, "goals"]  # flow into each goal
 
 
 @dataclass(frozen=True, eq=False)
 class SlopeProgram:
-    """The program for the largest lower bound, on one finite-element space."""
+    """A convex program whose solution is the largest lower bound of the cost-to-go in a finite-element space."""
 
     space: FunctionSpace
     gradient: csr_array  # maps dofs to control vectors, axis by axis, in the coordinates of `sets`
@@ -221,14 +217,11 @@ class SlopeProgram:
 
     @classmethod
     def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goals: Motions) -> "SlopeProgram":
-        """Build the program on the part of a mesh that is connected to the goals (fractions of the domain)."""
-        homes = mesh.locate(goals)
-        if (mesh.state[homes] == CellState.BLOCKED).any():  # goals are free to a tolerance
-            state = mesh.state.copy()
-            state[homes[state[homes] == CellState.BLOCKED]] = CellState.MIXED
-            mesh = mesh.with_state(state)
-        mesh = with_open_contacts(mesh, space)
-        mesh = mesh.with_blocked(~mesh.connected_to(homes))
+        """Build the convex program for the part of a mesh that is connected to goals (in fractions of the domain)."""
+        homes, state = mesh.locate(goals), mesh.state.copy()
+        state[homes[state[homes] == CellState.BLOCKED]] = CellState.MIXED  # goals are free to a tolerance
+        mesh = with_open_contacts(mesh.with_state(state), space)
+        mesh = mesh.with_state(np.where(mesh.connected_to(homes), mesh.state, np.int8(CellState.BLOCKED)))
         # Degree 2 errs far less a cell, but takes too long beyond two dimensions.
         functions = function_space(mesh, (2 if mesh.dim <= 2 else 1))
         gradient = csr_array(vstack(functions.gradients(space.motion_cost.scale)))
@@ -248,7 +241,7 @@ class SlopeProgram:
         return self.space.mesh.locate(self.at)
 
     def below_goals(self, u: Dofs) -> Dofs:
-        """Return a function less its largest value at a goal."""
+        """Return a function minus its largest value at a goal."""
         return u - np.max(self.goal @ u)
 
     @cached_property
@@ -269,7 +262,7 @@ class SlopeProgram:
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
     def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-        """Return the result of :func:`rescaling_of` that makes slopes of ``u`` admissible, rounding included."""
+        """Return the result of :func:`rescaling_of` for ``u``, which makes it a lower bound, rounding included."""
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
         control = nodal @ to_bernstein(space.degree, mesh.dim).T
@@ -277,11 +270,10 @@ class SlopeProgram:
         return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
 
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """Return each cell's share of the gap between the lower bound and the cost of the flow.
+        """Estimate the integral of the true cost-to-go minus the lower bound, as a sum of one loss for each cell.
 
-        It is the volume times the excess, at least 0, of the flow's cost over the rise of the lower bound along the
-        flow; the rise counts as 0 in cells that are neither proven free nor blocked. The sum approximates the
-        integral of the true cost-to-go minus the lower bound.
+        A cell's loss is its volume times the excess, at least 0, of the cost of the iterate's flow over the rise of
+        the lower bound along this flow. The rise counts as 0 in cells that are neither proven free nor blocked.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
@@ -292,11 +284,7 @@ class SlopeProgram:
         return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 
     def losses_at_goals(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """Return the gap in each goal's cell if the flow that reaches the cell's nodes went straight to the goal.
-
-        In such a cell, flow may enter on one side and leave on another without a gap, though values behind the goal
-        are as far below 0 as they should be above. Other cells have 0.
-        """
+        """Return :meth:`losses` of the goals' cells as if all flow there went straight to the goal; 0 for others."""
         space, mesh, domain = self.space, self.space.mesh, self.space.mesh.domain
         nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion, domain.at(space.points))[1][:, 0]
         change = domain.difference(domain.width * self.at[nearest], domain.width * space.points)
@@ -308,7 +296,7 @@ class SlopeProgram:
         return np.where(np.isin(mesh.open_cells, self.goal_cells), gap[mesh.open_cells], 0.0)
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
-        """Iterate from a start (None: 0); before the iterations ``factor_at``, penalties are rescaled to the flow."""
+        """Run iterations of :class:`_Splitting`; before those in ``factor_at``, penalties are fitted to the flow."""
         if start is None:
             flow, inflow = np.zeros((self.dim, len(self.volume))), np.full(len(self.at), self.weight.sum())
             start = Iterate(np.zeros(len(self.weight)), flow, inflow)
@@ -320,7 +308,7 @@ class SlopeProgram:
         return state.iterate
 
     def solve_thoroughly(self, start: Iterate, most_iterations: int) -> tuple[Iterate, bool]:
-        """Return the best iterate found, and whether its bound had stopped rising before the limit."""
+        """Return the iterate with the best proven bound, and whether the bound stopped rising before the limit."""
         state, best, highest, found = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
         for iteration in range(most_iterations):
             state.step()
@@ -336,10 +324,11 @@ class SlopeProgram:
 
 
 class _Splitting:
-    """The alternating direction method of multipliers, with penalties as large as the flow that it starts from.
+    """The alternating direction method of multipliers for a :class:`SlopeProgram`.
 
-    ``z`` is the projection of the gradients of ``u`` to the admissible ones; ``penalty * y`` is the flow. Values at
-    several goals are treated like gradients, and must be at most 0. The flow into one goal is known.
+    The unknowns are ``u``. The variables ``z`` are the gradients of ``u``, projected to the admissible sets, and the
+    scaled multipliers are ``y``; so ``penalty * y`` is the flow. Penalties are as large as the flow of the start.
+    Values at several goals are treated like gradients, and must be at most 0.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
@@ -383,7 +372,7 @@ class _Splitting:
 
 
 class _Poisson:
-    """The Poisson equation of each iteration, solved by factoring, or on large meshes by conjugate gradients."""
+    """The Poisson equation for ``u`` in each iteration of :class:`_Splitting`, with its factored matrix."""
 
     def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, "goals"]):
         # All flow enters a single goal. The solution is then unique up to a constant, and the first unknown is 0.

@@ -1,10 +1,8 @@
-"""Cost distance over a grid of costs: a search for shortest paths, proven lower bounds, and a march over large grids.
+"""Cost distance over a raster: a search for shortest paths, proven lower bounds, and a march over large rasters.
 
 Dijkstra's algorithm finds shortest paths over straight edges between the centers and corners of cells. Edges are up
-to four cells long, and their costs are exact for costs that are constant in each cell. Unlike with 8 or 16 neighbors,
-lengths hardly depend on the direction. If heights give directed costs, edges join centers alone and are up to six
-cells long. Lower bounds are the distances, projected onto the functions that are nowhere steeper than the costs
-allow. Over grids too large for a search, scikit-fmm marches.
+to four cells long, so lengths hardly depend on the direction; their costs are exact for costs that are constant in
+each cell. If heights give directed costs, edges join centers alone and are up to six cells long.
 
 References: Sethian, "A fast marching level set method for monotonically advancing fronts", 1996. Mitchell and
 Papadimitriou, "The weighted region problem", 1991: shortest paths among regions of constant costs.
@@ -37,7 +35,6 @@ _ROUNDING = 1e-9  # relative error of the cost of a path: far more than its sums
 # Lower bounds start this share below the distances, and are projected so often, by so much of the way that a
 # projection asks for. Where costs jump, 400 projections halve the gap that 100 leave.
 _SLACK, _PROJECTIONS, _RELAXATION = 0.02, 400, 1.5
-
 Raster = Float[np.ndarray, "rows columns"]
 AtCorners = Float[np.ndarray, "rows+1 columns+1"]
 Nearest = Int[np.ndarray, "rows columns"]
@@ -47,7 +44,7 @@ Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 
 
 def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
-    """Return odd numbers of parts into which to divide each cell along rows and columns."""
+    """Return odd numbers of parts into which to divide each cell of a small raster, along rows and columns."""
     scale = max(np.sqrt(_FINE_CELLS / cost.size * side.min() / side.max()), 1.0)
     wanted = side[::-1] / side.min() * ((scale - 1) // 2 * 2 + 1)
     return (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
@@ -55,7 +52,7 @@ def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
 
 @dataclass(frozen=True)
 class PathTree:
-    """Shortest paths from the centers of cells to their nearest sources."""
+    """Shortest paths from the centers of a raster's cells, or of parts of cells, to their nearest sources."""
 
     next_node: Int[np.ndarray, "nodes"]  # of corners, if any, of centers, and of sources; negative if there is none
     shape: tuple[int, int]  # rows and columns of parts of cells
@@ -63,7 +60,7 @@ class PathTree:
     ends: Points  # where paths reach the sources
 
     def path(self, center: Float[np.ndarray, "2"]) -> Points:
-        """Return the path from a cell's center to its nearest source, with both ends and all turns; empty if none."""
+        """Return the path from a cell's center to its nearest source, with both ends and all turns, or no points."""
         (rows, columns), first_source = self.shape, len(self.next_node) - len(self.ends)
         num_corners, vertices = first_source - rows * columns, []
         row, column = (center / self.side).astype(int)[::-1]
@@ -87,7 +84,7 @@ class PathTree:
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
-    """Return distances and nearest sources by paths over parts of cells, bounds if asked for, and the paths."""
+    """Search over ``parts`` of cells per axis: return distances, nearest sources, bounds if asked for, and paths."""
     fine, of_part = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1), side / parts[::-1]
     distance, at_corners, nearest, tree = search(fine, of_part, points)
     results = [distance, nearest]
@@ -98,11 +95,11 @@ def search_finely(
 
 
 def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
-    """Return proven lower bounds at the centers of cells, given distances at the centers and corners.
+    """Return proven lower bounds of distances at the centers of cells, given path costs at centers and corners.
 
     The center divides a cell into four triangles. A function that is linear in each triangle, nowhere steeper than
     the cost of the cell and at most 0 at the sources, is a lower bound. Projections onto the gradients that are
-    allowed in one triangle make the distances nearly such a function, and :func:`rescaling_of` does the rest.
+    allowed in one triangle make path costs nearly such a function, and :func:`rescaling_of` does the rest.
     """
     # 1. The triangles, one at each side of a cell: the ends of the side, its axis, and the most cost there.
     least = cost.min()  # costs are divided by the least, so that squares neither overflow nor vanish
@@ -134,7 +131,7 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     around = np.stack([each for p in ends for each in (corner[p], 2 * middle - corner[p])])
     lower = np.interp(middle, *rescaling_of(*(each.ravel() for each in (around.min(0), around.max(0), factor))))
     # 4. Subtract the largest value that a source may have.
-    home = _homes(cost, side, points)
+    home = cells_of(points, side, cost.shape)
     to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
     home = tuple(home.T)
     most_at_sources = np.max(lower[home] + cost[home] * to_center)
@@ -142,8 +139,9 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     return np.where(np.isfinite(at_centers), least * lower, np.inf)
 
 
-def _homes(cost: Raster, side: Sides, points: Points) -> Int[np.ndarray, "k 2"]:
-    return np.minimum((points / side).astype(np.int64)[:, ::-1], np.array(cost.shape) - 1)
+def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, int]) -> Int[np.ndarray, "*k 2"]:
+    """Return rows and columns of the cells of points in a raster, relative to its lower corner."""
+    return np.minimum((points / side).astype(np.int64)[..., ::-1], np.array(shape) - 1)
 
 
 def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
@@ -153,7 +151,10 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
             f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
             f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
         )
-    cost, home = cost / least, tuple(_homes(cost, side, points)[::-1].T)  # scikit-fmm ignores some small costs
+    cost, home = (
+        cost / least,
+        tuple(cells_of(points, side, cost.shape)[::-1].T),
+    )  # scikit-fmm ignores some small costs
     front, label = np.full(cost.shape, side.min()), np.full(cost.shape, -1, np.int32)
     front[home], label[home] = -_TINY * side.min(), np.arange(len(points))[::-1]  # the first of several sources
     distance = np.where(label >= 0, 0.0, np.inf)
@@ -166,7 +167,7 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
 
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
-    """Label each node by the source that steepest descent reaches; needs less memory than ``carried_goals``."""
+    """Return the source that steepest descent reaches from each cell; takes less memory than ``carried_goals``."""
     # 1. The next node: of sixteen around it, the one through which the distance is least.
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
     number, least = toward.copy(), np.full(distance.shape, np.inf)
@@ -199,10 +200,14 @@ def search(
     slope_fn: Slope = np.ones_like,
     from_sources: bool = False,
 ) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
-    """Return costs of paths to centers and (without heights) corners of cells, nearest sources, and paths."""
+    """Find shortest paths to the sources ``points``, for raster cells of width and height ``side``.
+
+    With heights, costs are multiplied by ``slope_fn`` of the slope, toward or ``from_sources``. Return the paths'
+    costs at the centers and at the corners (None with heights) of cells, the nearest sources, and the paths.
+    """
     # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
-    home, (rows, columns) = _homes(cost, side, points), cost.shape
+    home, (rows, columns) = cells_of(points, side, cost.shape), cost.shape
     if height is not None:
         nearest_open: Any = ndimage.distance_transform_edt(
             np.isinf(cost), sampling=side[::-1], return_distances=False, return_indices=True
@@ -277,7 +282,7 @@ def _straight_costs(
     home: Int[np.ndarray, "k 2"],
     near: Int[np.ndarray, "nodes 2"],
 ) -> Float[np.ndarray, "k nodes"]:
-    """Return costs of straight motions from points to nodes, ``near`` half cells from the centers of their cells."""
+    """Return costs of straight motions from points in cells ``home`` to nodes, ``near`` half cells off centers."""
     begin = points[:, None, ::-1] / side[::-1]
     change = home[:, None] + 0.5 + near / 2 - begin
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -303,7 +308,7 @@ def _mean_factor(
     slope_fn: Slope,
     from_sources: bool,
 ) -> np.ndarray:
-    """Return the mean factor of the slopes along a straight motion by ``(i, j)`` cells."""
+    """Return the mean cost factor of the slopes along a motion by ``(i, j)`` cells, or back if ``from_sources``."""
     heights, count = [], max(abs(i), abs(j))
     for part in range(count + 1):
         (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
@@ -318,10 +323,10 @@ def _mean_factor(
 
 
 def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
-    """Return the mean cost along a straight motion by ``(i, j)`` half cells; ``inf`` if barriers stop it.
+    """Return the mean cost along a straight motion by ``(i, j)`` half cells; ``inf`` if barriers stop the motion.
 
-    It begins in the center of a cell (``half`` 1) or in its lower corner (0). ``cost_at`` returns the costs of cells
-    that are so many rows and columns away.
+    The motion begins in the center of a cell (``half`` 1) or in its lower corner (0). ``cost_at`` returns the costs
+    of cells that are so many rows and columns away.
     """
     # 1. Cut the motion where it enters another cell.
     ends = {0.0, 1.0}

@@ -18,6 +18,7 @@ from plr_jax.eikonal.raster_search import (
     Points,
     Raster,
     Slope,
+    cells_of,
     march,
     parts_of_cells,
     search,
@@ -63,18 +64,18 @@ class CostDistance:
     def path(self, point: ArrayLike) -> Float[np.ndarray, "n 2"]:
         """Return the least-cost path between the cell of a point and the nearest source.
 
-        Its cost is the ``distance`` in that cell. If distances were computed with heights and ``from_sources``, it is
-        walked from its last vertex to its first.
+        The path's cost is the ``distance`` in that cell.
 
         Args:
             point: A point ``(x, y)``, in the coordinates of the sources.
 
         Returns:
-            Vertices of the path, ``(n, 2)``, from the center of the cell to the source. With heights, it ends at the
-            center of the source's cell. One vertex if both ends are equal, none if the distance is ``inf``.
+            Vertices of the path, ``(n, 2)``, from the center of the cell to the source, or with heights to the center
+            of the source's cell; with ``from_sources`` too, although motion is from the source. One vertex if both
+            ends are equal, none if the distance is ``inf``.
 
         Raises:
-            ValueError: If the point is outside the raster, or a front marched over the raster.
+            ValueError: If the point is outside the raster, or a front marched, as over more than 2 million cells.
         """
         if self._tree is None or self._box is None:
             raise ValueError(
@@ -82,9 +83,10 @@ class CostDistance:
                 "instead: use max_bytes and plr_jax.descend(result.plr, plr_jax.RasterCost(...).space(), ...)."
             )
         shape, box = np.shape(self.distance), self._box
-        cell = _cells(as_point("point", point, 2) - box.lo, box, shape)
-        if not ((cell >= 0) & (cell < shape)).all():
+        place = as_point("point", point, 2) - box.lo
+        if not ((place >= 0) & (place <= box.width)).all():
             raise ValueError(f"point must lie in the raster {box}, got {shortened(point)}.")
+        cell = cells_of(place, box.width / shape[::-1], shape)
         return box.lo + self._tree.path((cell[::-1] + 0.5) * box.width / shape[::-1])
 
 
@@ -101,11 +103,10 @@ def cost_distance(
 ) -> CostDistance:
     """Compute the least accumulated cost between every cell of a raster and the nearest source.
 
-    ``result = plr_jax.cost_distance(costs, sources)`` has ``result.distance`` and ``result.nearest``, arrays of the
-    raster's shape. ``result.path(point)`` is a path whose cost is the distance. Distances are on average about 0.1 %
-    above the least; the largest excess in our experiments is 2.2 % of the mean distance. The search for paths takes
-    about 2 kB of memory a cell. Over more than 2 million cells a front marches instead, in 100 bytes a cell, with the
-    errors of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
+    Distances are costs of paths, on average about 0.1 % above the least; the largest excess in our experiments is
+    2.2 % of the mean distance. The search for paths takes about 2 kB of memory a cell. Over more than 2 million cells
+    a front marches instead, in 100 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on average where costs
+    change slowly, 0.5 to 7 % where they jump.
 
     Args:
         costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
@@ -193,7 +194,7 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
-    """Return costs by ascending coordinates, ``inf`` in barriers; their box; slices that restore the order."""
+    """Return costs by ascending coordinates, ``inf`` in barriers, their box, and slices that restore the order."""
     cost = raster_values("costs", costs)
     if cost.ndim != 2 or cost.size == 0:
         raise ValueError(
@@ -216,28 +217,21 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
     return cost, box, order
 
 
-def _cells(points: Float[np.ndarray, "*n 2"], box: Box, shape: tuple[int, int]) -> Float[np.ndarray, "*n 2"]:
-    """Return rows and columns of the cells of points, given relative to the lower corner of the raster."""
-    cells = np.floor(points / (box.width / shape[::-1]))[..., ::-1]
-    return np.where(points[..., ::-1] == box.width[::-1], cells - 1, cells)  # the upper border is in the last cell
-
-
 def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, slice]) -> Points:
     """Check sources, and return them relative to the lower corner of the raster."""
-    shape = np.array(cost.shape)
+    side = box.width / cost.shape[::-1]
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         if np.shape(sources) != cost.shape:
             raise ValueError(f"A mask of sources must have the raster's shape {cost.shape}, got {np.shape(sources)}.")
         cells = np.argwhere(np.ma.filled(sources, False) if np.ma.isMaskedArray(sources) else np.asarray(sources))
         for axis in (0, 1):
             if order[axis].step == -1:
-                cells[:, axis] = shape[axis] - 1 - cells[:, axis]
-        points = (cells[:, ::-1] + 0.5) * (box.width / shape[::-1])
+                cells[:, axis] = cost.shape[axis] - 1 - cells[:, axis]
+        points = (cells[:, ::-1] + 0.5) * side
     elif np.shape(sources) == cost.shape and cost.shape[1] != 2:
         raise ValueError("A mask of sources must be boolean, got numbers of the raster's shape: use sources != 0.")
     else:
         points = as_points("sources", sources, 2) - box.lo
-        cells = _cells(points, box, cost.shape)
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
 
@@ -245,11 +239,10 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, 
         number = int(np.argmax(wrong))
         return f"source {number} at {(points[number] + box.lo).tolist()}, one of {wrong.sum()}"
 
-    is_outside: Any = ~((cells >= 0) & (cells < shape)).all(axis=1)
+    is_outside: Any = ~((points >= 0) & (points <= box.width)).all(axis=1)
     if is_outside.any():
         raise ValueError(f"sources must lie in the raster {box}, rows (x, y), got {first(is_outside)}.")
-    cells = cells.astype(np.int64)
-    is_barred: Any = ~np.isfinite(cost[tuple(cells.T)])
+    is_barred: Any = ~np.isfinite(cost[tuple(cells_of(points, side, cost.shape).T)])
     if is_barred.any():
         raise ValueError(
             f"sources must not lie in barriers, got {first(is_barred)}: move it. For a mask of sources, use mask & "

@@ -1,8 +1,4 @@
-"""Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap.
-
-A convex program gives the lower bound. It is solved on meshes that are refined where the lower bound is estimated to
-be farthest below the truth.
-"""
+"""Build a PLR of the cost-to-go from a configuration space, without an oracle or a roadmap."""
 
 import math
 import warnings
@@ -19,6 +15,7 @@ from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require
 from plr_jax._types import ArrayLike
 from plr_jax.eikonal.bounds import CostToGoField, plr_of_bytes, plr_on_mesh
 from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
+from plr_jax.eikonal.goals import Goals
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
@@ -41,8 +38,6 @@ _LEAF_SAMPLES = 64  # samples in a leaf of an estimate, in which the grid has fe
 _LEAST_COST = 1e-30  # least cost that 32 bits resolve
 _BESIDE = 1e-6  # share of the domain's width by which a goal may lie outside: a space may count such goals as free
 
-Goals = Float[np.ndarray, "goals dim"]
-
 
 def solve_eikonal(
     space: ConfigurationSpace | FreeTest,
@@ -57,20 +52,18 @@ def solve_eikonal(
 ) -> PLR:
     """Build a PLR of the cost-to-go of a configuration space, without an oracle or a roadmap.
 
-    With several goals, such as exits, the cost-to-go is that of the nearest, and ``plr.which(x)`` tells which one
-    that is.
+    With several goals, such as exits, the nearest counts, and ``plr.which(x)`` returns its index.
 
     With ``certified=False`` the PLR is an estimate, and takes about a second: scikit-fmm marches over a grid of
     160,000 nodes in the plane or up to a million in space, and continuous leaves compress the result. The mean error
     is mostly 0.01 to 0.5 %, as on the grid.
 
-    By default the PLR also has proven bounds, which takes longer. Cells are halved where that matters, and proven
-    free or blocked, or stay mixed. ``plr(x)`` is an estimate between ``plr.bounds(x)``, which hold for every point
-    from which the goal can be reached.
+    By default the PLR also has proven bounds, which takes longer. ``plr(x)`` is an estimate between
+    ``plr.bounds(x)``, which hold for every point from which the goal can be reached.
 
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
-      every face that is not proven blocked, and nowhere steeper than a step costs. The straight line to the nearest
-      goal is a lower bound too; with several goals, it serves only as far as the bounds of leaves express it.
+      every face that is not proven blocked, and nowhere steeper than a step costs. If costs are lengths and no axis
+      is periodic, the straight line to a single goal is a lower bound too.
     - The upper bound is the cost of paths through cells that are proven free, and in voxel spaces also of paths from
       voxel to voxel. It is ``inf`` where no path was found.
 
@@ -80,7 +73,8 @@ def solve_eikonal(
         goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free.
         cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
         max_leaves: Most leaves, at least 1. None: 2,000, or as many as ``max_bytes`` allows, if not certified; else
-            2,000 on a line, 10,000 in the plane, 50,000 in more dimensions. A certified PLR has a leaf for each cell.
+            2,000 on a line, 10,000 in the plane, 50,000 in more dimensions. A certified PLR has a leaf for each cell
+            of a mesh; cells are halved where bounds are loose.
         max_bytes: Most bytes of the file; None: no limit. If a leaf for each cell takes more, a certified PLR has
             fewer leaves than cells. Each then has the worst bounds of the cells that it meets, and an upper bound of
             ``inf`` if one of these has none.
@@ -107,7 +101,8 @@ def solve_eikonal(
             blocked. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid
             sees a goal. If a directional cost map comes with a space whose costs are no lengths.
 
-    References: Section VII of the paper asks for it. The program's dual is Beckmann's flow, 1952.
+    References: Section VII of the paper asks for such a PLR. Finding the largest lower bound is dual to Beckmann's
+    problem of a cheapest flow, "A continuous model of transportation", 1952.
     """
     require_space(space)
     if cost_map is not None and not isinstance(cost_map, CostMap):
@@ -133,9 +128,9 @@ def solve_eikonal(
     _require_goals(goal, is_fine, must, f": it does not lie in the domain {domain}")
     is_free = as_booleans("is_free", space.is_free(goals), len(goals))
     _require_goals(goal, is_free, must, ": it is in an obstacle, or too close to one")
-    # Of equal goals, the first counts.
-    at, first = np.unique(np.clip(at, 0.0, 1.0), axis=0, return_index=True)
-    at, first = at[np.argsort(first)], np.sort(first)
+    at = np.clip(at, 0.0, 1.0)
+    first = np.sort(np.unique(at, axis=0, return_index=True)[1])  # of equal goals, the first counts
+    at = at[first]
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
     if not certified:
         leaves = _MAX_LEAVES if max_leaves is None and max_bytes is None else max_leaves
@@ -148,7 +143,7 @@ def solve_eikonal(
             f"The goal must be seen from a node of the grid of {nodes} nodes",
             ": it is too close to obstacles. Move it, or leave out certified=False",
         )
-        _require_costs(guide.largest)
+        _require_costs(float(guide.cost.max(where=np.isfinite(guide.cost), initial=-np.inf)))
         limits: dict[str, Any] = {"max_leaves": leaves, "max_bytes": max_bytes, "seed": seed}
         if len(space.motion_cost.blocks) > 1:
             # The free space of a turning body is thin: continuous leaves would reach through its walls.
@@ -189,13 +184,11 @@ def _require_goals(
 
 
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each leaf's priority to be split: its error, and more if it is large and cut off from the goal.
+    """Return each leaf's priority to be split: its error, or more if it is large and cut off from the goal.
 
     The error is the geometric mean of the largest error and the error's L2 norm over the leaf. Mean errors of the PLR
-    are then smaller than with largest errors alone, and largest errors hardly larger.
-
-    A leaf without a path to the goal borrows the function of an adjacent leaf, for points that rounding places in it.
-    If it contains free points, it must be small, since these should answer ``inf``.
+    are then smaller than with largest errors alone, and largest errors hardly larger. A leaf without a path to the
+    goal answers the function of an adjacent leaf, but its free points should answer ``inf``: so it must be small.
     """
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()
     norm = np.sqrt(np.ldexp(mean_square, -fit.cells.depth.sum(axis=1)))  # the volume is 2**-(sum of halvings)
@@ -245,8 +238,7 @@ def _field(
     return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, guide)
 
 
-# Share of all cells in the first mesh, and its least number of cells: in a single cell, flows to a goal in its middle
-# cancel.
+# Share of all cells in the first mesh, and its least number: in one cell, flows to a goal in its middle cancel.
 _COARSEST, _FEWEST = 1 / 16, 2
 _SHARE = 0.8  # share of the loss (gap) in the cells that are refined together
 # If mixed cells have more than `_LEAKING` of the loss, flows leak through walls. Some cells are then saved for later,
@@ -262,7 +254,7 @@ _INSET = 1e-9  # distance of points from the faces of a cell, as a share of its 
 
 
 class SlopeSolver:
-    """The convex program for the lower bound, solved on finer and finer meshes."""
+    """A solver of the largest lower bound of the cost-to-go, on meshes that it refines where that bound is loose."""
 
     def __init__(
         self, space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, max_cells: int, tolerance: float
@@ -280,7 +272,6 @@ class SlopeSolver:
 
     @property
     def values(self) -> Float[np.ndarray, "dofs"]:
-        """The values of the solution, shifted to at most 0 at the goals."""
         assert self.iterate is not None
         return self.program.below_goals(self.iterate.values)
 
@@ -301,18 +292,17 @@ class SlopeSolver:
             x = fine.fractions(space.node_of // size, inset)
             cell = coarse.locate(x)
             values = self.program.space.interpolation(cell, coarse.local(cell, x)) @ self.iterate.values
-            parent = coarse.locate(fine.fractions(fine.open_cells, np.full(fine.dim, 0.5)))
+            parent = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
             place = np.zeros(len(coarse.state), np.int64)
             place[coarse.open_cells] = np.arange(len(coarse.open_cells))
-            flow = self.iterate.flow.reshape(fine.dim, -1, size).mean(axis=2)[:, place[parent]]
+            flow = self.iterate.flow.reshape(fine.dim, -1, size).mean(axis=2)[:, place[parent[fine.open_cells]]]
             iterate = Iterate(values, np.repeat(flow, size, axis=1), self.iterate.inflow)
             progress.update(len(fine.state) - len(coarse.state))
             if len(fine.state) + parts <= self.max_cells:
                 iterate = finer.solve(_NEXT, iterate)
             # Cells that are not new keep their answer (free or blocked) to whether paths pass through.
-            before = coarse.locate(fine.fractions(np.arange(len(fine.state)), np.full(fine.dim, 0.5)))
-            is_same = (coarse.cells.depth[before] == fine.cells.depth).all(axis=1)
-            self._through = np.where(is_same, self._through[before], np.int8(CellState.MIXED))
+            is_same = (coarse.cells.depth[parent] == fine.cells.depth).all(axis=1)
+            self._through = np.where(is_same, self._through[parent], np.int8(CellState.MIXED))
             self.program, self.iterate = finer, iterate
         self.iterate, has_converged = self.program.solve_thoroughly(self.iterate, _MOST)
         if not has_converged:
@@ -323,14 +313,14 @@ class SlopeSolver:
             )
 
     def mesh_without_mixed(self) -> Mesh:
-        """Return the mesh with each mixed cell counted as free or blocked, as in the mesh where it first appeared."""
+        """Return the mesh with each mixed cell counted as free or blocked, by whether a motion through it is free."""
         mesh = self.mesh
         mixed = np.flatnonzero(mesh.state == CellState.MIXED)
         new = mixed[self._through[mixed] == CellState.MIXED]
         slope = np.zeros((len(mesh.state), mesh.dim))
         slope[mesh.open_cells] = self.program.mean_gradients(self.values) / self.space.motion_cost.scale
         lo, hi = (corner[new] for corner in mesh.boxes)
-        # A cell counts as free if the motion through its middle, along the gradient of the lower bound, is free.
+        # The motion passes the middle of the cell along the gradient of the lower bound.
         share = np.abs(slope[new] / (hi - lo)).max(axis=1, keepdims=True)
         half = np.divide(slope[new], 2 * share, out=np.zeros_like(lo), where=share > 0)
         is_free = self.space.are_free((lo + hi) / 2 - half, (lo + hi) / 2 + half)
@@ -338,7 +328,7 @@ class SlopeSolver:
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
-        """Return cells to refine, those of goals that hide a loss first, then by loss, and how many may be added."""
+        """Return cells to refine, most urgent first, and how many new cells to allow, at most ``parts`` from each."""
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow
@@ -373,7 +363,7 @@ _NUM_SAMPLES, _NUM_OF_MOTION = 8, 33  # numbers of samples of a box, and of a mo
 
 @dataclass(frozen=True, eq=False)
 class SampledSpace(CheckedSpace):
-    """A space that only tests configurations. Samples classify its boxes, so nothing is proven."""
+    """A space that only tests configurations: samples classify its boxes and motions, so nothing is proven."""
 
     seed: int
 

@@ -63,10 +63,9 @@ def load(path: str | os.PathLike[str]) -> Problem:
         "goals":      [[x, y], ...]
         "rotation_weight": cost of a turn by one radian; optional, by default a robot's circumscribed radius
 
-    A ring is a list of points ``[x, y]``. ``"holes"`` is optional. Obstacles may overlap and leave the bounds.
+    A ring is a list of points ``[x, y]``. ``"holes"`` are optional. Obstacles may overlap and leave the bounds.
     Version 1 has only points and no ``"rotation_weight"``; version 2 has no polygons. :func:`save` writes the oldest
-    sufficient version, so that older releases can read it. Numbers are written with enough digits to read the same
-    float64 back.
+    sufficient version, so that older releases can read it, and enough digits to read the same float64 numbers back.
 
     Raises:
         ValueError: If the file is not a scene, is damaged, has a newer version, or describes an impossible problem.

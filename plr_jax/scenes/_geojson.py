@@ -83,8 +83,8 @@ def read_geojson(
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
     Raises:
-        ValueError: If the file is not GeoJSON, has another kind of geometry or a polygon that is not simple and
-            finite, nothing is free, or an argument is invalid.
+        ValueError: If the file is not GeoJSON, has other geometries or a polygon that is not simple and finite,
+            nothing is free, or an argument is invalid.
     """
     path = Path(path)
     with errors_named(path):

@@ -19,10 +19,9 @@ _SCEN_COLUMNS = 9
 def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
     """Read a Moving AI ``.map`` grid as a polygonal workspace; its bounds are the bounding box of the free cells.
 
-    The cell in column ``x`` and row ``y`` is the square ``[x, x + 1] x [y, y + 1]``. ``y`` grows downward as in the
-    file; a picture with ``y`` up shows the map upside down. Free space is the closed union of the passable cells:
-    ``.`` and ``G`` (ground) and ``S`` (swamp, at no extra cost). ``squeeze`` says whether a path may pass between two
-    blocked cells that touch in one corner.
+    The cell in column ``x`` and row ``y`` of the file is the square ``[x, x + 1] x [y, y + 1]``; so a picture with
+    ``y`` up shows the map upside down. Cells are free if they are ``.`` or ``G`` (ground), or ``S`` (swamp, at no
+    extra cost). ``squeeze`` says whether a path may pass between two blocked cells that touch in one corner.
 
     Raises:
         ValueError: If the file is not a Moving AI map, its rows do not match its header, or no cell is passable.

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
     from plr_jax.spaces import RasterCost
 
+Gray = Int[np.ndarray, "rows columns"]
 PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 YAML_ENDINGS = (".yaml", ".yml")
 _FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # Pillow decodes these without external programs
@@ -68,8 +69,7 @@ def read_image(
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
     Raises:
-        ValueError: If the file is not such a picture, is damaged or too large, nothing is free, or an argument is
-            invalid.
+        ValueError: If the file is no such picture, damaged or too large, nothing is free, or an argument is invalid.
     """
     path = Path(path)
     threshold = as_number("threshold", threshold, "a number from 0 to less than 1", lambda number: 0 <= number < 1)
@@ -151,24 +151,15 @@ def _require_plain(picture: Any, numbers: bool) -> None:
         picture.info["transparency"] *= _GRAY_STEP[raw]
 
 
-class Band(NamedTuple):
-    """Rows of a picture: their lightness from 0 to ``full``, and opacity from 0 to 255, None if all are opaque."""
-
-    rows: slice
-    light: Int[np.ndarray, "rows columns"]
-    full: int
-    alpha: Int[np.ndarray, "rows columns"] | None
-
-
-def bands(picture: "Image") -> Iterator[Band]:
+def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
+    """Yield rows of a picture, their lightness, that of white, and their opacity up to 255 (None if all opaque)."""
     step = max(1, _BAND // picture.width)
     for top in range(0, picture.height, step):
         bottom = min(top + step, picture.height)
-        part = picture.crop((0, top, picture.width, bottom))
-        yield Band(slice(top, bottom), *_lightness(part))
+        yield slice(top, bottom), *_lightness(picture.crop((0, top, picture.width, bottom)))
 
 
-def _lightness(part: "Image") -> tuple[Int[np.ndarray, "rows columns"], int, Int[np.ndarray, "rows columns"] | None]:
+def _lightness(part: "Image") -> tuple[Gray, int, Gray | None]:
     if part.mode.startswith("I"):
         light, clear = np.asarray(part, np.int32), part.info.get("transparency")
         return light, 2**16 - 1, None if clear is None else np.where(light == clear, 0, OPAQUE)
@@ -248,11 +239,10 @@ def read_cost_map(
     :meth:`RasterCost.from_occupancy_grid`, and not for a TIFF.
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
-    factors themselves: costs per unit of length. A cell is blocked where the factor is ``inf``, NaN or the no-data
-    value of GDAL. A GeoTIFF (OGC standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs, a
-    pixel is a square of side 1, and the outer corner of the lower left pixel is at ``(0, 0)``: the first row of the
-    file has the highest y. For pixels of another size, give the array of pixels, its last row first, to
-    ``RasterCost(values, bounds)``.
+    factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF
+    (OGC standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs a pixel has side 1, and the
+    outer corner of the lower left pixel (of the file's last row) is at ``(0, 0)``. For pixels of another size, give
+    the array of pixels, its last row first, to ``RasterCost(values, bounds)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
@@ -263,12 +253,12 @@ def read_cost_map(
     """
     path = Path(path)
     with errors_named(path):
+        from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
+
         if path.suffix.lower() in (".tif", ".tiff"):
             if (cost_travel_multiplier, unknown_is_free) != (2.0, False):
                 raise ValueError("cost_travel_multiplier and unknown_is_free are not for a TIFF: leave them out.")
-            return _read_factors(path, interpolation)
-        from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
-
+            return RasterCost(*_read_factors(path), interpolation)
         map_server = _MapServer.read(path)
         x, y, yaw = map_server.origin
         if yaw != 0:
@@ -285,7 +275,7 @@ def read_cost_map(
         )
 
 
-def _read_factors(path: Path, interpolation: str) -> "RasterCost":
+def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[Any, Any]]:
     with open_picture(path, numbers=True) as picture:
         if picture.mode not in _NUMBER_MODES:
             raise ValueError(
@@ -313,10 +303,7 @@ def _read_factors(path: Path, interpolation: str) -> "RasterCost":
         warnings.warn("Coordinates are degrees, and so are lengths: project the raster to meters.", stacklevel=4)
     lo = x - column * along_x, y - (rows - row) * along_y
     require_resolved_pixels(factors.shape, min(along_x, along_y), float(np.abs(lo).max()))
-    hi = lo[0] + columns * along_x, lo[1] + rows * along_y
-    from plr_jax.spaces import RasterCost  # slow to import, and other readers do not need it
-
-    return RasterCost(factors, (lo, hi), interpolation)
+    return factors, (lo, (lo[0] + columns * along_x, lo[1] + rows * along_y))
 
 
 def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any, ...]:
@@ -351,8 +338,13 @@ class _MapServer:
             raise ValueError(f"mode must be one of {', '.join(_MODES)}, got {shortened(mode)}.")
         if negate not in (0, 1):
             raise ValueError(f"negate must be 0 or 1, got {shortened(negate)}.")
-        resolution, origin = as_finite("resolution", _number(entry, "resolution"), positive=True), _origin(entry)
-        thresholds = _number(entry, "free_thresh", 0.196), _number(entry, "occupied_thresh", 0.65)
+        resolution = as_finite("resolution", _number("resolution", entry["resolution"]), positive=True)
+        origin = entry["origin"]
+        if not isinstance(origin, list) or len(origin) not in (2, 3):
+            raise ValueError(f"origin must be [x, y, yaw], got {shortened(origin)}.")
+        origin = np.array([_number("origin", each) for each in [*origin, 0.0][:3]])
+        thresholds = {"free_thresh": 0.196, "occupied_thresh": 0.65}
+        thresholds = (_number(key, entry.get(key, default)) for key, default in thresholds.items())
         return cls(image, resolution, origin, mode, bool(negate), *thresholds)
 
     def cells(
@@ -389,15 +381,5 @@ class _MapServer:
         return np.where(occupancy > most, _OCCUPIED, np.where(occupancy < least, _FREE, between))
 
 
-def _number(entry: dict[str, Any], key: str, default: float | None = None) -> float:
-    value = entry.get(key, default)
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise ValueError(f"{key} must be a finite number, got {shortened(value)}.")
-    return float(value)
-
-
-def _origin(entry: dict[str, Any]) -> Float[np.ndarray, "3"]:
-    value = entry["origin"]
-    if not isinstance(value, list) or len(value) not in (2, 3):
-        raise ValueError(f"origin must be [x, y, yaw], got {shortened(value)}.")
-    return np.array([_number({"origin": each}, "origin") for each in [*value, 0.0][:3]])
+def _number(name: str, value: object) -> float:
+    return as_number(name, value, "a finite number", math.isfinite)

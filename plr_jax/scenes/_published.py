@@ -59,9 +59,9 @@ _MOST_TRIALS = 1_000_000
 def door(num_robots: int) -> Problem:
     """Discs of radius 0.4 in two halls, 10 x 20 each, that change halls through one door, 1.5 diameters wide.
 
-    Half of them, the first ones, start in the left hall, on points (1 + 1.7 i, 2 + 3.9 j), row by row; the others
-    start on their mirror images. Each goes to the mirror image of its start, so pairs of robots swap places.
-    ``num_robots`` is even, from 2 to 50; otherwise ``ValueError`` is raised.
+    The first half of the robots start in the left hall, on points (1 + 1.7 i, 2 + 3.9 j), row by row, the others on
+    the mirror images of these points. All goals are the mirror images of starts, so pairs of robots swap places.
+    ``ValueError`` is raised unless ``num_robots`` is even, from 2 to 50.
     """
     require_integer("num_robots", num_robots, 2)
     if num_robots % 2 or num_robots > _MOST_AT_A_DOOR:
@@ -89,22 +89,18 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
 
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:
-    places, margin = np.empty((num_robots, 2)), _RADIUS + _CLEAR
-    placed = 0
+    places, margin = np.empty((0, 2)), _RADIUS + _CLEAR
     for _ in range(_MOST_TRIALS):
         place = rng.uniform(margin, side - margin, 2)
-        if (np.hypot(*(places[:placed] - place).T) >= 2 * _RADIUS + _CLEAR).all():
-            places[placed] = place
-            placed += 1
-            if placed == num_robots:
+        if (np.hypot(*(places - place).T) >= 2 * _RADIUS + _CLEAR).all():
+            places = np.append(places, [place], axis=0)
+            if len(places) == num_robots:
                 return places
     raise ValueError(f"Found no positions for {num_robots} robots: try another seed.")
 
 
 _FOLDER = Path(__file__).parent / "published"
-_START, _GOAL = (0.93, 0.95), (0.06, 0.07)
-
-# Walls as boxes (x0, y0, x1, y1). No side lies on a dyadic line, where a cell boundary would coincide with it.
+# Walls as boxes (x0, y0, x1, y1). No side lies on a dyadic line, where the side of a cell would coincide with it.
 _MAZE = (
     (0.00, 0.19, 0.71, 0.23),
     (0.27, 0.43, 1.00, 0.47),
@@ -124,12 +120,12 @@ _THIN_MAZE = (
 
 
 def maze() -> Problem:
-    """A point robot in the unit square among six walls, 0.04 thick; start (0.93, 0.95), goal (0.06, 0.07)."""
+    """A point robot in the unit square among six walls, 0.04 thick, from (0.93, 0.95) to (0.06, 0.07)."""
     return _point_problem(_MAZE)
 
 
 def thin_maze() -> Problem:
-    """The maze with walls 0.01 thick along the same center lines, across which distances jump."""
+    """A point robot in the scene of :func:`maze` with walls 0.01 thick, across which distances jump."""
     return _point_problem(_THIN_MAZE)
 
 
@@ -184,4 +180,4 @@ def _team(name: str, num_robots: int, numbers: Sequence[int]) -> Problem:
 def _point_problem(walls: Sequence[tuple[float, float, float, float]]) -> Problem:
     rings = [[(x0, y0), (x1, y0), (x1, y1), (x0, y1)] for x0, y0, x1, y1 in walls]
     workspace = Workspace(((0.0, 0.0), (1.0, 1.0)), rings)
-    return Problem(workspace, [PointRobot()], [_START], [_GOAL])
+    return Problem(workspace, [PointRobot()], [(0.93, 0.95)], [(0.06, 0.07)])

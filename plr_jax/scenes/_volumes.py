@@ -22,7 +22,6 @@ _MOST_ROWS, _MOST_MET = 2**22, 2**26  # rows and voxels that the triangles meet,
 _AT_A_TIME = 2**15  # slabs or rows in a batch, which bounds the memory
 _TOUCHES = 1e-6  # voxels: a surface this close to a voxel meets it
 _FARTHEST = 2**30  # voxels: within this distance, rounding errors of coordinates stay below `_TOUCHES`
-
 Edges: TypeAlias = Float[np.ndarray, "_ 2 _ n"]
 Voxels: TypeAlias = Bool[np.ndarray, "x y z"]
 
@@ -39,27 +38,24 @@ def read_volume(
     Args:
         path: A file of one of three kinds, by its ending.
 
-            ``.npy``: an array of one to four axes and at most 268,435,456 voxels: booleans or integers, 0 for blocked
-            and 1 for free. No pickles.
-
-            ``.3dmap``: voxels of the Moving AI benchmarks (Brewer and Sturtevant, SoCS 2018). The first line is
-            ``voxel nx ny nz``; each other line has the indices ``x y z`` of a blocked voxel. At most 32 MiB and
-            268,435,456 voxels, but above 16,777,216 voxels at most 256 per byte of the file.
-
-            ``.stl``, ``.obj``, ``.ply``: a mesh of plane polygons, convex or not, text or binary; at most 64 MiB and
-            16,777,216 voxels. A voxel is blocked if the surface meets the closed voxel, up to a millionth of a voxel.
-            So if the surface lies in a plane between voxels, the voxels on both sides are blocked.
-        pitch: Side of a voxel, in units of the mesh. Required for meshes, and only allowed there.
-        bounds: For meshes, the Box that the voxels fill, or its corners; the last voxels extend beyond it if the
-            pitch does not divide its width. None: the bounding box of the mesh. Voxel ``[0, 0, 0]`` is at the lower
-            corner.
+            - ``.npy``: an array of one to four axes and at most 268,435,456 voxels: booleans or integers, 0 for
+              blocked and 1 for free. No pickles.
+            - ``.3dmap``: voxels of the Moving AI benchmarks (Brewer and Sturtevant, SoCS 2018). The first line is
+              ``voxel nx ny nz``; each other line has the indices ``x y z`` of a blocked voxel. At most 32 MiB and
+              268,435,456 voxels, but above 16,777,216 voxels at most 256 per byte of the file.
+            - ``.stl``, ``.obj``, ``.ply``: a mesh of plane polygons, text or binary; at most 64 MiB and 16,777,216
+              voxels. A voxel is blocked if the surface meets the closed voxel, up to a millionth of a voxel. So a
+              surface in a plane between voxels blocks the voxels on both sides.
+        pitch: Side of a voxel, in units of the mesh; for meshes only, which need it.
+        bounds: For meshes, the Box that the voxels fill from its lower corner on, or its corners; the last voxels
+            extend beyond it if the pitch does not divide its width. None: the bounding box of the mesh.
         fill: For meshes, whether to block what the surface encloses as well: all voxels with no path through faces to
-            the border of the grid. This also blocks the rooms of a closed building; False leaves them free. A surface
-            with holes wider than a voxel encloses nothing.
+            the border of the grid, such as the rooms of a closed building. A surface with holes wider than a voxel
+            encloses nothing.
 
     Raises:
-        ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is out
-            of range or not for this kind of file.
+        ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is
+            invalid or not for this kind of file.
     """
     path, fill = Path(path), as_bool("fill", fill)
     ending = path.suffix.lower()
@@ -187,7 +183,7 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
 def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
 ) -> Iterator[tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
-    """Yield, in batches, the index of a polygon, and a layer of the grid that it reaches along one axis."""
+    """Yield, in batches, pairs of a polygon and a layer of the grid that the polygon reaches along one axis."""
     first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
         piece, place = ragged_indices(count[part])
@@ -214,7 +210,7 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return outlines of clipped triangles: the clipped edges, and segments that join their ends."""
+    """Return the outlines of clipped triangles: the clipped edges, and segments that join their ends."""
     return np.concatenate(
         [edges, *(np.stack([of, np.roll(of, -1, axis=1)], axis=1) for of in (edges[:, 0], edges[:, 1]))], axis=2
     )

@@ -54,7 +54,7 @@ def test_a_node_that_hangs_on_two_cells_agrees_with_both():
 
 def test_functions_may_jump_across_blocked_cells_alone():
     mesh = random_mesh(3, 2, rounds=4, blocked=0.7)
-    parts = mesh, mesh.with_blocked(~mesh.connected_to(0))
+    parts = mesh, mesh.with_state(np.where(mesh.connected_to(0), mesh.state, np.int8(CellState.BLOCKED)))
     assert len(function_space(parts[0], 2).points) > len(function_space(parts[1], 2).points)
     row = mesh_of(Box([0], [1]), Cells(np.full((4, 1), 2), np.arange(4)[:, None]), np.int8([1, 0, 1, 1]))
     np.testing.assert_array_equal(np.sort(function_space(row, 1).points[:, 0]), [0, 0.25, 0.5, 0.75, 1])
