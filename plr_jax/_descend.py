@@ -37,10 +37,10 @@ class Descent:
 
     Attributes:
         status: A :class:`DescentStatus` for each start, ``(n,)``.
-        vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to a goal, which is repeated up to
-            the length of the longest path. NaN without a path. Along periodic axes, segments go the shorter way.
-        counts: Number of vertices of each path without repetitions, ``(n,)``: 1 if the start is the goal, 0 without a
-            path.
+        vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to a goal. Copies of the goal fill up
+            shorter paths. NaN without a path. Along periodic axes, segments go the shorter way.
+        counts: Number of vertices of each path, without the copies, ``(n,)``: 1 if the start is the goal, 0 without
+            a path.
         lengths: Length of each path, ``(n,)``, in workspace units or by the space's ``motion_cost``; ``inf`` without
             a path.
         costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length.
@@ -59,7 +59,7 @@ class Descent:
 
     @cached_property
     def paths(self) -> list[Float[np.ndarray, "m dim"]]:
-        """The paths without repetitions; an array without rows where there is no path."""
+        """The vertices of each path, without the copies of the goal; no rows if there is no path."""
         return [path[:count] for path, count in zip(self.vertices, self.counts.tolist(), strict=True)]
 
     def __len__(self) -> int:
@@ -88,8 +88,8 @@ def descend(
 
     *Other costs and spaces*: paths take finite steps of many lengths and directions, to the visible point where the
     field falls most per cost of the step. Then vertices are skipped or shifted to reduce the cost. A slower search
-    leaves local minima, and gives up (STUCK) after 1,000 expansions. A step may cross a ridge of the field and pass
-    an obstacle on the longer side. With a cost map, each start takes a few tenths of a second.
+    escapes from local minima, and gives up (STUCK) after 1,000 expansions. A step may cross a ridge of the field and
+    pass an obstacle on the longer side. With a cost map, each start takes a few tenths of a second.
 
     Args:
         distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)`` through free
@@ -215,7 +215,10 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return edges from each corner to the ``count`` visible places of least length plus field value."""
+    """Join each of ``corners`` to the ``count`` visible places with the least distance to it plus cost-to-go.
+
+    ``field`` holds the cost-to-go of each of ``places``, the goals and then all corners.
+    """
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]

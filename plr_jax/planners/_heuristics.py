@@ -22,8 +22,7 @@ _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 class SumOverRobots:
     """A heuristic of a team, the sum of one term per robot (see :class:`plr_jax._types.HeuristicFn`).
 
-    ``per_robot`` maps joint configurations ``(n, robots, dof)`` to the terms, ``(n, robots)``. If ``is_lower_bound``,
-    the sum never exceeds the true cost-to-go; it then proves lower bounds of path costs.
+    If ``is_lower_bound`` is true, the sum never exceeds the true cost-to-go.
     """
 
     per_robot: PerRobot

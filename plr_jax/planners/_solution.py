@@ -85,7 +85,7 @@ class Solution:
         status: Reason why the planner ended. Any status may come with a path.
         stats: Effort of the planner.
         samples: Joint configurations ``(nodes, robots, dof)`` of the search nodes, in the order of creation. For
-            ``bl_plan``, those of the larger search on the last lattices.
+            ``bl_plan``, nodes on the last lattices, of the search (LaCAM or best-first) that has more.
         motions_factor: Proven upper bound of the cost of the path before shortening, over the cost of the cheapest
             path made of the same lattice motions. ``inf`` if nothing is proven.
         times: Time at which the path reaches each row, ``(steps,)``: nondecreasing, from 0 to the makespan. None if
@@ -118,8 +118,7 @@ class Solution:
         """Return the joint configurations at given times; all robots follow the path by one clock.
 
         Each motion between two rows takes as long as its costliest robot needs at unit speed. The other robots move
-        at a constant rate and arrive at the same time. Headings turn the shorter way from the value in the row
-        before.
+        at a constant rate and arrive at the same time. Headings turn the shorter way.
 
         Args:
             times: Times of any shape, such as ``(n,)``. Before 0 the robots are at their starts, after the makespan
@@ -148,8 +147,7 @@ class Solution:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solution, without its samples, to a JSON file that :meth:`load` describes; the write is atomic.
 
-        It raises ``ValueError`` if the solution is inconsistent (such as a path without a cost) or takes more than 64
-        MiB, and ``OSError`` if the file cannot be written.
+        It raises ``ValueError`` for an inconsistent solution or over 64 MiB, and ``OSError`` if writing fails.
         """
         stats = self.stats
         entry = {
@@ -176,23 +174,19 @@ class Solution:
     def load(cls, path: str | os.PathLike[str]) -> "Solution":
         """Read a solution from a file that :meth:`save` or ``plr-jax plan --output`` wrote.
 
-        Version 1 is one JSON object with these keys; other keys are ignored. ``null`` stands for infinity. Lengths
-        are in workspace units, angles in radians::
+        Version 1 is one JSON object with the keys below, named after attributes of :class:`Solution` and
+        :class:`Stats`; other keys are ignored. Numbers are finite or, for infinity, null. ``path`` and ``times`` are
+        null if there is no path. Lengths are in workspace units, angles in radians::
 
-            "format":      "plr_jax solution"
-            "version":     1
-            "status":      name of a Status, such as "SOLVED"
-            "cost":        number, or null if there is no path; likewise "makespan"
-            "lower_bound": number or null; likewise "motions_factor"
-            "path":        [[[x, y], ...], ...]: per row, one configuration per robot, [x, y, heading] if any robot
-                           has a heading; null if there is no path
-            "times":       [time, ...], one per row, from 0 to the makespan; null if there is no path
-            "stats":       {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
-                            "num_children_valid": count, "num_bytes": count, "seconds": {phase: seconds, ...},
-                            "history": [[seconds, cost], ...], "found_by": name of a search, or ""}
+            "format": "plr_jax solution", "version": 1
+            "status": name of a Status, such as "SOLVED"
+            "cost", "makespan", "lower_bound", "motions_factor": number or null
+            "path": [[[x, y], ...], ...]: per row, one configuration per robot, with a heading if any robot has one
+            "times": [time, ...], one per row, from 0 to the makespan
+            "stats": {"num_nodes", "num_expansions", "num_children_scored", "num_children_valid", "num_bytes": count,
+                      "seconds": {phase: seconds, ...}, "history": [[seconds, cost], ...], "found_by": name or ""}
 
-        Every float64 is restored exactly; ``samples`` are empty, since the file omits them. :func:`plr_jax.validate`
-        checks the path against a problem.
+        Every float64 is restored exactly; ``samples`` are empty, since the file omits them.
 
         Raises:
             ValueError: If the file is not a solution, is damaged, or was written by a newer version.

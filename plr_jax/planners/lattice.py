@@ -59,10 +59,11 @@ class Terminals(NamedTuple):
 class Kind:
     """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
 
-    Nodes are the free configurations of the ``num_cells`` cells that have one, then the starts and goals, to which no
-    primitive of the table leads. Primitive 0 stays in place. A blocked primitive leads to its own node at infinite
-    cost. Edges shared by all robots come first, then the edges into each robot's start and goal, then ``num_edges``,
-    to nowhere.
+    Nodes are one free configuration for each of ``num_cells`` cells, then the starts and goals. The table (``child``
+    and ``cost``) has a row per node and a column per primitive, a motion to a neighboring cell; primitive 0 stays in
+    place. A blocked primitive leads to its own node at infinite cost, and none leads to starts or goals. Edges, from
+    nodes ``begin`` to ``end``, are the free motions of the table, then each robot's motions into its start and goal,
+    then a dummy of infinite cost with index ``num_edges``.
     """
 
     def __init__(
@@ -70,7 +71,7 @@ class Kind:
         robot: Robot,
         members: Int[np.ndarray, "robots"],  # indices in the team
         q: Float[np.ndarray, "nodes dof"],
-        leads: tuple[Int[np.ndarray, "nodes primitives"], Float[np.ndarray, "nodes primitives"]],  # child and cost
+        leads: "Leads",
         num_cells: int,
         side: Float[np.ndarray, "dof"],  # side lengths of a cell
         offset: Float[np.ndarray, "primitives dof"],  # displacement of each primitive between cell centers
@@ -93,7 +94,7 @@ class Kind:
         self.reach = robot.circumscribed_radius + self.stride  # farthest a motion takes the body from its begin
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return where each primitive leads and its cost, from nodes of robot ``row``, or from one node per robot."""
+        """Return each primitive's child and cost, from nodes of robot ``row`` or from one node of each robot."""
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
@@ -113,7 +114,7 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, for each node, the edges into it that robot ``row`` may use, padded with ``num_edges``."""
+        """Return, for each node, the edges into it that robot ``row`` may use, padded with the dummy edge."""
         into, own = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
         into[:, self.terminals.cell[row]] = self.num_edges
         for node in self.terminals.node[row]:
@@ -217,7 +218,7 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return the rows in which robots ``i`` and ``j`` are near, and which of their primitives collide there."""
+        """Return the rows of ``state`` in which two robots are near, and which of their motions collide there."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
@@ -244,7 +245,7 @@ class CellGrid(NamedTuple):
     def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
-        """Return the motions of robots of this shape, with their starts and goals as additional nodes."""
+        """Return the motions of robots ``members`` of this shape, with their starts and goals as additional nodes."""
         num_robots, ends = len(starts), np.concatenate([starts, goals])
         # The cells of starts and goals; outside the grid, the nearest cells.
         index, size = np.floor((ends - self.lo) / self.side).astype(np.intp), np.array(self.shape)
@@ -332,7 +333,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices: cells are at most ``step`` wide, and a turn by one moves no point farther."""
+    """Build all robots' lattices; a cell is at most ``step`` wide, and a turn to the next moves no point farther."""
     each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])
@@ -344,7 +345,7 @@ def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> Join
 
 
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
-    """Return the cells of one kind of robot, with the motions between them; small grids are cached."""
+    """Return the cells of robots of one shape, and the motions between them; small grids are cached."""
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
     build = _cached_cell_grid if is_small else _build_cell_grid
     return build(workspace, robot, weight, step, IgnoredByCache(deadline))

@@ -56,8 +56,8 @@ def replan(
 
     Robots keep their routes, but not their times: all must switch to the new path at once. A robot is replanned if
     its motion does not end at its goal, hits an obstacle, or meets a standing robot. If it finds no path among the
-    others, it moves as if it were alone, and the robots that it meets are replanned in turn. If too many robots need
-    replanning, or the path costs more than ``cost_factor`` allows, :func:`bl_plan` plans the whole team.
+    others, it moves as if it were alone, and the robots that it meets are replanned in turn. If that fails, or the
+    path costs more than ``cost_factor`` allows, :func:`bl_plan` plans the whole team.
 
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
@@ -134,7 +134,7 @@ def replan(
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Replan all robots but the ``fixed`` ones until they reach their goals; return whether all of them do."""
+    """Replan robots, except ``fixed`` ones, until every motion ends at its goal; return whether that succeeds."""
     num_robots, test = len(problem.robots), timetable.test
     todo = []
     for i in sorted({*range(num_robots)} - fixed):
@@ -145,7 +145,7 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
     timetable.ignored.update(todo)
 
     def make_way(i: int, motion: Motion) -> None:
-        """Queue the robots that a motion of robot ``i`` meets for replanning; until then they block nobody."""
+        """Queue for replanning the robots that collide with this motion of robot ``i``; ignore them until then."""
         others = sorted({*timetable.meetings(i, motion)[1].tolist()} - fixed)
         timetable.ignored.update(others)
         todo.extend(others)
@@ -279,7 +279,7 @@ class _LifelongTeam:
         return Status.SOLVED
 
     def advance(self) -> list[int]:
-        """Move the team until robots arrive or others are due for replanning; return which robots arrive."""
+        """Move the team until a robot arrives or replanning is due; return which robots arrive."""
         is_there = (self.path == self.requested_goals).all(axis=2)
         arrivals = np.flatnonzero(is_there.any(axis=1))
         row = int(arrivals[0]) if len(arrivals) else len(self.path) - 1
@@ -323,7 +323,7 @@ class _LifelongTeam:
         return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
 
     def _possible_goals(self) -> Goals:
-        """Return the requested goals; robots keep previous goals, one by one, until no new goal overlaps another."""
+        """Return the requested goals, but a robot's previous goal if the requested one overlaps another robot's."""
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
         size = np.array([robot.circumscribed_radius for robot in robots])
         goals, before = self.requested_goals.copy(), self.problem.goals
@@ -340,7 +340,7 @@ class _LifelongTeam:
         return goals
 
     def _replan_waiting(self) -> Status:
-        """Replan robots that soon rest short of their goals, robots in their way, and the robot that is latest."""
+        """Replan robots whose motions soon end before their goals, robots in their way, and the latest robot."""
         problem, deadline = self.problem, time.perf_counter() + self.options.time_limit
         timetable = Timetable(problem, self.path, _PATIENCE, deadline)
         waits = (self.path[-1] != self.requested_goals).any(axis=1)

@@ -30,7 +30,7 @@ _POSITION, _HEADING = ("x", "y", "z"), "heading"
 
 @runtime_checkable
 class FunctionsOfLeaves(PiecewiseFunction, Protocol):
-    """A piecewise function that tells the leaf of each box, and the values of given leaves at points."""
+    """A piecewise function, such as a PLR, each of whose leaves (pieces) covers one or more boxes."""
 
     @property
     def leaf_of_box(self) -> Any: ...

@@ -305,7 +305,7 @@ def free_points(
 def _split_by_reachability(
     workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into parts connected to a goal and other parts; all are connected if no goal is in one."""
+    """Split free space into parts connected to a goal and other parts; all count as connected if no goal is free."""
     parts = shapely.get_parts(workspace.free_space)
     reached, num = shapely.distance(parts, shapely.MultiPoint(goals)) <= workspace.tolerance, 0
     while workspace.squeeze and num < (num := np.count_nonzero(reached)):  # add parts that touch

@@ -54,7 +54,7 @@ def slices(
         count: Number of slices, from 1 to 64, in the middle of equal layers of the domain.
         space: The configuration space: points that are not free, or have no value, are gray. Without it they stay
             blank.
-        goal: A configuration, ``(dim,)``: a star in the nearest slice, which is moved to it.
+        goal: A configuration, ``(dim,)``. The nearest slice is moved to contain it, and marks it with a star.
         at: For functions of more than three dimensions, coordinates of all other axes except the two that are drawn.
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".
