@@ -1,9 +1,8 @@
 """Paths that follow a cost-to-go from many starts to its goal, and never pass through a wall.
 
-For lengths in a workspace, paths go from corner to corner, since shortest paths among polygons turn only at convex
-corners. Each corner ``x`` is joined to the two visible places ``y`` (corners or goal) of least ``|x - y| + f(y)``,
-where ``f`` is the cost-to-go, and Dijkstra's algorithm finds the paths along these edges. So no path visits a corner
-twice, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
+For lengths in a workspace, paths go from corner to corner. Each corner ``x`` is joined to the two visible *places*
+``y`` (corners or goal) of least ``|x - y| + f(y)``, where ``f`` is the cost-to-go. Dijkstra's algorithm finds paths
+along these edges, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
 """
 
 import enum
@@ -82,9 +81,8 @@ def descend(
     The common call is ``descend(plr, workspace, starts, goal).paths``.
 
     *Lengths in a workspace*: paths go from corner to corner. The field is evaluated once per corner, to rank the
-    edges between corners; every segment is tested for visibility. A corner without a path to the goal is joined to
-    all corners that it sees, so each start reaches the goal if that is possible, whatever the field. Even a field of
-    zeros often yields shortest paths, so path lengths say little about the quality of a field.
+    edges between corners; every segment is tested for visibility. Each start reaches the goal if that is possible,
+    whatever the field. Even a field of zeros often yields shortest paths, so path lengths say little about a field.
 
     *Other costs and spaces*: paths take finite steps of many lengths and directions, to the visible point where the
     field falls most per cost of the step. Then vertices are skipped or shifted to reduce the cost. A slower search
@@ -102,8 +100,8 @@ def descend(
         cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:
-        Status, path, length and cost for each start. With a cost map, the cost of a path is integrated to about 0.1 %
-        or better; the path itself may cost some percent more than the cheapest.
+        Status, path, length and cost for each start. With a cost map, costs are integrated to about 0.1 % or better;
+        a path may cost some percent more than the cheapest.
 
     Raises:
         ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
@@ -141,9 +139,9 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     if not len(goals):
         raise ValueError("goal must be one point (2,) or several (k, 2), got none.")
     if not (is_fine := workspace.is_free(goals)).all():
+        got = goals[is_fine.argmin()].tolist()
         raise ValueError(
-            f"The goal must be in free space, got {goals[is_fine.argmin()].tolist()}: move it out of the obstacle or "
-            "into the bounds."
+            f"The goal must be in free space, got {got}: move it out of the obstacle or into the bounds."
         )
     places, count = find_corners(workspace)[0], len(goals)
     for each in goals:

@@ -69,8 +69,8 @@ class Problem:
         given = {"starts": starts, "goals": goals}
         set_fields(self, **{name: _configurations(name, q, robots) for name, q in given.items()})
         for name in given:
-            _require_free(name, getattr(self, name), robots, workspace)
-            _require_no_overlap(name, getattr(self, name), robots, workspace.tolerance)
+            _require_free(self, name)
+            _require_no_overlap(self, name)
         _require_connected(self)
 
     @property
@@ -163,13 +163,11 @@ def _configurations(name: str, value: ArrayLike, robots: Sequence[Robot]) -> Flo
     return configurations
 
 
-def _require_free(
-    name: str, configurations: Float[np.ndarray, "robots dof"], robots: Sequence[Robot], workspace: Workspace
-) -> None:
-    obstacles = np.array(workspace.obstacles, dtype=object)
+def _require_free(problem: Problem, name: str) -> None:
+    workspace, obstacles = problem.workspace, np.array(problem.workspace.obstacles, dtype=object)
     shapely.prepare(obstacles)
     x0, y0, x1, y1 = *workspace.bounds.lo, *workspace.bounds.hi
-    for i, (robot, q) in enumerate(zip(robots, configurations, strict=True)):
+    for i, (robot, q) in enumerate(zip(problem.robots, getattr(problem, name), strict=True)):
         core, radius = footprint(robot, q), robot.rounding
         left, bottom, right, top = shapely.bounds(core)
         inside = min(left - x0, bottom - y0, x1 - right, y1 - top) - radius
@@ -187,17 +185,16 @@ def _require_free(
             )
 
 
-def _require_no_overlap(
-    name: str, configurations: Float[np.ndarray, "robots dof"], robots: Sequence[Robot], tolerance: float
-) -> None:
-    cores = np.array([footprint(robot, q) for robot, q in zip(robots, configurations, strict=True)])
-    rounding = np.array([robot.rounding for robot in robots])
+def _require_no_overlap(problem: Problem, name: str) -> None:
+    configurations = getattr(problem, name)
+    cores = np.array([footprint(robot, q) for robot, q in zip(problem.robots, configurations, strict=True)])
+    rounding = np.array([robot.rounding for robot in problem.robots])
     a, b = shapely.STRtree(cores).query(cores, predicate="dwithin", distance=rounding + rounding.max())
     a, b = a[a < b], b[a < b]
     close = shapely.distance(cores[a], cores[b]) <= rounding[a] + rounding[b]
     for j, i in sorted(zip(b[close].tolist(), a[close].tolist(), strict=True)):
         clearance = separation(cores[i], cores[j]) - rounding[i] - rounding[j]
-        if clearance < -tolerance:
+        if clearance < -problem.workspace.tolerance:
             raise ValueError(
                 f"Robots {i} and {j} overlap at their {name}: {configurations[i].tolist()} and "
                 f"{configurations[j].tolist()} (clearance {clearance:.3g})."

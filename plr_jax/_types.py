@@ -7,15 +7,10 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-ArrayLike: TypeAlias = Any
-"""Anything that ``numpy.asarray`` accepts; public functions check it."""
-
+ArrayLike: TypeAlias = Any  # anything that numpy.asarray accepts; public functions check it
 Points: TypeAlias = Float[np.ndarray, "n dim"]
-"""A batch of points (configurations) on the host, one per row."""
-
-Distances: TypeAlias = Float[np.ndarray, "n"]
-"""One distance per point, in workspace units; ``inf`` where the goal cannot be reached."""
-
+Distances: TypeAlias = Float[np.ndarray, "n"]  # inf where the goal cannot be reached
+JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 DistanceFn: TypeAlias = Callable[[Points], Distances]
 """A function from points ``(n, dim)`` to distances ``(n,)`` to a goal.
 
@@ -27,9 +22,6 @@ and ignores obstacles. Users of a distance function must handle both.
 Optional protocols: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
 :class:`CellwiseFn`, :class:`BoundingFn`, :class:`FreeSpaceFn`, :class:`SymmetricFn`.
 """
-
-JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
-"""A batch of joint configurations on the host, one per row."""
 
 
 @runtime_checkable
@@ -73,8 +65,7 @@ class Sources:
     goals: Int[np.ndarray, "goals"] | None = None  # index of each of several goals; the first one of equal goals
 
 
-CellSources: TypeAlias = Any
-"""``plr_jax.geometry.cell_sight.CellSources``, without its imports: where paths from cells may turn first."""
+CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without its imports
 
 
 @runtime_checkable

@@ -1,10 +1,8 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-Shared are the points where obstacles touch, and the direction in which a robot turns, which is part of the meaning of
-a path. Bodies are Shapely geometries. A motion without turns sweeps a convex hull, whose distance is exact. Other
-motions are bisected in time: the clearance in the middle of an interval, less the distance that the bodies move,
-bounds it in the whole interval. Bisection ends when the smallest clearance is known and every interval is free or in
-collision.
+Shared are the points where obstacles touch, and the direction in which a robot turns. Bodies are Shapely geometries.
+A motion without turns sweeps a convex hull, whose distance is exact. Other motions are bisected in time: the
+clearance in the middle of an interval, less the distance that the bodies move, bounds it in the whole interval.
 """
 
 from collections.abc import Sequence
@@ -40,7 +38,7 @@ class ValidationReport:
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
         when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
-        where: Position of the first of these robots at that time.
+        where: Position of robot ``who[0]`` at that time.
     """
 
     valid: bool
@@ -61,10 +59,8 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 
     Args:
         problem: The problem that the path should solve.
-        path: Joint configurations ``(steps, robots, dof)``, in workspace units and radians.
-
-    Returns:
-        The report. An invalid path is reported and raises nothing.
+        path: Joint configurations ``(steps, robots, dof)``, in workspace units and radians. An invalid path is
+            reported and raises nothing.
 
     Raises:
         ValueError: If ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.

@@ -13,7 +13,6 @@ from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, BoundingFn, DimensionedFn, HeuristicFn, JointConfigurations, StackableDistanceFn
 
 AnyDistanceFn: TypeAlias = Callable[[Any], ArrayLike]  # returns a NumPy or JAX array
-PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # never returns NaN
 # Few sizes, since a jitted function compiles once per size; close together if large, since padding costs time.
 _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 
@@ -25,7 +24,7 @@ class SumOverRobots:
     If ``is_lower_bound`` is true, the sum never exceeds the true cost-to-go.
     """
 
-    per_robot: PerRobot
+    per_robot: Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # the terms, never NaN
     is_lower_bound: bool = False
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:

@@ -46,12 +46,12 @@ class Stats:
         num_expansions: Search nodes expanded; for LaCAM, attempted steps of the whole team.
         num_children_scored: Next joint configurations (children) scored, including partial ones, in which only the
             first robots have moved; for LaCAM, motions of single robots.
-        num_children_valid: Children found free of collision; for LaCAM, steps of the whole team found.
+        num_children_valid: Children free of collision; for LaCAM, steps of the whole team found.
         seconds: Wall-clock seconds of each phase of the planner, by name.
         history: Seconds since the start, and cost, of each new best path.
         found_by: Search that found the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
-        num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, plus what its searches had
-            stored. It exceeds the memory limit if that limit ruled out lattices.
+        num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, and of its searches. It
+            exceeds the memory limit if that limit ruled out lattices.
     """
 
     num_nodes: int
@@ -125,8 +125,7 @@ class Solution:
                 (or at ``inf``) at their goals.
 
         Returns:
-            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. At a row's time, they equal the
-            row exactly.
+            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. They equal a row at its time.
 
         Raises:
             ValueError: If there is no path, or if a time is NaN, masked or not a number.
@@ -282,8 +281,7 @@ class BLOptions:
         searchers: Searches that alternate until one finds a path. "lacam" moves the whole team one step at a time,
             which is fast, even for large teams. "bl", a best-first search over joint configurations, finds
             coordinated maneuvers. With both, the planner also tries to move a few discs one after the other.
-        step: Side of a lattice cell, in workspace units. None: chosen for each problem, and refined until the problem
-            is solved.
+        step: Side of a lattice cell, in workspace units. None: chosen for the problem, refined until it is solved.
         heuristic_weight: Factor of the heuristic in "bl", from 0 to 1e6; larger is greedier. None: 2, or 3/8 times
             the number of robots if larger. It grows by half with each finer lattice.
         cost_factor: The search stops at a path whose cost is at most this multiple of the lower bound. Until then, or
@@ -291,8 +289,7 @@ class BLOptions:
             is met early ends the search and the shortening, so the path may cost more than without a factor.
         lower_bound: Known lower bound of all path costs, in workspace units. The planner uses the largest of it, the
             cost of straight motions, and the heuristic at the starts if that is a lower bound.
-        time_limit: Seconds, positive or ``inf``. A running call of Shapely or of the heuristic, or a running
-            computation of costs-to-go, is not interrupted.
+        time_limit: Seconds, positive or ``inf``. Calls of Shapely, SciPy and the heuristic are not interrupted.
         max_expansions: Largest number of search nodes expanded; deterministic, unlike the time limit.
         max_memory: Largest number of bytes of the lattices and of the search nodes.
 

@@ -78,23 +78,17 @@ def bl_plan(
     Returns:
         The best path found, a lower bound of all path costs, and a status. SOLVED: the cost is at most
         ``cost_factor`` (default: infinite) times the lower bound. EXHAUSTED: no search is left on the finest lattice
-        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the
-        limit was reached, or best-first search found nothing after it left out children to save memory. Otherwise
-        another limit, or INTERRUPTED after Ctrl-C. Only SOLVED always comes with a path. Results are deterministic
-        unless the time limit ends a search.
+        (the given ``step``, or 1/2048 of the bounds). MEMORY_LIMIT: the limit was reached, or best-first search found
+        nothing after it left out children to save memory. Otherwise another limit, or INTERRUPTED after Ctrl-C. Only
+        SOLVED always comes with a path. Results are deterministic unless the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
 
-    How it works:
-
-    1. A few discs among few walls move one after the other, from corner to corner.
-    2. Robots move on finer and finer lattices (grids of configurations that include the exact starts and goals) until
-       LaCAM or best-first search finds a path.
-    3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
-       and deviations within narrow corridors, shorten the path. The cheapest path of all steps is returned.
-    4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
-       smaller weights.
+    A few discs among few walls first move one after the other, from corner to corner. Then the team moves on finer
+    and finer lattices (grids of configurations, with the exact starts and goals) until LaCAM or best-first search
+    finds a path. Replanning of single robots, shortcuts, and deviations in narrow corridors make the path cheaper.
+    With a ``cost_factor``, small groups are replanned too, and searches go on with finer lattices, smaller weights.
 
     References: Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section
     V of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,

@@ -2,8 +2,7 @@
 
 PIBT (priority inheritance with backtracking) finds one step of the whole team. Robots choose in the order of their
 priorities: each takes its best primitive (motion to a neighboring cell, or a stay) that is clear of all chosen ones.
-Robots that can then no longer stay in place choose next; if one of them finds no motion, the primitive is given up.
-So without constraints a step always exists.
+Robots that can then no longer stay choose next; if one of them finds no motion, the primitive is given up.
 
 References: Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022;
 Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.

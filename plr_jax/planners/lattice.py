@@ -2,10 +2,9 @@
 
 A lattice is a grid of cells over a robot's configuration space, periodic in the heading. A node is a free
 configuration in a cell, its representative: the center if that is free, else the free sample with the largest
-clearance; so a passage narrower than a cell can still be found. A primitive is a motion between neighboring cells'
-representatives. A robot's start and goal are additional nodes, so that the ends of every path are exact; for this
-robot, they replace the representatives of their cells. If both lie in one cell, motions into it lead to the goal, and
-an additional primitive connects the two.
+clearance. A primitive is a motion between representatives of neighboring cells. A robot's start and goal are
+additional nodes, so that the ends of every path are exact; for this robot, they replace the representatives of their
+cells. If both lie in one cell, motions into it lead to the goal, and an additional primitive connects the two.
 """
 
 import math
@@ -56,30 +55,27 @@ class Terminals(NamedTuple):
     cost: Float[np.ndarray, "robots 2 2 primitives"]
 
 
+@dataclass(eq=False)
 class Kind:
     """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
 
-    Nodes are one free configuration for each of ``num_cells`` cells, then the starts and goals. The table (``child``
-    and ``cost``) has a row per node and a column per primitive, a motion to a neighboring cell; primitive 0 stays in
-    place. A blocked primitive leads to its own node at infinite cost, and none leads to starts or goals. Edges, from
-    nodes ``begin`` to ``end``, are the free motions of the table, then each robot's motions into its start and goal,
-    then a dummy of infinite cost with index ``num_edges``.
+    Nodes are the representatives of cells, then starts and goals. The table (``child`` and ``cost``) has a row per
+    node and a column per primitive; primitive 0 stays in place. A blocked primitive leads to its own node at infinite
+    cost, and none leads to starts or goals. Edges, from nodes ``begin`` to ``end``, are the free motions of the table
+    and each robot's motions into its start and goal; the last is a dummy of infinite cost with index ``num_edges``.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        members: Int[np.ndarray, "robots"],  # indices in the team
-        q: Float[np.ndarray, "nodes dof"],
-        leads: "Leads",
-        num_cells: int,
-        side: Float[np.ndarray, "dof"],  # side lengths of a cell
-        offset: Float[np.ndarray, "primitives dof"],  # displacement of each primitive between cell centers
-        terminals: Terminals,
-    ):
-        self.robot, self.members, self.q, self.num_cells = robot, members, q, num_cells
-        (self.child, self.cost), self.side, self.offset, self.terminals = leads, side, offset, terminals
-        moves = np.nonzero(np.isfinite(self.cost))
+    robot: Robot
+    members: Int[np.ndarray, "robots"]  # indices in the team
+    q: Float[np.ndarray, "nodes dof"]
+    child: Int[np.ndarray, "nodes primitives"]
+    cost: Float[np.ndarray, "nodes primitives"]
+    side: Float[np.ndarray, "dof"]  # side lengths of a cell
+    offset: Float[np.ndarray, "primitives dof"]  # displacement of each primitive between cell centers
+    terminals: Terminals
+
+    def __post_init__(self) -> None:
+        q, terminals, moves = self.q, self.terminals, np.nonzero(np.isfinite(self.cost))
         shared = moves[0], self.child[moves], self.cost[moves]
         own = np.nonzero((terminals.begin >= 0) & np.isfinite(terminals.cost))
         into_ends = terminals.begin[own], terminals.node[own[:2]], terminals.cost[own]
@@ -87,11 +83,11 @@ class Kind:
         self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_ends, nowhere, strict=True))
         self.num_shared, self.num_edges = len(moves[0]), len(self.begin) - 1
         self.terminal_edges = np.split(
-            np.arange(self.num_shared, self.num_edges), np.searchsorted(own[0], np.arange(1, len(members)))
+            np.arange(self.num_shared, self.num_edges), np.searchsorted(own[0], np.arange(1, len(self.members)))
         )
         x, y = (q[self.end] - q[self.begin])[:, :2].T
-        self.stride = float(np.hypot(x, y).max())  # length of the longest motion
-        self.reach = robot.circumscribed_radius + self.stride  # farthest a motion takes the body from its begin
+        # The farthest that a motion takes the body from the motion's begin.
+        self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
         """Return each primitive's child and cost, from nodes of robot ``row`` or from one node of each robot."""
@@ -270,16 +266,15 @@ class CellGrid(NamedTuple):
             )
         # 3. Build the table: motions from representatives, then motions from starts and goals.
         free, offsets = motions.free, motions.offsets
-        nodes, num_cells = np.cumsum(free) - 1, int(free.sum())
+        nodes, end_nodes = np.cumsum(free) - 1, int(free.sum()) + np.arange(len(ends))
         child = np.where(np.isfinite(motions.cost), nodes[motions.child], nodes[:, None])[free]
         target, leads = motions.neighbors(cells, offsets)
         cost = motions.costs(leads, ends[:, None], motions.q[target])
-        away = np.where(np.isfinite(cost), nodes[target], num_cells + np.arange(len(ends))[:, None])
+        away = np.where(np.isfinite(cost), nodes[target], end_nodes[:, None])
         cost[:, 0] = 0.0
         q, cost = np.concatenate([motions.q[free], ends]), np.concatenate([motions.cost[free], cost])
         child = np.concatenate([child, away], dtype=np.int32)
         # 4. Find the motions into starts and goals. A goal equal to the start, up to whole turns, is the same node.
-        end_nodes = num_cells + np.arange(len(ends))
         end_nodes[:num_robots][~differ] += num_robots
         others, others_nodes, others_cells = (np.roll(row, num_robots, axis=0) for row in (ends, end_nodes, cells))
         same_cell = cells == others_cells
@@ -294,7 +289,7 @@ class CellGrid(NamedTuple):
         begin = np.where(enters, nodes[by], -1), np.where(crosses, others_nodes[:, None], -1)
         columns = end_nodes, nodes[cells], np.stack(begin, axis=1), np.stack([into, across], axis=1)
         all_ends = Terminals(*(np.stack(np.split(column, 2), axis=1) for column in columns))
-        return Kind(robot, members, q, (child, cost), num_cells, self.side, offsets * self.side, all_ends)
+        return Kind(robot, members, q, child, cost, self.side, offsets * self.side, all_ends)
 
     def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
         """Return the cells at given offsets, and whether each is a different cell that has a free configuration."""

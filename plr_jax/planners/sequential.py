@@ -1,8 +1,7 @@
 """A first path for a few discs among few walls, without a lattice: the robots move one after the other.
 
-Each robot follows a shortest route, straight from corner to corner, while the others stand at their starts or goals.
-An order is chosen in which no robot blocks another. If there is none, as for two robots that swap places, one first
-steps aside into a corner.
+Each robot follows a shortest route, straight from corner to corner, in an order in which no robot blocks another. If
+there is none, as for two robots that swap places, one first steps aside into a corner.
 
 References: Buckley, "Fast motion planning for multiple moving robots", 1989. Van den Berg et al., "Centralized path
 planning for multiple robots: optimal decoupling into sequential plans", 2009.
@@ -29,8 +28,6 @@ _DEPARTURES = 32  # most departure times that are tried for a robot, besides the
 Points = Float[np.ndarray, "n 2"]
 Route = list[complex]  # positions of the disc's center
 Path = Float[np.ndarray, "steps robots dof"]
-Retimed = Float[np.ndarray, "rows robots dof"]
-TouchDistances = list[list[float]]
 
 
 class CornerRoadmap:
@@ -207,12 +204,12 @@ def _comes_within(route: Route, place: complex, reach: float) -> bool:
     return False
 
 
-def _touch_distances(problem: Problem) -> TouchDistances:
+def _touch_distances(problem: Problem) -> list[list[float]]:
     radii, slack = [robot.rounding for robot in problem.robots], problem.workspace.tolerance / 2
     return [[a + b - slack for b in radii] for a in radii]
 
 
-def with_early_departures(problem: Problem, path: Path) -> Retimed:
+def with_early_departures(problem: Problem, path: Path) -> Float[np.ndarray, "rows robots dof"]:
     """Return the path with robots departing before others have arrived, if possible; routes and cost stay equal."""
     num = len(problem.robots)
     first_of, second_of = np.triu_indices(num, 1)

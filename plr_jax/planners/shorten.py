@@ -24,7 +24,6 @@ Path = Float[np.ndarray, "steps robots dof"]
 Rows = Int[np.ndarray, "m"]
 Corridor = Float[np.ndarray, "steps _ dof"]  # one configuration per row and place; more places with a heading
 Costs = Float[np.ndarray, "motions size size"]
-CostsOfRobot = Float[np.ndarray, "motions _ _"]
 Robots = tuple[int, ...]
 _LONGEST = 32  # most steps that a shortcut spans
 _STRIDES = (16, 4, 1)  # motions tested in each batch: every 16th, every 4th, all
@@ -167,13 +166,10 @@ def _shortened_in_corridors(
     own, weights = zip(robots, corridors, strict=True), problem.rotation_weights
     costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in own]
     through = [_least_cost_through(cost) for cost in costs]
-    least = [float(cost[0].min()) for cost in through]
-    spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
-    for i, corridor, reached, cost, total, alone in zip(
-        robots, corridors, around, costs, through, least, strict=True
-    ):
+    spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(float(total[0].min()) for total in through)
+    for i, corridor, reached, cost, total in zip(robots, corridors, around, costs, through, strict=True):
         # Motions cost inf if they cannot gain or hit something. The robot's present motions keep their costs.
-        own, may_gain = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (alone + spare)
+        own, may_gain = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (float(total[0].min()) + spare)
         cost[~may_gain] = np.inf
         row, first, last = np.nonzero(may_gain)
         tight = ~test.wall_tests[i].has_room(*reached)[row]
@@ -193,7 +189,7 @@ def _shortened_in_corridors(
 
 
 def _joint_costs(
-    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[CostsOfRobot], test: JointMotionTest
+    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list, test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
     """Return costs of joint motions of two robots between configurations in ``corridors``; ``inf`` if blocked."""
     (i, j), (a, b) = robots, corridors

@@ -166,10 +166,9 @@ def plan_through_time(
                 heapq.heappush(waiting, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
                 for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, some[place[n]])):
                     column.append(int(entry))
-    # 3. Else find a state near the goal where it may rest, preferably away from walls, so that others can pass.
-    found = arrived if arrived >= 0 else None
-    at, when = np.array(nodes), np.array(rows)
-    if found is None:
+    # 3. Else find a state near the goal where the robot may rest, best away from walls, so that others can pass.
+    last, at, when = arrived, np.array(nodes), np.array(rows)
+    if last < 0:
         is_narrow = problem.workspace.clearance(q[at, :2]) < _ROOM * robot.circumscribed_radius
         order = np.lexsort((to_go[at], is_narrow))
         for begin in range(0, len(order), _BATCH):
@@ -177,11 +176,11 @@ def plan_through_time(
             count = np.full(len(some), int(min(rest, len(timetable.path))))
             may_rest = timetable.are_free(i, q[at[some]], q[at[some]], when[some], count)
             if may_rest.any():
-                found = int(some[may_rest.argmax()])
+                last = int(some[may_rest.argmax()])
                 break
         else:
             return None, False
-    way = [found]
+    way = [last]
     while parents[way[-1]] >= 0:
         way.append(parents[way[-1]])
     way.reverse()

@@ -27,7 +27,6 @@ from plr_jax.planners.driver import bl_plan, first_step
 from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, plan_through_time, subdivided
 
 Goals: TypeAlias = Float[np.ndarray, "robots dof"]
-NextGoal: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
 Planner: TypeAlias = Callable[[Problem], Solution]
 _DEFAULT_OPTIONS = BLOptions()
 _MOST_STATES = 20_000  # most states expanded for one robot
@@ -49,7 +48,7 @@ def replan(
 ) -> Solution:
     """Replan a moving team after a change; robots whose motions still lead to their goals keep them if possible.
 
-    Use it when a few goals or walls have changed, or when robots have broken down::
+    Use it when goals or walls have changed, or robots have broken down::
 
         problem = Problem(workspace, robots, solution.path_at(time), new_goals)
         solution = replan(problem, solution, time)
@@ -62,8 +61,7 @@ def replan(
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
         solution: The current motion of the same robots, from any planner.
-        at: The time since the start of the solution's path, at least 0; after its makespan, all robots are at its
-            end.
+        at: The time since the start of the solution's path, at least 0; after its makespan, robots are at its end.
         options: ``step``, ``time_limit``, ``lower_bound`` and ``cost_factor`` apply. If :func:`bl_plan` plans the
             whole team, all options apply, and the time limit starts again; the cheaper path is returned.
         standing: Indices of robots that do not move; their goals must equal their starts. Other robots may make way
@@ -200,7 +198,7 @@ class LifelongRun:
 
 def lifelong(
     problem: Problem,
-    next_goal: NextGoal,
+    next_goal: Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike],
     num_goals: int,
     options: BLOptions = _DEFAULT_OPTIONS,
     plan: Planner | None = None,
@@ -209,12 +207,11 @@ def lifelong(
 
     :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
     keep their motions. A robot at its goal blocks others only for a short time, since it will leave for its next
-    goal. A robot that finds no path goes to a place near its goal where it may rest, and is replanned later. If it
-    finds no such place either, it stays, and robots that would pass its position are replanned. If all this fails,
-    the whole team is planned again.
+    goal. A robot that finds no path waits near its goal, or where it is, and is replanned later. If that fails, the
+    whole team is planned again.
 
-    The function shows progress in terminals. Ctrl-C, or a team that cannot be planned, ends it early; it then returns
-    the run so far. Results are deterministic unless a time limit is reached.
+    Ctrl-C, or a team that cannot be planned, ends the function early; it then returns the run so far. Results are
+    deterministic unless a time limit is reached.
 
     Args:
         problem: The robots, their starts, and their first goals.
@@ -340,7 +337,7 @@ class _LifelongTeam:
         return goals
 
     def _replan_waiting(self) -> Status:
-        """Replan robots whose motions soon end before their goals, robots in their way, and the latest robot."""
+        """Replan robots whose motions soon end before their goals, robots in their way, and the most delayed one."""
         problem, deadline = self.problem, time.perf_counter() + self.options.time_limit
         timetable = Timetable(problem, self.path, _PATIENCE, deadline)
         waits = (self.path[-1] != self.requested_goals).any(axis=1)

@@ -37,22 +37,6 @@ class FunctionsOfLeaves(PiecewiseFunction, Protocol):
     def values_in_leaves(self, leaf: Any, x: Any, /) -> Float[np.ndarray, "n"]: ...
 
 
-def require_2d(plr: PiecewiseFunction) -> None:
-    if plr.domain.dim != 2:
-        raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
-
-
-def cell_corners(plr: PiecewiseFunction) -> Float[np.ndarray, "leaves 4 2"]:
-    return rectangles(*map(np.asarray, plr.leaf_boxes))
-
-
-def rectangles(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 4 2"]:
-    """Return the four corners of each box in the plane, counterclockwise."""
-    x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)
-    y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)
-    return np.stack([x, y], axis=-1)
-
-
 def save(ax: Axes, path: str | os.PathLike[str]) -> None:
     """Write the picture that axes belong to, in any format that Matplotlib supports, such as .png, .pdf or .svg."""
     ax.figure.canvas.figure.savefig(path)

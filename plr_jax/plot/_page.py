@@ -145,13 +145,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     data, name = source.to_bytes(), source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
     walls = None if workspace is None else {"data": obstacles_path(workspace, source.domain)}
     content = {"name": json.dumps(name), "walls": json.dumps(walls)}
-    if isinstance(source, PairPLR):
-        is_read_by_page = True
-    else:
-        container = Container.from_bytes(data)
-        is_plain = container.folding is None and not container.domain.is_periodic
-        is_read_by_page = is_plain and isinstance(leaf_of_code(container.last.leaf_code), Cone)
-    if is_read_by_page:
+    if isinstance(source, PairPLR) or _is_plain_cone(Container.from_bytes(data)):
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:
         box = {"lo": source.domain.lo.tolist(), "hi": source.domain.hi.tolist()}
@@ -162,6 +156,11 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     return Page(
         html_document(name, asset("field.css"), asset("field.html").replace("{{play}}", PLAY), packed_script(script))
     )
+
+
+def _is_plain_cone(container: Container) -> bool:
+    is_plain = container.folding is None and not container.domain.is_periodic
+    return is_plain and isinstance(leaf_of_code(container.last.leaf_code), Cone)
 
 
 def _module(data: bytes) -> str:

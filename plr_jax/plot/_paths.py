@@ -100,11 +100,9 @@ def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
     """Return the ends of a bar near the front of a robot's body, in its own frame, that shows the heading."""
     corners = body_outline(robot, bounds)
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
-    (_, y0), (_, y1) = shapely.get_coordinates(
-        shapely.intersection(
-            shapely.Polygon(corners), shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
-        )
-    )[[0, -1]]
+    across = shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
+    inside = shapely.get_coordinates(shapely.intersection(shapely.Polygon(corners), across))
+    y0, y1 = inside[[0, -1], 1]
     middle, half = (y0 + y1) / 2, 0.28 * abs(y1 - y0)
     return np.array([[x, middle - half], [x, middle + half]])
 
@@ -273,12 +271,6 @@ def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -
     ax = plot_problem(problem, ax)
     colors = np.array([color_of(i) for i in range(len(problem.robots))])
     # In one collection, so that no robot's dots cover all dots of earlier robots.
-    ax.scatter(
-        *samples[..., :2].reshape(-1, 2).T,
-        c=np.tile(colors, len(samples)),
-        s=2.2,
-        linewidths=0,
-        zorder=_SAMPLES,
-        rasterized=True,
-    )
+    dots = {"c": np.tile(colors, len(samples)), "s": 2.2, "linewidths": 0, "zorder": _SAMPLES, "rasterized": True}
+    ax.scatter(*samples[..., :2].reshape(-1, 2).T, **dots)
     return ax

@@ -30,11 +30,8 @@ from plr_jax.plot._axes import (
     WORKSPACE_UNITS,
     FunctionsOfLeaves,
     add_colorbar,
-    cell_corners,
     new_axes_3d,
     prepare_axes,
-    rectangles,
-    require_2d,
     style_colorbar,
 )
 from plr_jax.spaces import FreeTest
@@ -56,7 +53,8 @@ def plot_surface(
     values are meaningless. Other arguments are as for :func:`plot_contours`. ``ValueError`` is raised if the PLR is
     not 2-D, or no leaf has a finite value.
     """
-    require_2d(plr)
+    if plr.domain.dim != 2:
+        raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
     pieces = _pieces(plr, workspace)
     if not pieces:
         raise ValueError("There is nothing to draw: no leaf in free space has a finite value.")
@@ -81,7 +79,8 @@ def plot_surface(
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
     """Return polygons in space: each cell, or its free parts, with the leaf's values as heights."""
-    parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cell_corners(plr)]
+    cells = _cells_of(plr, Slice.of(plr.domain, None))
+    parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cells]
     pieces = [corners for of_leaf in parts for corners in of_leaf]
     if not pieces:
         return []
@@ -200,7 +199,7 @@ def draw_values(
     closed: Bool[np.ndarray, "rows columns"] | None,
 ) -> AxesImage:
     """Draw values as colors from 0 to ``largest``, about ``num_levels`` contours, and points ``closed`` in gray."""
-    image = add_image(ax, shown.box, values, DISTANCE_COLORS, 0.0, largest)
+    image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
     has_lines = min(values.shape) > 1
     if has_lines and largest > 0 and values.count():
@@ -208,7 +207,7 @@ def draw_values(
         ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.8)
     if closed is not None and closed.any():
         gray = np.ma.masked_where(~closed, np.ones(closed.shape))
-        add_image(ax, shown.box, gray, ListedColormap([OBSTACLE]), 0.0, 1.0).set_zorder(3)
+        _add_image(ax, shown.box, gray, ListedColormap([OBSTACLE]), Normalize(0.0, 1.0)).set_zorder(3)
         if has_lines and not closed.all():
             ax.contour(x, y, closed, levels=[0.5], colors=INK, linewidths=0.6, zorder=3.5)
     return image
@@ -272,10 +271,10 @@ def plot_error(
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
     smallest = _ERROR_RANGE * (largest or 1.0)
     shown_errors = np.ma.masked_invalid(np.maximum(errors, smallest))
-    image = add_image(ax, shown.box, shown_errors, _ERROR_COLORS, smallest, largest or 1.0, LogNorm)
+    image = _add_image(ax, shown.box, shown_errors, _ERROR_COLORS, LogNorm(smallest, largest or 1.0))
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
     if unanswered.count():
-        add_image(ax, shown.box, unanswered, "autumn", 1.0, 2.0)
+        _add_image(ax, shown.box, unanswered, "autumn", Normalize(1.0, 2.0))
     if isinstance(workspace, Workspace):
         _add_obstacles(workspace, ax)
     clipped = "both" if finite.max() > largest else "min"
@@ -314,26 +313,20 @@ def _split_by_reachability(
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4 2"]:
+    """Return the four corners, counterclockwise, of each cell that meets a slice."""
     lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
     others = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]
     ends = hi[:, others] == shown.domain.hi[others]
     at = shown.at[others]
     meets = np.all((lo[:, others] <= at) & ((at < hi[:, others]) | (ends & (at == hi[:, others]))), axis=1)
-    return rectangles(lo[meets][:, shown.axes], hi[meets][:, shown.axes])
+    x, y = np.stack([lo[meets], hi[meets]])[..., shown.axes].transpose(2, 1, 0)
+    return np.stack([x[:, [0, 1, 1, 0]], y[:, [0, 0, 1, 1]]], axis=2)
 
 
-def add_image(
-    ax: Axes,
-    box: Box,
-    values: np.ma.MaskedArray,
-    colors: str | Colormap,
-    lowest: float,
-    largest: float | None,
-    norm: type[Normalize] = Normalize,
-) -> AxesImage:
-    scale = {"cmap": colors, "norm": norm(lowest, largest)}
+def _add_image(ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str | Colormap, norm: Normalize) -> AxesImage:
     extent, aspect = (box.lo[0], box.hi[0], box.lo[1], box.hi[1]), ax.get_aspect()
-    return ax.imshow(values, origin="lower", extent=extent, aspect=aspect, interpolation="nearest", **scale)
+    options = {"extent": extent, "aspect": aspect, "cmap": colors, "norm": norm}
+    return ax.imshow(values, origin="lower", interpolation="nearest", **options)
 
 
 def _outline(polygon: shapely.Polygon) -> Path:

@@ -77,7 +77,6 @@ def slices(
     places = domain.lo[axis] + domain.width[axis] * (np.arange(count) + 0.5) / count
     if goal is not None:
         places[np.abs(places - goal[axis]).argmin()] = goal[axis]
-
     # 2. Evaluate a grid of points in each slice, and find values in free space.
     cuts = [Slice.of(domain, {**at, axis: float(place)}) for place in places]
     require_drawable(cuts[0], None, space)
@@ -90,7 +89,6 @@ def slices(
     largest = max((float(of[seen].max()) for of, seen in zip(values, shows, strict=True) if seen.any()), default=None)
     if largest is None:
         raise ValueError("There is nothing to draw: no point in free space has a finite value.")
-
     # 3. Draw slices row by row from the top left, with the aspect ratio of a figure in a paper.
     horizontal, vertical = cuts[0].axes
     same_unit = is_angle(domain, horizontal) == is_angle(domain, vertical)
