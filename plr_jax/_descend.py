@@ -90,9 +90,8 @@ def descend(
     pass an obstacle on the longer side. With a cost map, each start takes a few tenths of a second.
 
     Args:
-        distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)`` through free
-            space, NumPy or JAX, in units of the motion cost; ``inf`` where unknown. It is evaluated only in the
-            domain of the space, with wrapped periodic coordinates.
+        distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)``, NumPy or JAX, in
+            units of the motion cost; ``inf`` where unknown. Its points lie in the domain, with periodic axes wrapped.
         space: Free space. A Workspace is the free space of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
         goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
@@ -108,7 +107,7 @@ def descend(
             free, or a returned value is invalid: NaN of the field, or not positive and finite for the cost map.
 
     References: Putman et al., Section I. Visibility graphs: de Berg et al., Computational Geometry (3rd ed.), chapter
-    15. Finite steps as in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
+    15. Semi-Lagrangian steps: Falcone and Ferretti, 2014, chapter 8.
     """
     if isinstance(space, Workspace) and cost_map is None:
         vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)

@@ -28,16 +28,15 @@ class Problem:
         workspace: The workspace of all robots.
         robots: The robots, at least one.
         starts: Start configurations, ``(robots, dof)``. Rows are ``(x, y)`` in workspace units if no robot has a
-            heading, else ``(x, y, heading)`` with the heading in radians. Headings of robots without one (points and
-            discs) are ignored.
+            heading, else ``(x, y, heading)`` with the heading in radians, ignored for points and discs.
         goals: Goal configurations, ``(robots, dof)``.
         rotation_weight: Cost of a turn by one radian, in workspace units, at least 0, for robots with a heading.
             None: each robot's circumscribed radius, which is half the diagonal for a rectangle.
 
     Raises:
         ValueError: If there is no robot, an argument has a wrong shape or value, or a start or goal is outside the
-            bounds or in collision. Also if obstacles separate a goal from its start; this is tested for the robot's
-            inscribed disc, so a problem that passes may still be impossible.
+            bounds or in collision. Also if obstacles separate a goal from its start even for the robot's inscribed
+            disc; so a problem that passes may still be impossible.
     """
 
     workspace: Workspace

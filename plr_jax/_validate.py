@@ -248,19 +248,16 @@ def _least_clearances(
 def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n dof"]:
     motion = np.minimum(when.astype(int), len(path) - 2)
     change = np.diff(path, axis=0)
-    change[:, 2:] = _turns(path)[:, None] if path.shape[1] > 2 else change[:, 2:]
+    if path.shape[1] > 2:
+        change[:, 2] = shorter_turn(path[:-1, 2], path[1:, 2])
     return path[motion] + (when - motion)[:, None] * change[motion]
-
-
-def _turns(path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
-    return shorter_turn(path[:-1, 2], path[1:, 2])
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
     """Return the most that a robot's corners move by turning, in each motion."""
     if robot.dof == 2:
         return np.zeros(len(path) - 1)
-    return np.linalg.norm(robot.core, axis=1).max() * np.abs(_turns(path))
+    return np.linalg.norm(robot.core, axis=1).max() * np.abs(shorter_turn(path[:-1, 2], path[1:, 2]))
 
 
 def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n corners 2"]:
@@ -359,21 +356,17 @@ def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"
 
 
 def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> ValidationReport:
-    when = collision.first_moment
+    workspace, when, depth = problem.workspace, collision.first_moment, collision.depth
     q = _at(collision.path, np.array([when]))
     x, y = q[0, :2].tolist()
-    depth = collision.depth
     what = f"Robots {collision.who[0]} and {collision.who[-1]} collide"
     if collision.other_path is None:
-        what = f"Robot {collision.who[0]} {_describe_violation(problem.workspace, _bodies(collision.robot, q)[0])}"
+        body, obstacles = _bodies(collision.robot, q)[0], np.array(workspace.obstacles, dtype=object)
+        # The distance to an empty (removed) obstacle is NaN: it counts as infinite.
+        distance = np.nan_to_num(np.append(shapely.distance(body, obstacles), np.inf), nan=np.inf, posinf=np.inf)
+        bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
+        outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
+        hits = "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"
+        what = f"Robot {collision.who[0]} {hits}"
     message = f"{what} at step {when:.6g}, the first at ({x:.6g}, {y:.6g}) (clearance {depth:.3g})."
     return ValidationReport(False, cost, depth, message, collision.who, when, (x, y))
-
-
-def _describe_violation(workspace: Workspace, body: Any) -> str:
-    obstacles = np.array(workspace.obstacles, dtype=object)
-    # The distance to an empty (removed) obstacle is NaN: it counts as infinite.
-    distance = np.nan_to_num(np.append(shapely.distance(body, obstacles), np.inf), nan=np.inf, posinf=np.inf)
-    bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
-    outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
-    return "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"

@@ -60,8 +60,8 @@ def error_map(approximation: Callable[[ArrayLike], ArrayLike], distance_fn: Dist
     Args:
         approximation: A PLR, or any function of points ``(n, dim)`` that returns ``(n,)`` numbers.
         distance_fn: The exact distance function, ``(n, dim) -> (n,)``; infinite where the goal is unreachable.
-        x: Points ``(n, dim)``, at least one: for example ``workspace.sample_free(n, seed)``, or the cell centers
-            ``workspace.bounds.grid(resolution).reshape(-1, 2)``, where points that are not free count as unreachable.
+        x: Points ``(n, dim)``, at least one: for example ``workspace.sample_free(n, seed)``, or cell centers,
+            ``workspace.bounds.grid(resolution).reshape(-1, 2)``. Points that are not free count as unreachable.
 
     Raises:
         ValueError: If ``x`` has another shape or no rows, no point has a finite distance and a finite approximation,
@@ -108,8 +108,7 @@ def error_grid(
         approximation: A PLR, or another function, as in :func:`error_map`.
         distance_fn: The exact distance function.
         workspace: The workspace, or a configuration space whose free configurations count.
-        at: For a space of more than two dimensions, the slice that the grid covers: coordinates of all axes but two,
-            by axis number from 0.
+        at: For more than two dimensions, the slice that the grid covers: coordinates by axis, for all axes but two.
         resolution: Number of nearly square cells along the longer side of the bounds, at least 1.
 
     Returns:

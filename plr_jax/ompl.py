@@ -37,7 +37,7 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
     Args:
         space_information: OMPL's ``SpaceInformation``; its space's distance must be the cost of motions.
         plr: A PLR with proven bounds, such as one built with ``certified=True``, for these costs or lower ones: a PLR
-            for points also serves a body that turns. Leaf bounds (``certified="leaves"``) improve the heuristic.
+            for points also serves a body that turns. ``certified="leaves"`` improves the heuristic.
         coordinates: Function from a state to its point in the PLR's domain. None: the first coordinates of a
             ``RealVectorStateSpace``; position, and for a PLR of three dimensions heading, of an ``SE2StateSpace``.
 

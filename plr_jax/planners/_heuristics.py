@@ -55,23 +55,21 @@ def straight_line(problem: Problem) -> SumOverRobots:
 def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
     """Return the heuristic that adds up the robots' distances to their goals, each as if alone (paper, Section V-B).
 
-    If all functions have one type that offers ``stack``, as PLRs do, one call evaluates all. Others are called one by
-    one, in batches of a few fixed sizes, so that functions under ``jit`` compile only a few times.
+    Functions of one type that offers ``stack``, as PLRs do, are evaluated by one call. Others are called one by one,
+    in batches of a few fixed sizes, so that functions under ``jit`` compile only a few times.
 
     Args:
-        distance_fns: One distance function per robot, in the order of the robots. It returns NumPy or JAX arrays. If
-            it has an attribute ``dim``, as oracles and PLRs do, it receives the first ``dim`` coordinates of a
-            configuration, else all coordinates.
+        distance_fns: One distance function per robot, which returns NumPy or JAX arrays. If it has an attribute
+            ``dim``, as oracles and PLRs do, it receives the first ``dim`` coordinates of a configuration, else all.
 
     Returns:
         A heuristic for teams of this size. It is a lower bound if every function says so, as oracles and
-        ``plr.lower`` do; each must then be the distance among its robot's own obstacles. If a function returns NaN
-        for a configuration that is not finite, the term is ``inf``.
+        ``plr.lower`` do; each must then be the distance among its robot's own obstacles.
 
     Raises:
         ValueError: If ``distance_fns`` is empty or holds something that is not a function. When the heuristic is
-            called: if the team has another size, or a function takes too many coordinates, or returns NaN or a wrong
-            shape. Exceptions of a function are passed on.
+            called: if the team has another size, or a function takes too many coordinates, or returns a wrong shape,
+            or NaN for a finite configuration. Exceptions of a function are passed on.
     """
     if callable(distance_fns) or not isinstance(distance_fns, Iterable):
         raise ValueError(f"distance_fns must hold one function per robot, got {shortened(distance_fns)}.")

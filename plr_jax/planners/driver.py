@@ -70,9 +70,9 @@ def bl_plan(
         problem: Workspace, robots, starts and goals.
         heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, as a sum over robots:
             :func:`zero`, :func:`straight_line` or :func:`sum_of_distances`. None, the best choice for a single plan:
-            each robot's cost-to-go along its lattice. No estimate may be NaN; ``inf`` prunes nothing, and negative
-            ones count as 0. If ``is_lower_bound`` is true, the value at the starts is a lower bound of all path
-            costs. A poor heuristic, such as straight lines among walls, may prevent a solution.
+            each robot's cost-to-go along its lattice. ``inf`` prunes nothing, and negative estimates count as 0. If
+            ``is_lower_bound`` is true, the value at the starts is a lower bound of all path costs. A poor heuristic,
+            such as straight lines among walls, may prevent a solution.
         options: How to search, and when to stop.
 
     Returns:

@@ -191,7 +191,6 @@ def _shortened_in_corridors(
 def _joint_costs(
     robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list, test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
-    """Return costs of joint motions of two robots between configurations in ``corridors``; ``inf`` if blocked."""
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]

@@ -73,7 +73,7 @@ def replan(
 
     Raises:
         ValueError: If the solution has no path or other robots, the starts differ from ``solution.path_at(at)`` by
-            more than the workspace's tolerance, the time is negative or not finite, or ``standing`` is invalid.
+            more than the workspace's tolerance, or ``at`` or ``standing`` is invalid.
 
     References: Silver, "Cooperative pathfinding", 2005.
     """
@@ -173,15 +173,14 @@ class LifelongRun:
     """Result of :func:`lifelong`: the motions of a team, and the goals that it served.
 
     Args:
-        problem: The problem from the path's first row to its last: ``validate(run.problem, run.path)`` checks all
-            motions.
+        problem: The problem from the path's first row to its last, for ``validate(run.problem, run.path)``.
         path: Joint configurations ``(rows, robots, dof)``, as in a :class:`Solution`.
         times: Time at which the path reaches each row, ``(rows,)``, from 0 on.
         robots: The robot that served each goal, in the order of service, ``(goals,)``.
         goals: The served goals, ``(goals, dof)``.
         rows: The row of the path at which each goal was reached, ``(goals,)``.
         seconds: CPU seconds of each replanning, ``(replans,)``.
-        num_from_nothing: Number of times that the whole team was planned, including the first.
+        num_from_nothing: How often the whole team was planned, including the first time.
         status: SOLVED if ``num_goals`` goals were served, INTERRUPTED, or the reason why the team has no path.
     """
 
@@ -221,11 +220,9 @@ def lifelong(
         num_goals: Number of goals to serve, at least 1. Goals reached at the same time may add a few more.
         options: Options of :func:`bl_plan`; the time limit applies to each replanning. Ignored if ``plan`` is given.
         plan: A planner of problems, such as :func:`bl_plan`, that plans the whole team whenever a robot arrives.
-            None: replanning as described above.
 
     Raises:
-        ValueError: If ``num_goals`` is not a positive integer, or a goal has another shape than ``(dof,)``, is not
-            free, or is cut off by obstacles.
+        ValueError: If ``num_goals`` is invalid, or a goal has a wrong shape, is not free, or is cut off by obstacles.
 
     References: Silver, "Cooperative pathfinding", 2005. Li et al., "Lifelong multi-agent path finding in large-scale
     warehouses", 2021.
@@ -349,7 +346,7 @@ class _LifelongTeam:
             if not left:
                 return self.plan_from_nothing()
             i, left = todo.pop(0), left - 1
-            motion, _ = self._search(timetable, i)
+            motion, _ = plan_through_time(timetable, i, self.step, _PATIENCE, _FEW_STATES)
             if motion is None:
                 # The robot stays in place. Robots that would have passed there are replanned.
                 motion = self.path[:1, i, : problem.robots[i].dof]
@@ -363,11 +360,8 @@ class _LifelongTeam:
         i = int(late.argmax())
         if late[i] > _LATE:
             self._hurried[i] = self._num_rows
-            motion, arrives = self._search(timetable, i)
+            motion, arrives = plan_through_time(timetable, i, self.step, _PATIENCE, _FEW_STATES)
             if motion is not None and arrives and len(motion) <= timetable.ends[i]:
                 timetable.move(i, motion)
         self.path = timetable.path
         return Status.SOLVED
-
-    def _search(self, timetable: Timetable, i: int) -> tuple[Motion | None, bool]:
-        return plan_through_time(timetable, i, self.step, _PATIENCE, _FEW_STATES)

@@ -233,8 +233,7 @@ def plot_path(
         problem: The problem that the path solves.
         path: Joint configurations, ``(steps, robots, dof)``, finite.
         ax: Axes to draw on; a new figure by default.
-        begin: Begin of the part, as a share of the makespan. Two pictures with ``end=0.5`` and ``begin=0.5`` show
-            halves.
+        begin: Begin of the part, as a share of the makespan.
         end: End of the part, as a share of the makespan.
         num_poses: Number of faded bodies per robot, from the begin on; 0 for none. A waiting robot is drawn once.
     """

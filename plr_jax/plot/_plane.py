@@ -146,8 +146,8 @@ def plot_contours(
     Args:
         plr: The PLR. Points without a finite value stay blank.
         ax: Axes to draw on; a new figure by default.
-        workspace: Its obstacles are drawn on top; without it, meaningless values inside obstacles show. With a
-            ``goal``, free regions that are disconnected from the goal are gray too.
+        workspace: Its obstacles are drawn on top. With a ``goal``, free regions that are disconnected from the goal
+            are gray too.
         space: Alternatively, a configuration space: points that are not free are gray.
         goal: A configuration, ``(dim,)``, or several, ``(k, dim)``, marked with a star.
         at: For functions of more than two dimensions, the slice: coordinates of all axes except the two that are
@@ -252,9 +252,8 @@ def plot_error(
     """Draw the error ``|L - V|`` of an approximation over free space, as in Fig. 2 of the paper.
 
     Args:
-        errors: Errors at the cell centers of a grid over the bounds, row 0 at the lowest ``y``, as from
-            ``metrics.error_grid``. NaN is blank, infinite errors (points without an answer) are red. At least one is
-            finite.
+        errors: Result of ``metrics.error_grid``: errors at the cell centers of a grid, row 0 at the lowest ``y``. NaN
+            is blank, infinite errors (points without an answer) are red. At least one is finite.
         workspace: Its obstacles are drawn on top. Alternatively, the configuration space of the errors.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
