@@ -298,10 +298,10 @@ def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"])
 def _changes_of_side(
     boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
 ) -> list[int]:
-    """Return the motions in which a point passes between obstacles that touch at ``vertex``, near its ``motion``.
+    """Return the motions at whose ends a point has changed sides at ``vertex``, where obstacles touch.
 
-    The sectors of free space at the vertex meet only there, within half the length of its shortest edge. So the
-    point passes between obstacles where its path, clipped to a disc of this radius, leaves the sector it came from.
+    There are none if ``motion`` misses the vertex. Sides are the sectors of free space at the vertex. Within half the
+    length of its shortest edge they meet only there, so the path in a disc of this radius decides.
     """
     sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])

@@ -59,10 +59,11 @@ class Terminals(NamedTuple):
 class Kind:
     """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
 
-    Nodes are the representatives of cells, then starts and goals. The table (``child`` and ``cost``) has a row per
-    node and a column per primitive; primitive 0 stays in place. A blocked primitive leads to its own node at infinite
-    cost, and none leads to starts or goals. Edges, from nodes ``begin`` to ``end``, are the free motions of the table
-    and each robot's motions into its start and goal; the last is a dummy of infinite cost with index ``num_edges``.
+    Nodes are one free configuration per cell, then starts and goals. The table (``child`` and ``cost``) has a row per
+    node and a column per *primitive*, a motion to a neighboring cell; primitive 0 stays in place, and a blocked one
+    leads to its own node at infinite cost. No primitive leads to a start or goal. Edges, from nodes ``begin`` to
+    ``end``, are the free motions of the table and each robot's motions into its start and goal; the last is a dummy
+    of infinite cost with index ``num_edges``.
     """
 
     robot: Robot

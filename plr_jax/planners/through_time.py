@@ -82,14 +82,14 @@ class Timetable:
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
-    def next_free_rows(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
-        """Return, for each time step, the next one from which ``q`` stays free for ``rest`` steps, or ``inf``."""
+    def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, "rows"]:
+        """Return, for each time step, the next one from which ``q`` stays free for ``patience`` steps, or ``inf``."""
         # Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
         taken[self._meetings(i, at, at, row)[0]] = True
         until = np.minimum.accumulate(np.where(taken, row, np.inf)[::-1])[::-1]
-        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]
+        return np.minimum.accumulate(np.where(until - row >= self.patience, row, np.inf)[::-1])[::-1]
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
         around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
@@ -112,12 +112,10 @@ def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray,
     return np.ceil(cost / length - _ROUNDING)
 
 
-def plan_through_time(
-    timetable: Timetable, i: int, step: float, rest: float | int, max_states: int
-) -> tuple[Motion | None, bool]:
+def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int) -> tuple[Motion | None, bool]:
     """Plan robot ``i``'s motion to its goal through a timetable by A*; return the motion, and whether it arrives.
 
-    At the motion's end, the robot must be free to rest for ``rest`` rows (time steps). If no path is found within
+    At the motion's end, the robot must be free to rest for ``patience`` time steps. If no path is found within
     ``max_states`` states, the motion ends at the reached place nearest to the goal where the robot may rest, else it
     is None.
     """
@@ -133,7 +131,7 @@ def plan_through_time(
     graph = csr_array((duration[leads], child[leads], first), shape=(len(child), len(child)))
     to_go = dijkstra(graph.T, indices=lattice.goal)
     duration[:, 0] = _WAIT
-    free = timetable.next_free_rows(i, q[lattice.goal], rest)
+    free = timetable.next_free_rows(i, q[lattice.goal])
 
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         there = row + to_go[node]
@@ -173,7 +171,7 @@ def plan_through_time(
         order = np.lexsort((to_go[at], is_narrow))
         for begin in range(0, len(order), _BATCH):
             some = order[begin : begin + _BATCH]
-            count = np.full(len(some), int(min(rest, len(timetable.path))))
+            count = np.full(len(some), int(min(timetable.patience, len(timetable.path))))
             may_rest = timetable.are_free(i, q[at[some]], q[at[some]], when[some], count)
             if may_rest.any():
                 last = int(some[may_rest.argmax()])

@@ -156,10 +156,10 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
         if not todo:
             return True
         i = todo.pop(0)
-        motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
+        motion, arrives = plan_through_time(timetable, i, step, _MOST_STATES)
         if motion is None or not arrives:
             others, timetable.ignored = timetable.ignored, {*range(num_robots)} - fixed
-            motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
+            motion, arrives = plan_through_time(timetable, i, step, _MOST_STATES)
             timetable.ignored = others
             if motion is None or not arrives:
                 return False
@@ -346,7 +346,7 @@ class _LifelongTeam:
             if not left:
                 return self.plan_from_nothing()
             i, left = todo.pop(0), left - 1
-            motion, _ = plan_through_time(timetable, i, self.step, _PATIENCE, _FEW_STATES)
+            motion, _ = plan_through_time(timetable, i, self.step, _FEW_STATES)
             if motion is None:
                 # The robot stays in place. Robots that would have passed there are replanned.
                 motion = self.path[:1, i, : problem.robots[i].dof]
@@ -360,7 +360,7 @@ class _LifelongTeam:
         i = int(late.argmax())
         if late[i] > _LATE:
             self._hurried[i] = self._num_rows
-            motion, arrives = plan_through_time(timetable, i, self.step, _PATIENCE, _FEW_STATES)
+            motion, arrives = plan_through_time(timetable, i, self.step, _FEW_STATES)
             if motion is not None and arrives and len(motion) <= timetable.ends[i]:
                 timetable.move(i, motion)
         self.path = timetable.path

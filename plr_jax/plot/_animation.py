@@ -23,8 +23,8 @@ from plr_jax.plot._page import BORDER, PLAY, asset, html_document, in_iframe, ob
 from plr_jax.plot._paths import (
     Timeline,
     add_body,
+    add_goal,
     add_number,
-    add_outline,
     body_outline,
     color_of,
     drawn_rounding,
@@ -229,7 +229,7 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
     ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
     for i in range(len(problem.robots)):
         ax.plot(*motion.configurations[:, i, :2].T, color=color_of(i), linewidth=1.0, alpha=0.3, zorder=_TRACK)
-        add_outline(ax, problem, i, problem.goals[i], zorder=_GOAL)
+        add_goal(ax, problem, i, zorder=_GOAL)
     actors = [_Actor(ax, problem, i) for i in range(len(problem.robots))]
     figure = ax.figure.canvas.figure
     canvas = FigureCanvasAgg(figure)
