@@ -256,7 +256,7 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Return a path from a local minimum to a value less than ``below``, or None; reuse earlier paths."""
+        """Return a path from a local minimum to a cost-to-go less than ``below``, or None; reuse earlier paths."""
         for stuck, chain in self.minima:
             if self.space.are_free(x[None], stuck[None])[0]:
                 if chain is None:
@@ -268,7 +268,7 @@ class _Lookahead:
         return chain
 
     def _search_below(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Search best first for a path to a value below ``below``, one node per cell (Barraquand, Latombe, 1991)."""
+        """Search best first, with one node per cell, for a path from ``x`` to a cost-to-go less than ``below``."""
         found, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
@@ -342,7 +342,7 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
 def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """Return the cheapest points ``x``, or ``x`` plus one of ``changes``, on the way from ``before`` to ``after``."""
+    """Return ``x``, or ``x`` plus one of ``changes`` if that is a cheaper place between ``before`` and ``after``."""
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:

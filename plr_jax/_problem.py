@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 import shapely
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import as_finite, as_numbers, set_fields, shortened
@@ -202,19 +202,12 @@ def _require_no_overlap(problem: Problem, name: str) -> None:
 
 def _require_connected(problem: Problem) -> None:
     """Reject goals that obstacles cut off from their starts even for the robot's inscribed disc."""
-    workspace, labels = problem.workspace, {}
+    workspace, parts_of = problem.workspace, {}
     for i, robot in enumerate(problem.robots):
         radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open
-        if radius not in labels:
-            grown = workspace.inflate(radius)
-            parts = shapely.get_parts(grown.free_space)
-            i_part, j_part = np.zeros((2, 0), dtype=int)
-            if grown.squeeze:
-                i_part, j_part = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=grown.tolerance)
-            touches = np.ones(len(i_part)), (i_part, j_part)
-            graph = scipy.sparse.coo_array(touches, shape=(len(parts), len(parts)))
-            labels[radius] = parts, connected_components(graph)[1]
-        parts, label = labels[radius]
+        if radius not in parts_of:
+            parts_of[radius] = connected_parts(workspace.inflate(radius))
+        parts, label = parts_of[radius]
         # A start or goal where obstacles touch lies in several parts.
         apart = [shapely.distance(shapely.Point(q[i, :2]), parts) for q in (problem.starts, problem.goals)]
         first, last = (label[distance <= distance.min() + workspace.tolerance] for distance in apart)
@@ -224,6 +217,16 @@ def _require_connected(problem: Problem) -> None:
                 f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "
                 f"{problem.starts[i].tolist()}: obstacles leave no path for {body} between them."
             )
+
+
+def connected_parts(workspace: Workspace) -> tuple[Any, Int[np.ndarray, "parts"]]:
+    """Return the polygons of free space, and a number for each, which polygons that are connected share."""
+    parts = shapely.get_parts(workspace.free_space)
+    first, second = np.zeros((2, 0), dtype=int)
+    if workspace.squeeze:
+        first, second = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=workspace.tolerance)
+    graph = scipy.sparse.coo_array((np.ones(len(first)), (first, second)), shape=(len(parts), len(parts)))
+    return parts, connected_components(graph)[1]
 
 
 def separation(a: Any, b: Any) -> float:

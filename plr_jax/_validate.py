@@ -328,7 +328,7 @@ def _changes_of_side(
 def _is_in_sector(
     boundary: Boundary, edge: np.integer, offsets: Float[np.ndarray, "n 2"], tolerance: float
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether offsets from the first vertex of an edge lie in the closed sector of free space there."""
+    """Return whether offsets from the first vertex of ``edge`` lie in the sector of free space beside this edge."""
     vertex = boundary.vertices[boundary.edges[edge, 0]]
     start = boundary.vertices[boundary.edges[edge, 1]] - vertex
     end = boundary.vertices[boundary.sector_end[edge]] - vertex

@@ -348,7 +348,6 @@ class SearchBudget:
         return self.spent()
 
     def spent(self) -> Status | None:
-        """Return TIME_LIMIT or MEMORY_LIMIT if that limit is reached, else None."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None

@@ -118,7 +118,7 @@ class TeamMoves:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
-        """Yield, for each two kinds of robots, the pairs of robots that are near enough to collide in a step."""
+        """Yield, for each pair of kinds (shapes) of robots, the robots near enough to collide in a step."""
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)

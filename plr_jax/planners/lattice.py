@@ -155,8 +155,6 @@ class Kind:
 
 
 class Lattice:
-    """A robot's lattice: its nodes, and the motions between them."""
-
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
         self.start, self.goal = kind.terminals.node[row].tolist()

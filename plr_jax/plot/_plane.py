@@ -18,6 +18,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from plr_jax._arrays import as_finite_point, as_numbers
+from plr_jax._problem import connected_parts
 from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
 from plr_jax.geometry.boundary import triangulate
 from plr_jax.geometry.box import Box, Slice
@@ -304,10 +305,8 @@ def _split_by_reachability(
     workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
     """Split free space into parts connected to a goal and other parts; all count as connected if no goal is free."""
-    parts = shapely.get_parts(workspace.free_space)
-    reached, num = shapely.distance(parts, shapely.MultiPoint(goals)) <= workspace.tolerance, 0
-    while workspace.squeeze and num < (num := np.count_nonzero(reached)):  # add parts that touch
-        reached = shapely.distance(parts, shapely.MultiPolygon(list(parts[reached]))) <= workspace.tolerance
+    parts, label = connected_parts(workspace)
+    reached = np.isin(label, label[shapely.distance(parts, shapely.MultiPoint(goals)) <= workspace.tolerance])
     return (list(parts[reached]), list(parts[~reached])) if reached.any() else (list(parts), [])
 
 
