@@ -3,8 +3,8 @@
 Steps are ranked by slope, the fall of the cost-to-go per cost of the step. In theory it is 1 along cheapest paths and
 nowhere larger; a larger slope is an error of the cost-to-go and counts as 1. Among nearly equal slopes, the longest
 step wins, so that small kinks and dents do no harm. The slope must be at least ``_FALL``, so that every path ends. A
-best-first search escapes from local minima. Finished paths are made cheaper: nodes are skipped, or shifted to where
-their two segments cost least.
+best-first search (Barraquand and Latombe, 1991) escapes from local minima. Finished paths are made cheaper: nodes are
+skipped, or shifted to where their two segments cost least.
 """
 
 import heapq
