@@ -212,7 +212,7 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Join each of ``corners`` to the ``count`` visible places with the least distance to it plus cost-to-go.
+    """Join each of ``corners`` to the ``count`` visible places for which distance plus cost-to-go is least.
 
     ``field`` holds the cost-to-go of each of ``places``, the goals and then all corners.
     """

@@ -78,9 +78,10 @@ def bl_plan(
     Returns:
         The best path found, a lower bound of all path costs, and a status. SOLVED: the cost is at most
         ``cost_factor`` (default: infinite) times the lower bound. EXHAUSTED: no search is left on the finest lattice
-        (the given ``step``, or 1/2048 of the bounds). MEMORY_LIMIT: the limit was reached, or best-first search found
-        nothing after it left out children to save memory. Otherwise another limit, or INTERRUPTED after Ctrl-C. Only
-        SOLVED always comes with a path. Results are deterministic unless the time limit ends a search.
+        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the
+        limit was reached, or best-first search found nothing after it left out children to save memory. Otherwise
+        another limit, or INTERRUPTED after Ctrl-C. Only SOLVED always comes with a path. Results are deterministic
+        unless the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.

@@ -117,9 +117,9 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
     It shows the distance as colors and contours, the walls, and optionally the cells. At the pointer it shows the
     distance, its proven bounds and a path: for cones along the corners that their leaves store, for other leaves down
-    the gradient. A click starts a swarm that flows to the goal. For pairs (distances between any two points), both
-    ends can be dragged. Other files of cones or pairs can be dropped on the page. Its answers equal those of
-    ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
+    the gradient, outside the walls. A click starts a swarm that flows to the goal. For pairs (distances between any
+    two points), both ends can be dragged. Other files of cones or pairs can be dropped on the page. Its answers equal
+    those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
 
     Args:
         plr_or_pairs: A PLR or PairPLR in the plane; others raise ``ValueError``.

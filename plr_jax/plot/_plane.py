@@ -147,8 +147,8 @@ def plot_contours(
     Args:
         plr: The PLR. Points without a finite value stay blank.
         ax: Axes to draw on; a new figure by default.
-        workspace: Its obstacles are drawn on top. With a ``goal``, free regions that are disconnected from the goal
-            are gray too.
+        workspace: Its obstacles are drawn on top, over meaningless values. With a ``goal``, free regions that are
+            disconnected from the goal are gray too.
         space: Alternatively, a configuration space: points that are not free are gray.
         goal: A configuration, ``(dim,)``, or several, ``(k, dim)``, marked with a star.
         at: For functions of more than two dimensions, the slice: coordinates of all axes except the two that are
