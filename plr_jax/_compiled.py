@@ -36,8 +36,7 @@ def answered_in_parts(
     all parts of a batch have one of two ``sizes`` (numbers of rows); zeros pad the last part.
     """
     batch = np.broadcast_shapes(*(each.shape[:-1] for each in rows))
-    count = prod(batch)
-    few, many = sizes
+    count, (few, many) = prod(batch), sizes
     size = few if count <= _PARTS * few else many
     whole = [np.broadcast_to(each, (*batch, each.shape[-1])) for each in rows]
     results: list[np.ndarray] = []
@@ -59,12 +58,11 @@ def answered_in_parts(
             result[first:last] = np.asarray(each)[: last - first]
 
     of_part(0)  # compiles the function, and shows the types of the answers
-    if count <= size:
-        return tuple(result.reshape(batch) for result in results)
-    pool = ThreadPoolExecutor(num_cores())
-    try:
-        for _ in pool.map(of_part, range(size, count, size)):
-            pass
-    finally:
-        pool.shutdown(cancel_futures=True)
+    if count > size:
+        pool = ThreadPoolExecutor(num_cores())
+        try:
+            for _ in pool.map(of_part, range(size, count, size)):
+                pass
+        finally:
+            pool.shutdown(cancel_futures=True)
     return tuple(result.reshape(batch) for result in results)

@@ -1,9 +1,8 @@
 """Paths that follow a cost-to-go from many starts to its goal, and never pass through a wall.
 
-For lengths in a workspace, paths go from corner to corner, since shortest paths among polygons turn only at convex
-corners. Each corner ``x`` is joined to the two visible places ``y`` (corners or goal) of least ``|x - y| + f(y)``,
-where ``f`` is the cost-to-go, and Dijkstra's algorithm finds the paths along these edges. So no path visits a corner
-twice, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
+For lengths in a workspace, paths go from corner to corner. Each corner ``x`` is joined to the two visible *places*
+``y`` (corners or goal) of least ``|x - y| + f(y)``, where ``f`` is the cost-to-go. Dijkstra's algorithm finds paths
+along these edges, even if ``f`` has local minima. Other costs and spaces use lookahead: see ``_lookahead.py``.
 """
 
 import enum
@@ -37,10 +36,10 @@ class Descent:
 
     Attributes:
         status: A :class:`DescentStatus` for each start, ``(n,)``.
-        vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to a goal, which is repeated up to
-            the length of the longest path. NaN without a path. Along periodic axes, segments go the shorter way.
-        counts: Number of vertices of each path without repetitions, ``(n,)``: 1 if the start is the goal, 0 without a
-            path.
+        vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to a goal. Copies of the goal fill up
+            shorter paths. NaN without a path. Along periodic axes, segments go the shorter way.
+        counts: Number of vertices of each path, without the copies, ``(n,)``: 1 if the start is the goal, 0 without
+            a path.
         lengths: Length of each path, ``(n,)``, in workspace units or by the space's ``motion_cost``; ``inf`` without
             a path.
         costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length.
@@ -59,7 +58,7 @@ class Descent:
 
     @cached_property
     def paths(self) -> list[Float[np.ndarray, "m dim"]]:
-        """The paths without repetitions; an array without rows where there is no path."""
+        """The vertices of each path, without the copies of the goal; no rows if there is no path."""
         return [path[:count] for path, count in zip(self.vertices, self.counts.tolist(), strict=True)]
 
     def __len__(self) -> int:
@@ -82,19 +81,17 @@ def descend(
     The common call is ``descend(plr, workspace, starts, goal).paths``.
 
     *Lengths in a workspace*: paths go from corner to corner. The field is evaluated once per corner, to rank the
-    edges between corners; every segment is tested for visibility. A corner without a path to the goal is joined to
-    all corners that it sees, so each start reaches the goal if that is possible, whatever the field. Even a field of
-    zeros often yields shortest paths, so path lengths say little about the quality of a field.
+    edges between corners; every segment is tested for visibility. Each start reaches the goal if that is possible,
+    whatever the field. Even a field of zeros often yields shortest paths, so path lengths say little about a field.
 
     *Other costs and spaces*: paths take finite steps of many lengths and directions, to the visible point where the
     field falls most per cost of the step. Then vertices are skipped or shifted to reduce the cost. A slower search
-    leaves local minima, and gives up (STUCK) after 1,000 expansions. A step may cross a ridge of the field and pass
-    an obstacle on the longer side. With a cost map, each start takes a few tenths of a second.
+    escapes from local minima, and gives up (STUCK) after 1,000 expansions. A step may cross a ridge of the field and
+    pass an obstacle on the longer side. With a cost map, each start takes a few tenths of a second.
 
     Args:
-        distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)`` through free
-            space, NumPy or JAX, in units of the motion cost; ``inf`` where unknown. It is evaluated only in the
-            domain of the space, with wrapped periodic coordinates.
+        distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)``, NumPy or JAX, in
+            units of the motion cost; ``inf`` where unknown. Its points lie in the domain, with periodic axes wrapped.
         space: Free space. A Workspace is the free space of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
         goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
@@ -102,15 +99,15 @@ def descend(
         cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:
-        Status, path, length and cost for each start. With a cost map, the cost of a path is integrated to about 0.1 %
-        or better; the path itself may cost some percent more than the cheapest.
+        Status, path, length and cost for each start. With a cost map, costs are integrated to about 0.1 % or better;
+        a path may cost some percent more than the cheapest.
 
     Raises:
         ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
             free, or a returned value is invalid: NaN of the field, or not positive and finite for the cost map.
 
     References: Putman et al., Section I. Visibility graphs: de Berg et al., Computational Geometry (3rd ed.), chapter
-    15. Finite steps as in semi-Lagrangian schemes: Falcone and Ferretti, 2014, chapter 8.
+    15. Semi-Lagrangian steps: Falcone and Ferretti, 2014, chapter 8.
     """
     if isinstance(space, Workspace) and cost_map is None:
         vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)
@@ -141,9 +138,9 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
     if not len(goals):
         raise ValueError("goal must be one point (2,) or several (k, 2), got none.")
     if not (is_fine := workspace.is_free(goals)).all():
+        got = goals[is_fine.argmin()].tolist()
         raise ValueError(
-            f"The goal must be in free space, got {goals[is_fine.argmin()].tolist()}: move it out of the obstacle or "
-            "into the bounds."
+            f"The goal must be in free space, got {got}: move it out of the obstacle or into the bounds."
         )
     places, count = find_corners(workspace)[0], len(goals)
     for each in goals:
@@ -215,7 +212,10 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return edges from each corner to the ``count`` visible places of least length plus field value."""
+    """Join each of ``corners`` to the ``count`` visible places for which distance plus cost-to-go is least.
+
+    ``field`` holds the cost-to-go of each of ``places``, the goals and then all corners.
+    """
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]

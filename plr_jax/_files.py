@@ -132,10 +132,9 @@ def _require_limits(value: Any) -> None:
     while level:
         if any(isinstance(entry, int) and abs(entry) > _LARGEST_INTEGER for entry in level):
             raise ValueError(f"expected numbers up to {float(_LARGEST_INTEGER):.2g}, got a larger integer.")
-        lists = [
-            entry.values() if isinstance(entry, dict) else entry for entry in level if isinstance(entry, list | dict)
-        ]
-        level, nested = [entry for entries in lists for entry in entries], nested + bool(lists)
+        lists = [entry for entry in level if isinstance(entry, list | dict)]
+        level = [each for entry in lists for each in (entry.values() if isinstance(entry, dict) else entry)]
+        nested += bool(lists)
         _require_shallow(nested)
 
 

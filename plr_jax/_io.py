@@ -26,9 +26,9 @@ def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
 def load(path: str | os.PathLike) -> Any:
     """Read a PLR, a PairPLR or GridPairs that :func:`save` wrote; its answers are equal, bit for bit.
 
-    The first query of a PairPLR builds lookup tables, many times larger than the file; with thousands of corners,
-    this takes seconds to minutes. Raises ``ValueError`` if the file is truncated, corrupt, or of another kind or
-    format version, and ``OSError`` if it cannot be read.
+    The first query of a PairPLR builds large lookup tables, which takes seconds to minutes for thousands of corners.
+    Raises ``ValueError`` if the file is truncated, corrupt, or of another kind or format version, and ``OSError`` if
+    it cannot be read.
     """
     path = file_path(path)
     try:

@@ -1,10 +1,10 @@
 """Paths by lookahead: finite steps down a cost-to-go, in any space that proves motions free.
 
-Steps of many lengths and directions are ranked by slope, the fall of the field per cost. By the principle of
-optimality, the slope is 1 along cheapest paths and nowhere larger; a larger slope is an error of the field and counts
-as 1. Among nearly equal slopes, the longest step wins, so that kinks and dents smaller than a step do no harm. The
-slope must be at least ``_FALL``, so that every path ends. A best-first search leaves local minima. Finished paths are
-made cheaper: nodes are skipped, or shifted to where their two segments cost least.
+Steps are ranked by slope, the fall of the cost-to-go per cost of the step. In theory it is 1 along cheapest paths and
+nowhere larger; a larger slope is an error of the cost-to-go and counts as 1. Among nearly equal slopes, the longest
+step wins, so that small kinks and dents do no harm. The slope must be at least ``_FALL``, so that every path ends. A
+best-first search (Barraquand and Latombe, 1991) escapes from local minima. Finished paths are made cheaper: nodes are
+skipped, or shifted to where their two segments cost least.
 """
 
 import heapq
@@ -36,7 +36,10 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"], num_goals: int = 1
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Follow each start's ``first`` node and the next ones to a goal; return vertices and their number or 0."""
+    """Follow paths from each start to its node ``first``, and from node to node by ``onward``, to a goal.
+
+    The first ``num_goals`` nodes are the goals. Return the paths' vertices and their number, 0 if ``first`` is -1.
+    """
     chain = [first]
     while (chain[-1] >= num_goals).any():
         chain.append(np.where(chain[-1] >= num_goals, onward[chain[-1]], chain[-1]))
@@ -64,7 +67,10 @@ _NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions: of all axes, and of the axes of each block of the cost."""
+    """Return motions of cost 1 in many directions of the space, and along each block (group) of axes alone.
+
+    The cost is a sum over blocks, such as position and heading (see :class:`MotionCost`).
+    """
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
@@ -190,7 +196,7 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Step down the field; return nodes (0: the goal), the next of each (-1: stuck), and the starts' nodes."""
+        """Step down the field; return nodes (0: the goal), the next node of each (-1: stuck), the starts' nodes."""
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):
@@ -250,7 +256,7 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Return a path from a local minimum to a value less than ``below``, or None; reuse earlier paths."""
+        """Return a path from a local minimum to a cost-to-go less than ``below``, or None; reuse earlier paths."""
         for stuck, chain in self.minima:
             if self.space.are_free(x[None], stuck[None])[0]:
                 if chain is None:
@@ -262,7 +268,7 @@ class _Lookahead:
         return chain
 
     def _search_below(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Search best first for a path to a value below ``below``, one node per cell (Barraquand, Latombe, 1991)."""
+        """Search best first, with one node per cell, for a path from ``x`` to a cost-to-go less than ``below``."""
         found, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
@@ -336,7 +342,7 @@ def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.nd
 def _cheapest_places(
     costs: PathCosts, before: Points, x: Points, after: Points, changes: Float[np.ndarray, "k dim"]
 ) -> Points:
-    """Return the cheapest points ``x``, or ``x`` plus one of ``changes``, on the way from ``before`` to ``after``."""
+    """Return ``x``, or ``x`` plus one of ``changes`` if that is a cheaper place between ``before`` and ``after``."""
     domain, k = costs.space.domain, len(changes)
 
     def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 import shapely
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import as_finite, as_numbers, set_fields, shortened
@@ -28,16 +28,15 @@ class Problem:
         workspace: The workspace of all robots.
         robots: The robots, at least one.
         starts: Start configurations, ``(robots, dof)``. Rows are ``(x, y)`` in workspace units if no robot has a
-            heading, else ``(x, y, heading)`` with the heading in radians. Headings of robots without one (points and
-            discs) are ignored.
+            heading, else ``(x, y, heading)`` with the heading in radians, ignored for points and discs.
         goals: Goal configurations, ``(robots, dof)``.
         rotation_weight: Cost of a turn by one radian, in workspace units, at least 0, for robots with a heading.
             None: each robot's circumscribed radius, which is half the diagonal for a rectangle.
 
     Raises:
         ValueError: If there is no robot, an argument has a wrong shape or value, or a start or goal is outside the
-            bounds or in collision. Also if obstacles separate a goal from its start; this is tested for the robot's
-            inscribed disc, so a problem that passes may still be impossible.
+            bounds or in collision. Also if obstacles separate a goal from its start even for the robot's inscribed
+            disc; so a problem that passes may still be impossible.
     """
 
     workspace: Workspace
@@ -69,8 +68,8 @@ class Problem:
         given = {"starts": starts, "goals": goals}
         set_fields(self, **{name: _configurations(name, q, robots) for name, q in given.items()})
         for name in given:
-            _require_free(name, getattr(self, name), robots, workspace)
-            _require_no_overlap(name, getattr(self, name), robots, workspace.tolerance)
+            _require_free(self, name)
+            _require_no_overlap(self, name)
         _require_connected(self)
 
     @property
@@ -163,13 +162,11 @@ def _configurations(name: str, value: ArrayLike, robots: Sequence[Robot]) -> Flo
     return configurations
 
 
-def _require_free(
-    name: str, configurations: Float[np.ndarray, "robots dof"], robots: Sequence[Robot], workspace: Workspace
-) -> None:
-    obstacles = np.array(workspace.obstacles, dtype=object)
+def _require_free(problem: Problem, name: str) -> None:
+    workspace, obstacles = problem.workspace, np.array(problem.workspace.obstacles, dtype=object)
     shapely.prepare(obstacles)
     x0, y0, x1, y1 = *workspace.bounds.lo, *workspace.bounds.hi
-    for i, (robot, q) in enumerate(zip(robots, configurations, strict=True)):
+    for i, (robot, q) in enumerate(zip(problem.robots, getattr(problem, name), strict=True)):
         core, radius = footprint(robot, q), robot.rounding
         left, bottom, right, top = shapely.bounds(core)
         inside = min(left - x0, bottom - y0, x1 - right, y1 - top) - radius
@@ -187,17 +184,16 @@ def _require_free(
             )
 
 
-def _require_no_overlap(
-    name: str, configurations: Float[np.ndarray, "robots dof"], robots: Sequence[Robot], tolerance: float
-) -> None:
-    cores = np.array([footprint(robot, q) for robot, q in zip(robots, configurations, strict=True)])
-    rounding = np.array([robot.rounding for robot in robots])
+def _require_no_overlap(problem: Problem, name: str) -> None:
+    configurations = getattr(problem, name)
+    cores = np.array([footprint(robot, q) for robot, q in zip(problem.robots, configurations, strict=True)])
+    rounding = np.array([robot.rounding for robot in problem.robots])
     a, b = shapely.STRtree(cores).query(cores, predicate="dwithin", distance=rounding + rounding.max())
     a, b = a[a < b], b[a < b]
     close = shapely.distance(cores[a], cores[b]) <= rounding[a] + rounding[b]
     for j, i in sorted(zip(b[close].tolist(), a[close].tolist(), strict=True)):
         clearance = separation(cores[i], cores[j]) - rounding[i] - rounding[j]
-        if clearance < -tolerance:
+        if clearance < -problem.workspace.tolerance:
             raise ValueError(
                 f"Robots {i} and {j} overlap at their {name}: {configurations[i].tolist()} and "
                 f"{configurations[j].tolist()} (clearance {clearance:.3g})."
@@ -206,19 +202,12 @@ def _require_no_overlap(
 
 def _require_connected(problem: Problem) -> None:
     """Reject goals that obstacles cut off from their starts even for the robot's inscribed disc."""
-    workspace, labels = problem.workspace, {}
+    workspace, parts_of = problem.workspace, {}
     for i, robot in enumerate(problem.robots):
         radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open
-        if radius not in labels:
-            grown = workspace.inflate(radius)
-            parts = shapely.get_parts(grown.free_space)
-            i_part, j_part = np.zeros((2, 0), dtype=int)
-            if grown.squeeze:
-                i_part, j_part = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=grown.tolerance)
-            touches = np.ones(len(i_part)), (i_part, j_part)
-            graph = scipy.sparse.coo_array(touches, shape=(len(parts), len(parts)))
-            labels[radius] = parts, connected_components(graph)[1]
-        parts, label = labels[radius]
+        if radius not in parts_of:
+            parts_of[radius] = connected_parts(workspace.inflate(radius))
+        parts, label = parts_of[radius]
         # A start or goal where obstacles touch lies in several parts.
         apart = [shapely.distance(shapely.Point(q[i, :2]), parts) for q in (problem.starts, problem.goals)]
         first, last = (label[distance <= distance.min() + workspace.tolerance] for distance in apart)
@@ -228,6 +217,16 @@ def _require_connected(problem: Problem) -> None:
                 f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "
                 f"{problem.starts[i].tolist()}: obstacles leave no path for {body} between them."
             )
+
+
+def connected_parts(workspace: Workspace) -> tuple[Any, Int[np.ndarray, "parts"]]:
+    """Return the polygons of free space, and a number for each, which polygons that are connected share."""
+    parts = shapely.get_parts(workspace.free_space)
+    first, second = np.zeros((2, 0), dtype=int)
+    if workspace.squeeze:
+        first, second = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=workspace.tolerance)
+    graph = scipy.sparse.coo_array((np.ones(len(first)), (first, second)), shape=(len(parts), len(parts)))
+    return parts, connected_components(graph)[1]
 
 
 def separation(a: Any, b: Any) -> float:

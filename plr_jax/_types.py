@@ -7,15 +7,10 @@ from typing import Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-ArrayLike: TypeAlias = Any
-"""Anything that ``numpy.asarray`` accepts; public functions check it."""
-
+ArrayLike: TypeAlias = Any  # anything that numpy.asarray accepts; public functions check it
 Points: TypeAlias = Float[np.ndarray, "n dim"]
-"""A batch of points (configurations) on the host, one per row."""
-
-Distances: TypeAlias = Float[np.ndarray, "n"]
-"""One distance per point, in workspace units; ``inf`` where the goal cannot be reached."""
-
+Distances: TypeAlias = Float[np.ndarray, "n"]  # inf where the goal cannot be reached
+JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 DistanceFn: TypeAlias = Callable[[Points], Distances]
 """A function from points ``(n, dim)`` to distances ``(n,)`` to a goal.
 
@@ -27,9 +22,6 @@ and ignores obstacles. Users of a distance function must handle both.
 Optional protocols: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
 :class:`CellwiseFn`, :class:`BoundingFn`, :class:`FreeSpaceFn`, :class:`SymmetricFn`.
 """
-
-JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
-"""A batch of joint configurations on the host, one per row."""
 
 
 @runtime_checkable
@@ -73,58 +65,35 @@ class Sources:
     goals: Int[np.ndarray, "goals"] | None = None  # index of each of several goals; the first one of equal goals
 
 
-CellSources: TypeAlias = Any
-"""``plr_jax.geometry.cell_sight.CellSources``, without its imports: where paths from cells may turn first."""
+CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without its imports
 
 
 @runtime_checkable
 class FamilyFn(Protocol):
-    """A distance function that can share computations with a family of functions, such as other goals on its map."""
+    """A distance function that shares computations with functions for other goals on its map, its *family*.
+
+    :class:`plr_jax.VisibilityGraph`, which implements the methods, documents them.
+    """
 
     @property
-    def family(self) -> Any:
-        """An object that identifies the family: functions of one family, and no others, have the same object."""
-        ...
-
-    def shared_samples(self, lo: Any, hi: Any, /) -> Any:
-        """Return samples of free space in boxes, which all functions of the family can use."""
-        ...
-
-    def first_turns(self, samples: Any, /) -> Any:
-        """Return each sample's distance, and the index of its source; ``inf`` and -1 if it cannot reach the goal."""
-        ...
-
-    def shared_cells(self, lo: Any, hi: Any, /) -> Any:
-        """Return boxes' free convex pieces, and the corners at which paths from each to any goal may turn first."""
-        ...
-
+    def family(self) -> Any: ...
+    @property
+    def sources(self) -> Sources: ...
+    def shared_samples(self, lo: Any, hi: Any, /) -> Any: ...
+    def first_turns(self, samples: Any, /) -> Any: ...
+    def shared_cells(self, lo: Any, hi: Any, /) -> Any: ...
     def cells_of_members(
         self, shared: Any, members: Sequence[Any], box: Any, member: Any, near: Any, /
-    ) -> CellSources:
-        """Return the sources of cells for several functions of the family.
-
-        Cell ``i`` is box ``box[i]`` of the shared cells, for ``members[member[i]]``. Its paths go first to about
-        ``near[i]``, an index in that function's ``sources``; -1 if unknown.
-        """
-        ...
-
-    @property
-    def sources(self) -> Sources:
-        """The goal, followed by the corners where paths may turn."""
-        ...
-
+    ) -> CellSources: ...
     def cell_sources(self, domain: Any, /) -> CellSources: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
 @runtime_checkable
 class CellwiseFn(Protocol):
-    """A distance function in the plane that knows where shortest paths from the points of a cell may turn first."""
+    """A distance function in the plane that knows where shortest paths from the points of a box may turn first."""
 
-    def cell_sources(self, domain: Any, /) -> CellSources:
-        """Return the sources of a Box as one cell: the goal or corners to which shortest paths may go straight."""
-        ...
-
+    def cell_sources(self, domain: Any, /) -> CellSources: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 
@@ -143,14 +112,8 @@ class ChangingFn(CellwiseFn, Protocol):
 
     @property
     def sources(self) -> Sources: ...
-
-    def sources_of_boxes(
-        self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"], /
-    ) -> CellSources: ...
-
-    def changed_since(self, before: Any, /) -> Any:
-        """Return ``ChangedDistances`` (where, by how much) since ``before``; ``ValueError`` if not comparable."""
-        ...
+    def sources_of_boxes(self, lo: Any, hi: Any, /) -> CellSources: ...
+    def changed_since(self, before: Any, /) -> Any: ...
 
 
 @runtime_checkable
@@ -168,9 +131,7 @@ class StackableDistanceFn(Protocol):
     def __call__(self, x: Any, /) -> Any: ...
 
     @staticmethod
-    def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]:
-        """Combine one function per robot: map joint configurations ``(n, robots, dof)`` to ``(n, robots)``."""
-        ...
+    def stack(fns: Sequence[Any], /) -> Callable[[JointConfigurations], Float[np.ndarray, "n robots"]]: ...
 
 
 @runtime_checkable
@@ -214,5 +175,5 @@ class HeuristicFn(Protocol):
     def __call__(self, q: Any, /) -> Float[np.ndarray, "n"]: ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:
-        """Return the terms; each depends only on its own robot's configuration."""
+        """Return each robot's term of the sum, which depends only on the configuration of this robot."""
         ...

@@ -1,10 +1,8 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-Shared are the points where obstacles touch, and the direction in which a robot turns, which is part of the meaning of
-a path. Bodies are Shapely geometries. A motion without turns sweeps a convex hull, whose distance is exact. Other
-motions are bisected in time: the clearance in the middle of an interval, less the distance that the bodies move,
-bounds it in the whole interval. Bisection ends when the smallest clearance is known and every interval is free or in
-collision.
+Shared are the points where obstacles touch, and the direction in which a robot turns. Bodies are Shapely geometries.
+A motion without turns sweeps a convex hull, whose distance is exact. Other motions are bisected in time: the
+clearance in the middle of an interval, less the distance that the bodies move, bounds it in the whole interval.
 """
 
 from collections.abc import Sequence
@@ -25,7 +23,6 @@ from plr_jax.robots.robot import Robot, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
-_ENDS = (slice(None, -1), slice(1, None))  # first and last row of each motion
 
 
 @dataclass(frozen=True)
@@ -41,7 +38,7 @@ class ValidationReport:
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
         when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
-        where: Position of the first of these robots at that time.
+        where: Position of robot ``who[0]`` at that time.
     """
 
     valid: bool
@@ -56,16 +53,14 @@ class ValidationReport:
 def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     """Check whether a path, from any planner, solves a problem.
 
-    The path must begin at the starts and end at the goals exactly, except for headings of robots without one. It must
-    be finite. All robots must keep clear of obstacles, the bounds and one another during all motions; touching is
-    allowed. Motions are straight, at constant rates, and turn the shorter way (half a turn is counterclockwise).
+    The path must be finite, begin at the starts and end at the goals exactly; headings of robots that do not turn are
+    ignored. All robots must keep clear of obstacles, the bounds and one another during all motions; touching is
+    allowed. Motions are straight, at constant rates, and turn the shorter way, or for half a turn counterclockwise.
 
     Args:
         problem: The problem that the path should solve.
-        path: Joint configurations ``(steps, robots, dof)``, in workspace units and radians.
-
-    Returns:
-        The report. An invalid path is reported and raises nothing.
+        path: Joint configurations ``(steps, robots, dof)``, in workspace units and radians. An invalid path is
+            reported and raises nothing.
 
     Raises:
         ValueError: If ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
@@ -81,29 +76,20 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         message = f"Robot {i} has a configuration that is not finite at step {step}."
         return ValidationReport(False, np.nan, np.nan, message, (i,), float(step))
     cost, encounters = path_cost(problem, path), _encounters(problem, path)
-    closest = min(encounters, key=lambda encounter: encounter.findings.clearance)
-    collisions = [e for e in encounters if e.findings.collision is not None]
-    if collisions:
-        first = min(collisions, key=lambda encounter: encounter.first_moment)
-        return _collision_report(problem, first, cost)
-    clearance = closest.findings.clearance
+    closest = min(encounters, key=lambda encounter: encounter.clearance)
+    if closest.clearance < -closest.tolerance:
+        colliding = [encounter for encounter in encounters if encounter.clearance < -encounter.tolerance]
+        return _collision_report(problem, min(colliding, key=lambda encounter: encounter.first_moment), cost)
+    clearance = closest.clearance
     fault = _find_squeeze(problem, path) or _find_wrong_end(problem, path)
     if fault:
         i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
         return ValidationReport(False, cost, clearance, message, (i,), when, where)
-    who, step = closest.who, closest.findings.motion
-    is_alone = closest.other_path is None
-    pair = f" {who[0]} to an obstacle or the bounds" if is_alone else f"s {who[0]} and {who[1]}"
+    who, step = closest.who, closest.smallest.argmin()
+    pair = f" {who[0]} to an obstacle or the bounds" if len(who) == 1 else f"s {who[0]} and {who[1]}"
     message = f"Valid: clearance {clearance:.4g}, of robot{pair} in the motion from step {step}."
     return ValidationReport(True, cost, clearance, message, who)
-
-
-@dataclass(frozen=True)
-class _Findings:
-    clearance: float
-    motion: int  # motion with the smallest clearance
-    collision: int | None  # first motion that collides
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +119,10 @@ class _Encounter:
 
     def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Return the smallest clearance during each of the given motions without turns, by swept convex hulls."""
-        start, shift = _corners(self.robot, self.path[motion]), np.diff(self.path[:, :2], axis=0)[motion]
-        others = np.full(len(motion), self.other)
+        start, others = _corners(self.robot, self.path[motion]), np.full(len(motion), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, self.other_path[motion])
-            shift = shift - np.diff(self.other_path[:, :2], axis=0)[motion]
-        corners = np.concatenate([start, start + shift[:, None]], axis=1)
+        corners = np.concatenate([start, start + self.velocity[motion, None]], axis=1)
         hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
         distance = np.asarray(shapely.distance(hulls, others))
         if self.reach <= self.tolerance:
@@ -152,27 +136,28 @@ class _Encounter:
         return distance - self.reach
 
     @cached_property
-    def max_rates(self) -> Float[np.ndarray, "motions"]:
-        """Upper bound of the change of clearance in each motion: the distances that points of both bodies move."""
+    def velocity(self) -> Float[np.ndarray, "motions 2"]:
+        """Change of the robot's position in each motion, relative to the other robot if there is one."""
         velocity = np.diff(self.path[:, :2], axis=0)
-        max_rates = _rim_speeds(self.robot, self.path)
-        if self.other_path is not None:
-            velocity = velocity - np.diff(self.other_path[:, :2], axis=0)
-            max_rates = max_rates + _rim_speeds(self.other, self.other_path)
-        return max_rates + np.linalg.norm(velocity, axis=1)
+        return velocity if self.other_path is None else velocity - np.diff(self.other_path[:, :2], axis=0)
 
     @cached_property
-    def turns(self) -> Any:  # whether a body turns, for each motion
-        turns = _rim_speeds(self.robot, self.path) > 0
-        return turns if self.other_path is None else turns | (_rim_speeds(self.other, self.other_path) > 0)
+    def rim_speeds(self) -> Float[np.ndarray, "motions"]:
+        speeds = _rim_speeds(self.robot, self.path)
+        return speeds if self.other_path is None else speeds + _rim_speeds(self.other, self.other_path)
 
     @cached_property
-    def findings(self) -> _Findings:
-        at_rows = self.clearances(np.arange(len(self.path), dtype=float))
-        smallest = np.minimum(*(at_rows[ends] for ends in _ENDS))
-        straight = np.flatnonzero(~self.turns)
+    def max_rates(self) -> Float[np.ndarray, "motions"]:
+        """Upper bound of the clearance's change per unit of time (one step of the path) in each motion."""
+        return self.rim_speeds + np.linalg.norm(self.velocity, axis=1)
+
+    @cached_property
+    def smallest(self) -> Float[np.ndarray, "motions"]:
+        """Upper bounds of the smallest clearance in each motion; the least of all is accurate to the tolerance."""
+        at_rows, turns = self.clearances(np.arange(len(self.path), dtype=float)), self.rim_speeds > 0
+        smallest, straight = np.minimum(at_rows[:-1], at_rows[1:]), np.flatnonzero(~turns)
         smallest[straight] = self.swept(straight)
-        motion, begin, size = np.flatnonzero(self.turns), np.zeros(self.turns.sum()), 1.0
+        motion, begin, size = np.flatnonzero(turns), np.zeros(turns.sum()), 1.0
         while len(motion):
             middle = self.clearances(motion + begin + size / 2)
             np.minimum.at(smallest, motion, middle)
@@ -183,15 +168,20 @@ class _Encounter:
             size /= 2
             motion, begin = np.repeat(motion[unsure], 2), np.repeat(begin[unsure], 2)
             begin[1::2] += size
-        collisions = np.flatnonzero(smallest < -self.tolerance)
-        first = int(collisions[0]) if len(collisions) else None
-        return _Findings(float(smallest.min()), int(np.argmin(smallest)), first)
+        return smallest
+
+    @property
+    def clearance(self) -> float:
+        return float(self.smallest.min())
+
+    @property
+    def first_collision(self) -> int:  # index of the first motion that collides
+        return int((self.smallest < -self.tolerance).argmax())
 
     @cached_property
     def first_moment(self) -> float:
         """Time at which the first collision begins, in steps."""
-        motion = self.findings.collision
-        assert motion is not None
+        motion = self.first_collision
         pieces = [(0.0, 1.0)]  # a stack, the earliest piece on top
         while pieces:
             begin, size = pieces.pop()
@@ -207,9 +197,7 @@ class _Encounter:
     @property
     def depth(self) -> float:
         """Smallest sampled clearance in the first motion that collides."""
-        motion = self.findings.collision
-        assert motion is not None
-        times = np.append(motion + np.linspace(0.0, 1.0, 65), self.first_moment)
+        times = np.append(self.first_collision + np.linspace(0.0, 1.0, 65), self.first_moment)
         return min(float(self.clearances(times).min()), -self.tolerance)
 
 
@@ -227,12 +215,12 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
     encounters: dict[tuple[int, ...], _Encounter] = {}
     for j, robot in enumerate(robots):
         encounters[j,] = _Encounter((j,), robot, path[:, j], blocked, None, tolerance)
-    smallest = min(encounter.findings.clearance for encounter in encounters.values())
+    smallest = min(encounter.clearance for encounter in encounters.values())
     for least, i, j in _least_clearances(robots, path):
         if least > max(smallest, 0.0) + tolerance:
             break
         encounters[j, i] = _Encounter((i, j), robots[i], path[:, i], robots[j], path[:, j], tolerance)
-        smallest = min(smallest, encounters[j, i].findings.clearance)
+        smallest = min(smallest, encounters[j, i].clearance)
     return [encounters[who] for who in sorted(encounters)]
 
 
@@ -260,19 +248,16 @@ def _least_clearances(
 def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n dof"]:
     motion = np.minimum(when.astype(int), len(path) - 2)
     change = np.diff(path, axis=0)
-    change[:, 2:] = _turns(path)[:, None] if path.shape[1] > 2 else change[:, 2:]
+    if path.shape[1] > 2:
+        change[:, 2] = shorter_turn(path[:-1, 2], path[1:, 2])
     return path[motion] + (when - motion)[:, None] * change[motion]
-
-
-def _turns(path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
-    return shorter_turn(path[:-1, 2], path[1:, 2])
 
 
 def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
     """Return the most that a robot's corners move by turning, in each motion."""
     if robot.dof == 2:
         return np.zeros(len(path) - 1)
-    return np.linalg.norm(robot.core, axis=1).max() * np.abs(_turns(path))
+    return np.linalg.norm(robot.core, axis=1).max() * np.abs(shorter_turn(path[:-1, 2], path[1:, 2]))
 
 
 def _corners(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Float[np.ndarray, "n corners 2"]:
@@ -290,7 +275,7 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 
 def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """Find the first passage of a point robot between obstacles that touch: robot, time and message."""
+    """Find the first passage of a point robot between touching obstacles; return robot, time and message."""
     workspace, squeezes = problem.workspace, []
     boundary = workspace.boundary
     if workspace.squeeze or not len(boundary.contacts):
@@ -313,10 +298,10 @@ def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"])
 def _changes_of_side(
     boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
 ) -> list[int]:
-    """Return the motions of a point near a contact (a vertex where obstacles touch) from its first change of side on.
+    """Return the motions at whose ends a point has changed sides at ``vertex``, where obstacles touch.
 
-    There are none if ``motion`` misses the vertex. Sides are the sectors of free space there. In a disc of half the
-    length of the vertex's shortest edge, sectors meet only at the vertex, so the path in this disc decides.
+    There are none if ``motion`` misses the vertex. Sides are the sectors of free space at the vertex. Within half the
+    length of its shortest edge they meet only there, so the path in a disc of this radius decides.
     """
     sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])
@@ -343,7 +328,7 @@ def _changes_of_side(
 def _is_in_sector(
     boundary: Boundary, edge: np.integer, offsets: Float[np.ndarray, "n 2"], tolerance: float
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether offsets from the first vertex of an edge lie in the closed sector of free space there."""
+    """Return whether offsets from the first vertex of ``edge`` lie in the sector of free space beside this edge."""
     vertex = boundary.vertices[boundary.edges[edge, 0]]
     start = boundary.vertices[boundary.edges[edge, 1]] - vertex
     end = boundary.vertices[boundary.sector_end[edge]] - vertex
@@ -371,21 +356,17 @@ def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"
 
 
 def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> ValidationReport:
-    when = collision.first_moment
+    workspace, when, depth = problem.workspace, collision.first_moment, collision.depth
     q = _at(collision.path, np.array([when]))
     x, y = q[0, :2].tolist()
-    depth = collision.depth
     what = f"Robots {collision.who[0]} and {collision.who[-1]} collide"
     if collision.other_path is None:
-        what = f"Robot {collision.who[0]} {_describe_violation(problem.workspace, _bodies(collision.robot, q)[0])}"
+        body, obstacles = _bodies(collision.robot, q)[0], np.array(workspace.obstacles, dtype=object)
+        # The distance to an empty (removed) obstacle is NaN: it counts as infinite.
+        distance = np.nan_to_num(np.append(shapely.distance(body, obstacles), np.inf), nan=np.inf, posinf=np.inf)
+        bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
+        outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
+        hits = "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"
+        what = f"Robot {collision.who[0]} {hits}"
     message = f"{what} at step {when:.6g}, the first at ({x:.6g}, {y:.6g}) (clearance {depth:.3g})."
     return ValidationReport(False, cost, depth, message, collision.who, when, (x, y))
-
-
-def _describe_violation(workspace: Workspace, body: Any) -> str:
-    obstacles = np.array(workspace.obstacles, dtype=object)
-    # The distance to an empty (removed) obstacle is NaN: it counts as infinite.
-    distance = np.nan_to_num(np.append(shapely.distance(body, obstacles), np.inf), nan=np.inf, posinf=np.inf)
-    bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
-    outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
-    return "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"

@@ -22,8 +22,7 @@ _DIGITS = 4  # digits of a printed position, relative to the largest distance
 class ErrorReport:
     """Statistics of the error ``|L(x) - V(x)|`` of an approximation ``L`` of a distance function ``V``, over points.
 
-    ``max``, ``mean`` and ``quantiles`` are in workspace units, over the points where both functions are finite. Other
-    points are counted. All fields are plain Python numbers that JSON can store.
+    ``max``, ``mean`` and ``quantiles`` are in workspace units, over the points where both functions are finite.
 
     Attributes:
         max: Largest error.
@@ -33,8 +32,7 @@ class ErrorReport:
         max_distance: Largest finite distance ``V``, as a scale for the errors.
         num_points: Number of points.
         num_unreachable: Points where ``V`` is infinite; the error is undefined there.
-        num_unanswered: Points where ``V`` is finite and ``L`` is not. It should be 0 for an approximation that prunes
-            a search.
+        num_unanswered: Points where ``V`` is finite and ``L`` is not.
         num_invented: Points where ``V`` is infinite and ``L`` is finite.
     """
 
@@ -51,11 +49,9 @@ class ErrorReport:
     def __str__(self) -> str:
         decimals = _DIGITS - math.floor(math.log10(self.max_distance or 1.0))
         where = ", ".join(f"{round(c, max(decimals, 0)):.15g}" for c in self.max_at)
-        text = (
-            f"max error {self.max:.3g} at ({where}), mean {self.mean:.3g}, "
-            f"over {self.num_points - self.num_unreachable:,} points"
-        )
-        return text + (f"; {self.num_unanswered:,} of them not answered" if self.num_unanswered else "")
+        num, unanswered = self.num_points - self.num_unreachable, self.num_unanswered
+        text = f"max error {self.max:.3g} at ({where}), mean {self.mean:.3g}, over {num:,} points"
+        return text + (f"; {unanswered:,} of them not answered" if unanswered else "")
 
 
 def error_map(approximation: Callable[[ArrayLike], ArrayLike], distance_fn: DistanceFn, x: ArrayLike) -> ErrorReport:
@@ -64,8 +60,8 @@ def error_map(approximation: Callable[[ArrayLike], ArrayLike], distance_fn: Dist
     Args:
         approximation: A PLR, or any function of points ``(n, dim)`` that returns ``(n,)`` numbers.
         distance_fn: The exact distance function, ``(n, dim) -> (n,)``; infinite where the goal is unreachable.
-        x: Points ``(n, dim)``, at least one: for example ``workspace.sample_free(n, seed)``, or the cell centers
-            ``workspace.bounds.grid(resolution).reshape(-1, 2)``, where points that are not free count as unreachable.
+        x: Points ``(n, dim)``, at least one: for example ``workspace.sample_free(n, seed)``, or cell centers,
+            ``workspace.bounds.grid(resolution).reshape(-1, 2)``. Points that are not free count as unreachable.
 
     Raises:
         ValueError: If ``x`` has another shape or no rows, no point has a finite distance and a finite approximation,
@@ -112,8 +108,7 @@ def error_grid(
         approximation: A PLR, or another function, as in :func:`error_map`.
         distance_fn: The exact distance function.
         workspace: The workspace, or a configuration space whose free configurations count.
-        at: For a space of more than two dimensions, the slice that the grid covers: coordinates of all axes but two,
-            by axis number from 0.
+        at: For more than two dimensions, the slice that the grid covers: coordinates by axis, for all axes but two.
         resolution: Number of nearly square cells along the longer side of the bounds, at least 1.
 
     Returns:

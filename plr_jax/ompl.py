@@ -27,18 +27,17 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
 
     Planners call ``motionCostHeuristic(s1, s2)``, a lower bound of the path cost between two states. By the triangle
     inequality, it is the largest of the space's own distance, ``lower(s1) - upper(s2)`` and, for costs that are equal
-    in both directions, ``lower(s2) - upper(s1)``. Here ``lower`` and ``upper`` are the PLR's bounds of the distance
-    to its goal.
+    in both directions, ``lower(s2) - upper(s1)``, with the PLR's bounds of the distance to its goal.
 
-    The heuristic is *admissible* between free states from which the PLR's goal is reachable. BIT*, BFMT* and SORRT*
-    need nothing else, and are the only planners that use it. It is not *consistent*: bounds jump between leaves by up
-    to ``2 * plr.max_error``, so a graph search must reopen states. RRT* and Informed RRT* use ``costToGo`` instead,
-    which cannot be set from Python. A call takes tens of microseconds: it pays off if motion tests take longer.
+    The heuristic is *admissible* between free states from which the PLR's goal is reachable, which is all that BIT*,
+    BFMT* and SORRT* need, the only planners that use it. It is not *consistent*: bounds jump between leaves by up to
+    ``2 * plr.max_error``, so a graph search must reopen states. A call takes tens of microseconds: it pays off if
+    motion tests take longer.
 
     Args:
         space_information: OMPL's ``SpaceInformation``; its space's distance must be the cost of motions.
         plr: A PLR with proven bounds, such as one built with ``certified=True``, for these costs or lower ones: a PLR
-            for points also serves a body that turns. Leaf bounds (``certified="leaves"``) improve the heuristic.
+            for points also serves a body that turns. ``certified="leaves"`` improves the heuristic.
         coordinates: Function from a state to its point in the PLR's domain. None: the first coordinates of a
             ``RealVectorStateSpace``; position, and for a PLR of three dimensions heading, of an ``SE2StateSpace``.
 

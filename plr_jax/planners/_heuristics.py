@@ -13,7 +13,6 @@ from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, BoundingFn, DimensionedFn, HeuristicFn, JointConfigurations, StackableDistanceFn
 
 AnyDistanceFn: TypeAlias = Callable[[Any], ArrayLike]  # returns a NumPy or JAX array
-PerRobot: TypeAlias = Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # never returns NaN
 # Few sizes, since a jitted function compiles once per size; close together if large, since padding costs time.
 _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 
@@ -22,11 +21,10 @@ _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 class SumOverRobots:
     """A heuristic of a team, the sum of one term per robot (see :class:`plr_jax._types.HeuristicFn`).
 
-    ``per_robot`` maps joint configurations ``(n, robots, dof)`` to the terms, ``(n, robots)``. If ``is_lower_bound``,
-    the sum never exceeds the true cost-to-go; it then proves lower bounds of path costs.
+    If ``is_lower_bound`` is true, the sum never exceeds the true cost-to-go.
     """
 
-    per_robot: PerRobot
+    per_robot: Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # the terms, never NaN
     is_lower_bound: bool = False
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
@@ -57,23 +55,21 @@ def straight_line(problem: Problem) -> SumOverRobots:
 def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
     """Return the heuristic that adds up the robots' distances to their goals, each as if alone (paper, Section V-B).
 
-    If all functions have one type that offers ``stack``, as PLRs do, one call evaluates all. Others are called one by
-    one, in batches of a few fixed sizes, so that functions under ``jit`` compile only a few times.
+    Functions of one type that offers ``stack``, as PLRs do, are evaluated by one call. Others are called one by one,
+    in batches of a few fixed sizes, so that functions under ``jit`` compile only a few times.
 
     Args:
-        distance_fns: One distance function per robot, in the order of the robots. It returns NumPy or JAX arrays. If
-            it has an attribute ``dim``, as oracles and PLRs do, it receives the first ``dim`` coordinates of a
-            configuration, else all coordinates.
+        distance_fns: One distance function per robot, which returns NumPy or JAX arrays. If it has an attribute
+            ``dim``, as oracles and PLRs do, it receives the first ``dim`` coordinates of a configuration, else all.
 
     Returns:
         A heuristic for teams of this size. It is a lower bound if every function says so, as oracles and
-        ``plr.lower`` do; each must then be the distance among its robot's own obstacles. If a function returns NaN
-        for a configuration that is not finite, the term is ``inf``.
+        ``plr.lower`` do; each must then be the distance among its robot's own obstacles.
 
     Raises:
         ValueError: If ``distance_fns`` is empty or holds something that is not a function. When the heuristic is
-            called: if the team has another size, or a function takes too many coordinates, or returns NaN or a wrong
-            shape. Exceptions of a function are passed on.
+            called: if the team has another size, or a function takes too many coordinates, or returns a wrong shape,
+            or NaN for a finite configuration. Exceptions of a function are passed on.
     """
     if callable(distance_fns) or not isinstance(distance_fns, Iterable):
         raise ValueError(f"distance_fns must hold one function per robot, got {shortened(distance_fns)}.")

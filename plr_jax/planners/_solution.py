@@ -46,12 +46,12 @@ class Stats:
         num_expansions: Search nodes expanded; for LaCAM, attempted steps of the whole team.
         num_children_scored: Next joint configurations (children) scored, including partial ones, in which only the
             first robots have moved; for LaCAM, motions of single robots.
-        num_children_valid: Children found free of collision; for LaCAM, steps of the whole team found.
+        num_children_valid: Children free of collision; for LaCAM, steps of the whole team found.
         seconds: Wall-clock seconds of each phase of the planner, by name.
         history: Seconds since the start, and cost, of each new best path.
         found_by: Search that found the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
-        num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, plus what its searches had
-            stored. It exceeds the memory limit if that limit ruled out lattices.
+        num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, and of its searches. It
+            exceeds the memory limit if that limit ruled out lattices.
     """
 
     num_nodes: int
@@ -85,7 +85,7 @@ class Solution:
         status: Reason why the planner ended. Any status may come with a path.
         stats: Effort of the planner.
         samples: Joint configurations ``(nodes, robots, dof)`` of the search nodes, in the order of creation. For
-            ``bl_plan``, those of the larger search on the last lattices.
+            ``bl_plan``, nodes on the last lattices, of the search (LaCAM or best-first) that has more.
         motions_factor: Proven upper bound of the cost of the path before shortening, over the cost of the cheapest
             path made of the same lattice motions. ``inf`` if nothing is proven.
         times: Time at which the path reaches each row, ``(steps,)``: nondecreasing, from 0 to the makespan. None if
@@ -118,16 +118,14 @@ class Solution:
         """Return the joint configurations at given times; all robots follow the path by one clock.
 
         Each motion between two rows takes as long as its costliest robot needs at unit speed. The other robots move
-        at a constant rate and arrive at the same time. Headings turn the shorter way from the value in the row
-        before.
+        at a constant rate and arrive at the same time. Headings turn the shorter way.
 
         Args:
             times: Times of any shape, such as ``(n,)``. Before 0 the robots are at their starts, after the makespan
                 (or at ``inf``) at their goals.
 
         Returns:
-            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. At a row's time, they equal the
-            row exactly.
+            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. They equal a row at its time.
 
         Raises:
             ValueError: If there is no path, or if a time is NaN, masked or not a number.
@@ -148,8 +146,7 @@ class Solution:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the solution, without its samples, to a JSON file that :meth:`load` describes; the write is atomic.
 
-        It raises ``ValueError`` if the solution is inconsistent (such as a path without a cost) or takes more than 64
-        MiB, and ``OSError`` if the file cannot be written.
+        It raises ``ValueError`` for an inconsistent solution or over 64 MiB, and ``OSError`` if writing fails.
         """
         stats = self.stats
         entry = {
@@ -176,23 +173,19 @@ class Solution:
     def load(cls, path: str | os.PathLike[str]) -> "Solution":
         """Read a solution from a file that :meth:`save` or ``plr-jax plan --output`` wrote.
 
-        Version 1 is one JSON object with these keys; other keys are ignored. ``null`` stands for infinity. Lengths
-        are in workspace units, angles in radians::
+        Version 1 is one JSON object with the keys below, named after attributes of :class:`Solution` and
+        :class:`Stats`; other keys are ignored. Numbers are finite or, for infinity, null. ``path`` and ``times`` are
+        null if there is no path. Lengths are in workspace units, angles in radians::
 
-            "format":      "plr_jax solution"
-            "version":     1
-            "status":      name of a Status, such as "SOLVED"
-            "cost":        number, or null if there is no path; likewise "makespan"
-            "lower_bound": number or null; likewise "motions_factor"
-            "path":        [[[x, y], ...], ...]: per row, one configuration per robot, [x, y, heading] if any robot
-                           has a heading; null if there is no path
-            "times":       [time, ...], one per row, from 0 to the makespan; null if there is no path
-            "stats":       {"num_nodes": count, "num_expansions": count, "num_children_scored": count,
-                            "num_children_valid": count, "num_bytes": count, "seconds": {phase: seconds, ...},
-                            "history": [[seconds, cost], ...], "found_by": name of a search, or ""}
+            "format": "plr_jax solution", "version": 1
+            "status": name of a Status, such as "SOLVED"
+            "cost", "makespan", "lower_bound", "motions_factor": number or null
+            "path": [[[x, y], ...], ...]: per row, one configuration per robot, with a heading if any robot has one
+            "times": [time, ...], one per row, from 0 to the makespan
+            "stats": {"num_nodes", "num_expansions", "num_children_scored", "num_children_valid", "num_bytes": count,
+                      "seconds": {phase: seconds, ...}, "history": [[seconds, cost], ...], "found_by": name or ""}
 
-        Every float64 is restored exactly; ``samples`` are empty, since the file omits them. :func:`plr_jax.validate`
-        checks the path against a problem.
+        Every float64 is restored exactly; ``samples`` are empty, since the file omits them.
 
         Raises:
             ValueError: If the file is not a solution, is damaged, or was written by a newer version.
@@ -288,8 +281,7 @@ class BLOptions:
         searchers: Searches that alternate until one finds a path. "lacam" moves the whole team one step at a time,
             which is fast, even for large teams. "bl", a best-first search over joint configurations, finds
             coordinated maneuvers. With both, the planner also tries to move a few discs one after the other.
-        step: Side of a lattice cell, in workspace units. None: chosen for each problem, and refined until the problem
-            is solved.
+        step: Side of a lattice cell, in workspace units. None: chosen for the problem, refined until it is solved.
         heuristic_weight: Factor of the heuristic in "bl", from 0 to 1e6; larger is greedier. None: 2, or 3/8 times
             the number of robots if larger. It grows by half with each finer lattice.
         cost_factor: The search stops at a path whose cost is at most this multiple of the lower bound. Until then, or
@@ -297,8 +289,7 @@ class BLOptions:
             is met early ends the search and the shortening, so the path may cost more than without a factor.
         lower_bound: Known lower bound of all path costs, in workspace units. The planner uses the largest of it, the
             cost of straight motions, and the heuristic at the starts if that is a lower bound.
-        time_limit: Seconds, positive or ``inf``. A running call of Shapely or of the heuristic, or a running
-            computation of costs-to-go, is not interrupted.
+        time_limit: Seconds, positive or ``inf``. Calls of Shapely, SciPy and the heuristic are not interrupted.
         max_expansions: Largest number of search nodes expanded; deterministic, unlike the time limit.
         max_memory: Largest number of bytes of the lattices and of the search nodes.
 
@@ -357,7 +348,6 @@ class SearchBudget:
         return self.spent()
 
     def spent(self) -> Status | None:
-        """Return TIME_LIMIT or MEMORY_LIMIT if that limit is reached, else None."""
         if time.perf_counter() >= self.deadline:
             return Status.TIME_LIMIT
         return Status.MEMORY_LIMIT if self.memory >= self.max_memory else None

@@ -102,7 +102,7 @@ class SuccessorList:
 
 
 class BestFirstSearch:
-    """A best-first search: the best node's best child joins the tree, then the node waits for its next child."""
+    """A best-first search: the best node's best child joins the tree, then the node is queued for its next child."""
 
     def __init__(self, joint: JointLattice, estimates: Sequence[Table], weight: float, budget: SearchBudget):
         self.joint, self.budget, self.memory_use = joint, budget, MemoryUse(budget)

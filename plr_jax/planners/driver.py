@@ -3,14 +3,14 @@
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from tqdm import tqdm
 
-from plr_jax._problem import Problem, path_cost, straight_costs
+from plr_jax._problem import Problem, motion_costs, path_cost
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
@@ -64,41 +64,32 @@ def bl_plan(
 ) -> Solution:
     """Plan collision-free paths for all robots of a problem, from their starts to their goals.
 
-    The common call is ``solution = bl_plan(problem)``; ``solution.path`` is an array ``(steps, robots, dof)``, or
-    None, and ``solution.status`` tells why the planner ended. ``bl_plan(problem, options=BLOptions(time_limit=10))``
-    limits the seconds. ``BLOptions(cost_factor=1.1)`` continues until the path costs at most 1.1 times a lower bound.
+    The common call is ``bl_plan(problem)``, or ``bl_plan(problem, options=BLOptions(time_limit=10))``.
 
     Args:
         problem: Workspace, robots, starts and goals.
         heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, as a sum over robots:
             :func:`zero`, :func:`straight_line` or :func:`sum_of_distances`. None, the best choice for a single plan:
-            each robot's cost-to-go along its lattice. No estimate may be NaN; ``inf`` prunes nothing, and negative
-            ones count as 0. If ``is_lower_bound`` is true, the value at the starts is a lower bound of all path
-            costs. A poor heuristic, such as straight lines among walls, may prevent a solution.
+            each robot's cost-to-go along its lattice. ``inf`` prunes nothing, and negative estimates count as 0. If
+            ``is_lower_bound`` is true, the value at the starts is a lower bound of all path costs. A poor heuristic,
+            such as straight lines among walls, may prevent a solution.
         options: How to search, and when to stop.
 
     Returns:
-        The best path found, a lower bound of all path costs, and a status. SOLVED: the cost is within ``cost_factor``
-        (default: any) of the lower bound. EXHAUSTED: no search is left on the finest lattice (the given ``step``, or
-        1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the limit was reached, or
-        best-first search found nothing after it left out children to save memory. Otherwise another limit, or
-        INTERRUPTED after Ctrl-C. Only SOLVED always comes with a path. Results are deterministic unless the time
-        limit ends a search.
+        The best path found, a lower bound of all path costs, and a status. SOLVED: the cost is at most
+        ``cost_factor`` (default: infinite) times the lower bound. EXHAUSTED: no search is left on the finest lattice
+        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the
+        limit was reached, or best-first search found nothing after it left out children to save memory. Otherwise
+        another limit, or INTERRUPTED after Ctrl-C. Only SOLVED always comes with a path. Results are deterministic
+        unless the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
 
-    How it works:
-
-    1. A few discs among few walls move one after the other, from corner to corner. This path is kept if no cheaper
-       one is found.
-    2. Robots move on finer and finer lattices (grids of configurations that include the exact starts and goals) until
-       one of two searches succeeds. LaCAM moves the whole team one step at a time: each robot takes its best free
-       motion and pushes others out of its way (PIBT). Best-first search finds coordinated maneuvers, such as a swap.
-    3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
-       and deviations within narrow corridors, shorten the path.
-    4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
-       smaller weights.
+    A few discs among few walls first move one after the other, from corner to corner. Then the team moves on finer
+    and finer lattices (grids of configurations, with the exact starts and goals) until LaCAM or best-first search
+    finds a path. Replanning of single robots, shortcuts, and deviations in narrow corridors make the path cheaper.
+    With a ``cost_factor``, small groups are replanned too, and searches go on with finer lattices, smaller weights.
 
     References: Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section
     V of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
@@ -146,7 +137,7 @@ class Run:
         self.samples = problem.starts[None].copy()
         self.num_bytes, self.extent = 0.0, float(problem.workspace.bounds.width.max())
 
-    def offer(self, path: JointPath, found_by: str, motions_factor: float) -> None:
+    def record(self, path: JointPath, found_by: str, motions_factor: float) -> None:
         seconds, cost = time.perf_counter() - self.began, path_cost(self.problem, path)
         if cost < self.cost:
             self.path, self.cost, self.found_by, self.motions_factor = path, cost, found_by, motions_factor
@@ -158,12 +149,12 @@ class Run:
         self._mark = now
 
     def try_sequential_path(self) -> Status | None:
-        """Compute the lower bound; try to move robots one after the other; return SOLVED if that path suffices."""
+        """Compute a lower bound of the cost; move robots one after the other; return SOLVED if that path suffices."""
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             path = sequential_path(self.problem)
             self.end_phase("search")
             if path is not None:
-                self.offer(path, _SEQUENTIAL, math.inf)
+                self.record(path, _SEQUENTIAL, math.inf)
         self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
         if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
             cost = float(require_estimates(self.heuristic(self.problem.starts[None].copy()), (1,))[0])
@@ -174,29 +165,29 @@ class Run:
         return Status.SOLVED if self.cost <= accepted_cost else None
 
     def search_until_limit(self) -> Status:
-        options, weight = self.options, self.options.heuristic_weight
-        step = options.step or first_step(self.problem, self._fits)
+        searchers, weight = self.options.searchers, self.options.heuristic_weight
+        step = self.options.step or first_step(self.problem, self._fits)
         if weight is None:
             weight = max(_WEIGHT, _WEIGHT_PER_ROBOT * len(self.problem.robots))
         while True:
-            status, step = self._search_lattices(step, weight, options)
+            status, step = self._search_lattices(step, weight, searchers)
             if status is not Status.SOLVED or self.cost <= self.accepted_cost:
                 return status
             if limit := self.budget.exceeded():
                 return limit
             # Refine the lattice and lower the weight. On a given lattice LaCAM would only repeat itself.
             lighter = (1 + weight) / 2 if weight > _LEAST_WEIGHT else weight
-            if options.step is None:
+            if self.options.step is None:
                 step, weight = step / _REFINEMENT, lighter
-            elif "lacam" in options.searchers and "bl" in options.searchers:
-                options = replace(options, searchers=("bl",))
-            elif "lacam" not in options.searchers and lighter < weight:
+            elif "lacam" in searchers and "bl" in searchers:
+                searchers = ("bl",)
+            elif "lacam" not in searchers and lighter < weight:
                 weight = lighter
             else:
                 return Status.EXHAUSTED
 
-    def _search_lattices(self, step: float, weight: float, options: BLOptions) -> tuple[Status, float]:
-        """Search finer and finer lattices; return why this ended, and the cell size at the end or to try next."""
+    def _search_lattices(self, step: float, weight: float, searchers: Sequence[str]) -> tuple[Status, float]:
+        """Search finer and finer lattices; return why the search ended, and the last or the next cell size."""
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
         is_complete = True
@@ -208,10 +199,10 @@ class Run:
                 fits = step >= finest and self._fits(step)
                 if not running and not fits:
                     return (Status.EXHAUSTED if step < finest and is_complete else Status.MEMORY_LIMIT), step
-                if fits and (joint := self._lattices(step, may_halve=options.step is None and not running)):
+                if fits and (joint := self._lattices(step, may_halve=self.options.step is None and not running)):
                     step = joint.step
                     with suppress(TimeoutError):
-                        running.append(Searches(joint, self.heuristic, weight, options, self.budget))
+                        running.append(Searches(self, joint, weight, searchers))
                         weight *= _WEIGHT_GROWTH
                     self.end_phase("heuristic")
                 for searches in reversed(running):
@@ -248,18 +239,16 @@ class Run:
     def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
         """Build lattices of cell size ``step`` or half of it; None if a goal is unreachable on them or time is up."""
         problem = self.problem
-        straight, joint = straight_costs(problem.starts, problem.goals, problem.rotation_weights), None
+        straight = motion_costs(problem, problem.starts, problem.goals)
         try:
             joint = build_lattices(problem, step, self.test)
             if not np.isfinite(joint.least_costs).all():
-                joint = None
+                return None
             # Coarse lattices may close a passage: halve the step if robots make detours and lattices stay small.
-            while joint is not None and may_halve and (joint.least_costs > _DETOUR * straight).any():
+            while may_halve and (joint.least_costs > _DETOUR * straight).any():
                 half = joint.step / 2
-                if (
-                    _num_motions_to_test(problem, half) > _MAX_FIRST_TESTS
-                    or self._needed(half) >= self.options.max_memory
-                ):
+                is_quick = _num_motions_to_test(problem, half) <= _MAX_FIRST_TESTS
+                if not is_quick or self._needed(half) >= self.options.max_memory:
                     break
                 finer = build_lattices(problem, half, self.test)
                 if not finer.least_costs.sum() <= (1 - _LEAST_SAVING) * joint.least_costs.sum():
@@ -273,15 +262,16 @@ class Run:
             self.end_phase("lattice")
 
     def _improve(self, searches: "Searches") -> None:
-        """Offer the path that a search found, then replan and shorten it, at most until its cost is accepted."""
+        """Replan and shorten the path that ``searches`` found, and record each path that is the cheapest so far."""
         found_by, state = searches.found
         path, factor = self._path(searches, state)
-        self.offer(path, found_by, factor)
+        self.record(path, found_by, factor)
         # If the path costs little more than the least costs, shortening alone finds what can be gained.
         gains = self.accepted_cost < math.inf or factor > _NEAR_LEAST
         if len(self.problem.robots) > 1 and len(state) > 1 and gains:
             path, factor = self._path(searches, self._replanned(searches, state))
-        for number, shortened in enumerate((shorten, shorten_in_corridors, shorten)):
+        in_corridors = partial(shorten_in_corridors, width=searches.joint.step / 2)
+        for number, shortened in enumerate((shorten, in_corridors, shorten)):
             if self.cost <= self.accepted_cost < math.inf:
                 return
             if number == 1 and len(self.problem.robots) == 1 and self.accepted_cost == math.inf:
@@ -289,16 +279,14 @@ class Run:
             if number == 2:  # add a row in the middle of every motion
                 middle, path = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5)), np.repeat(path, 2, axis=0)[:-1]
                 path[1::2] = middle
-            more = (searches.joint.step / 2,) if number == 1 else ()
-            path = shortened(self.problem, path, self.test, *more)
+            path = shortened(self.problem, path, self.test)
             self.end_phase("shorten")
-            self.offer(path, found_by, factor)
+            self.record(path, found_by, factor)
 
     def _replanned(self, searches: "Searches", state: State) -> State:
         """Return a path (lattice nodes of all robots) of no higher cost: replan single robots, then small groups."""
         joint, budget, (found_by, _) = searches.joint, self.budget, searches.found
-        waiting = np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)
-        rows = np.concatenate([state, waiting])
+        rows = np.concatenate([state, np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)])
         if budget.memory + num_bytes_of_table(joint, len(rows)) >= budget.max_memory:
             return state
         table = None
@@ -309,7 +297,7 @@ class Run:
             rng, gains = np.random.default_rng(0), True
             while gains:
                 path, factor = self._path(searches, table.state)
-                self.offer(path, found_by, factor)
+                self.record(path, found_by, factor)
                 if self.cost <= self.accepted_cost or budget.exceeded():
                     break
                 before = table.cost.sum()
@@ -319,14 +307,14 @@ class Run:
         if table is None:
             return state
         path, factor = self._path(searches, table.state)
-        self.offer(path, found_by, factor)
+        self.record(path, found_by, factor)
         table.memory_use.release()
         # Drop the rows at the end in which all robots wait.
         waits = np.all(table.state == table.state[-1], axis=1)
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Return the path along lattice nodes of all robots, and its cost over the least cost on the lattices."""
+        """Return the path through lattice nodes, and its cost divided by the sum of the robots' least costs."""
         path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
@@ -377,35 +365,27 @@ _TURN_GROWTH = 1.5
 class Searches:
     """LaCAM, best-first search, or both in turns, on lattices (grids of configurations) of one cell size."""
 
-    def __init__(
-        self,
-        joint: JointLattice,
-        heuristic: HeuristicFn | None,
-        weight: float,
-        options: BLOptions,
-        budget: SearchBudget,
-    ):
-        self.joint, self.weight, self.options, self.budget = joint, weight, options, budget
-        self.memory_use = MemoryUse(budget)
-        num_nodes = sum(len(lattice.q) for lattice in joint.lattices)
-        self.memory_use.add(
-            int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_nodes * (1 if heuristic is None else 2)
-        )
-        self.terms = joint.costs_to_go if heuristic is None else tabulate(joint, heuristic, budget.deadline)
+    def __init__(self, run: Run, joint: JointLattice, weight: float, searchers: Sequence[str]):
+        self.joint, self.weight, self.searchers, self.budget = joint, weight, searchers, run.budget
+        self.memory_use = MemoryUse(self.budget)
+        num_terms = sum(len(lattice.q) for lattice in joint.lattices) * (1 if run.heuristic is None else 2)
+        self.memory_use.add(int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_terms)
+        given = run.heuristic
+        self.terms = joint.costs_to_go if given is None else tabulate(joint, given, self.budget.deadline)
         self.running: dict[str, LaCAM | BestFirstSearch] = {}
-        if "lacam" in options.searchers:
-            self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), budget)
+        if "lacam" in searchers:
+            self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), self.budget)
         self.is_complete = True  # False if the search ended because its beams were cut
         self.turn = 1.0  # length of the next turn, as a multiple of the first
 
     def run(self, bar: tqdm) -> Status | None:
-        """Run each search for one turn, longer at every call; return why one ended, or None if they may go on."""
+        """Run each search for a while, longer at every call; return why a search ended, None if both may go on."""
         budget, status = self.budget, None
         num_robots, finds_all = len(self.joint.lattices), "lacam" in self.running
         if finds_all:
             status = self.running["lacam"].run(int(self.turn * _IDLE_STEPS * num_robots), bar)
-        lacks_path = status is None and "bl" in self.options.searchers
-        if lacks_path and ("bl" in self.running or budget.memory + self.num_bytes_needed < self.options.max_memory):
+        lacks_path = status is None and "bl" in self.searchers
+        if lacks_path and ("bl" in self.running or budget.memory + self.num_bytes_needed < budget.max_memory):
             if "bl" not in self.running:
                 self.running["bl"] = BestFirstSearch(self.joint, self.terms, self.weight, budget)
             expansions = min(_EXPANSIONS / num_robots, _EXPANSIONS_OF_PAIRS / num_robots**2)

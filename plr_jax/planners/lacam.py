@@ -2,8 +2,7 @@
 
 PIBT (priority inheritance with backtracking) finds one step of the whole team. Robots choose in the order of their
 priorities: each takes its best primitive (motion to a neighboring cell, or a stay) that is clear of all chosen ones.
-Robots that can then no longer stay in place choose next; if one of them finds no motion, the primitive is given up.
-So without constraints a step always exists. As robots have a shape, one may ask several others to make way.
+Robots that can then no longer stay choose next; if one of them finds no motion, the primitive is given up.
 
 References: Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022;
 Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
@@ -25,6 +24,7 @@ from plr_jax.planners.lattice import JointLattice
 Bits: TypeAlias = int  # a set of primitives: bit p for primitive p
 JointNode: TypeAlias = Int[np.ndarray, "robots"]  # the lattice node of each robot
 Robots: TypeAlias = Int[np.ndarray, "m"]
+Neighbors: TypeAlias = list[list[tuple[int, list[Bits]]]]
 _MOST = 1 << 21  # pairs of motions tested at once, between two checks of the clock
 _FEW_PAIRS = 64  # up to so many pairs, testing is as fast as a lookup
 _ALIGNED = 1 / 16  # share of the tolerance within which a configuration counts as the center of a cell
@@ -40,11 +40,11 @@ class Moves(NamedTuple):
 
     child: list[list[int]]  # the node that each primitive of each robot leads to
     ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first
-    neighbors: list[list[tuple[int, list[Bits]]]]  # other robot, and by primitive, its primitives that collide
+    neighbors: Neighbors  # other robot, and by primitive, its primitives that collide
 
 
 class TeamMoves:
-    """A callable that finds the team's :class:`Moves` from a joint configuration, or raises ``TimeoutError``."""
+    """A function that finds the team's :class:`Moves` from a joint configuration, or raises ``TimeoutError``."""
 
     def __init__(self, joint: JointLattice, terms: Sequence[Float[np.ndarray, "_"]]):
         self.kinds, self.terms, self.num_robots = joint.kinds, terms, len(joint.lattices)  # terms by robot and node
@@ -94,14 +94,12 @@ class TeamMoves:
         return Moves(child, ranked, neighbors)
 
     def _add_between_cells(
-        self,
-        k: int,
-        i: Robots,
-        j: Robots,
-        cells: Int[np.ndarray, "m 2"],
-        neighbors: list[list[tuple[int, list[Bits]]]],
+        self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
-        """Add to ``neighbors`` the collisions of robots of one shape, from a cache by their offset in cells."""
+        """Add collisions between robots ``i`` and ``j``, all of shape ``k``, to ``neighbors`` (see :class:`Moves`).
+
+        Row ``n`` of ``cells`` is the offset from robot ``i[n]`` to ``j[n]``, in cells; results are cached by offset.
+        """
         known, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
         if new := list({*keys, *back} - known.keys()):
@@ -120,7 +118,7 @@ class TeamMoves:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
-        """Yield, for each two kinds of robots, the pairs of robots that are near enough to collide in a step."""
+        """Yield, for each pair of kinds (shapes) of robots, the robots near enough to collide in a step."""
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
@@ -173,7 +171,12 @@ class PIBT:
                 num_chosen, num_changes = len(self._robots), len(self._changes)
                 if self._make_way(self._choose(robot, primitive)):
                     return True
-                self._undo(num_chosen, num_changes)
+                # Undo the choices made since then.
+                while len(self._changes) > num_changes:
+                    other, allowed = self._changes.pop()
+                    self.allowed[other] = allowed
+                while len(self._robots) > num_chosen:
+                    self.chosen[self._robots.pop()] = -1
         return False
 
     def _choose(self, robot: int, primitive: int) -> list[int]:
@@ -202,13 +205,6 @@ class PIBT:
                     return False
         return True
 
-    def _undo(self, num_chosen: int, num_changes: int) -> None:
-        while len(self._changes) > num_changes:
-            robot, allowed = self._changes.pop()
-            self.allowed[robot] = allowed
-        while len(self._robots) > num_chosen:
-            self.chosen[self._robots.pop()] = -1
-
 
 @dataclass(eq=False)
 class Node:
@@ -220,7 +216,10 @@ class Node:
 
 
 class LaCAM:
-    """A depth-first search: the newest node makes one more step; a node's later steps prescribe more motions."""
+    """A depth-first search, in which the newest node makes one more step of the team, by PIBT.
+
+    Each time a node is expanded again, the motions of more of its robots are prescribed.
+    """
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
         self.joint, self.moves, self.budget, self.memory_use = joint, moves, budget, MemoryUse(budget)
@@ -236,7 +235,7 @@ class LaCAM:
         self._add(start, None)
 
     def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
-        """Search until ``max_idle`` steps in a row bring no progress; return why it ended, None if it may go on."""
+        """Search until ``max_idle`` steps in a row bring no progress; return why, or None if the search may go on."""
         self.num_idle = 0
         while self.found is None and self.open and self.num_idle < max_idle:
             if limit := self.budget.exceeded():

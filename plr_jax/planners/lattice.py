@@ -2,10 +2,9 @@
 
 A lattice is a grid of cells over a robot's configuration space, periodic in the heading. A node is a free
 configuration in a cell, its representative: the center if that is free, else the free sample with the largest
-clearance; so a passage narrower than a cell can still be found. A primitive is a motion between neighboring cells'
-representatives. A robot's start and goal are additional nodes, so that the ends of every path are exact; for this
-robot, they replace the representatives of their cells. If both lie in one cell, motions into it lead to the goal, and
-an additional primitive connects the two.
+clearance. A primitive is a motion between representatives of neighboring cells. A robot's start and goal are
+additional nodes, so that the ends of every path are exact; for this robot, they replace the representatives of their
+cells. If both lie in one cell, motions into it lead to the goal, and an additional primitive connects the two.
 """
 
 import math
@@ -56,29 +55,28 @@ class Terminals(NamedTuple):
     cost: Float[np.ndarray, "robots 2 2 primitives"]
 
 
+@dataclass(eq=False)
 class Kind:
     """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
 
-    Nodes are the free configurations of the ``num_cells`` cells that have one, then the starts and goals, to which no
-    primitive of the table leads. Primitive 0 stays in place. A blocked primitive leads to its own node at infinite
-    cost. Edges shared by all robots come first, then the edges into each robot's start and goal, then ``num_edges``,
-    to nowhere.
+    Nodes are one free configuration per cell, then starts and goals. The table (``child`` and ``cost``) has a row per
+    node and a column per *primitive*, a motion to a neighboring cell; primitive 0 stays in place, and a blocked one
+    leads to its own node at infinite cost. No primitive leads to a start or goal. Edges, from nodes ``begin`` to
+    ``end``, are the free motions of the table and each robot's motions into its start and goal; the last is a dummy
+    of infinite cost with index ``num_edges``.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        members: Int[np.ndarray, "robots"],  # indices in the team
-        q: Float[np.ndarray, "nodes dof"],
-        leads: tuple[Int[np.ndarray, "nodes primitives"], Float[np.ndarray, "nodes primitives"]],  # child and cost
-        num_cells: int,
-        side: Float[np.ndarray, "dof"],  # side lengths of a cell
-        offset: Float[np.ndarray, "primitives dof"],  # displacement of each primitive between cell centers
-        terminals: Terminals,
-    ):
-        self.robot, self.members, self.q, self.num_cells = robot, members, q, num_cells
-        (self.child, self.cost), self.side, self.offset, self.terminals = leads, side, offset, terminals
-        moves = np.nonzero(np.isfinite(self.cost))
+    robot: Robot
+    members: Int[np.ndarray, "robots"]  # indices in the team
+    q: Float[np.ndarray, "nodes dof"]
+    child: Int[np.ndarray, "nodes primitives"]
+    cost: Float[np.ndarray, "nodes primitives"]
+    side: Float[np.ndarray, "dof"]  # side lengths of a cell
+    offset: Float[np.ndarray, "primitives dof"]  # displacement of each primitive between cell centers
+    terminals: Terminals
+
+    def __post_init__(self) -> None:
+        q, terminals, moves = self.q, self.terminals, np.nonzero(np.isfinite(self.cost))
         shared = moves[0], self.child[moves], self.cost[moves]
         own = np.nonzero((terminals.begin >= 0) & np.isfinite(terminals.cost))
         into_ends = terminals.begin[own], terminals.node[own[:2]], terminals.cost[own]
@@ -86,14 +84,14 @@ class Kind:
         self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_ends, nowhere, strict=True))
         self.num_shared, self.num_edges = len(moves[0]), len(self.begin) - 1
         self.terminal_edges = np.split(
-            np.arange(self.num_shared, self.num_edges), np.searchsorted(own[0], np.arange(1, len(members)))
+            np.arange(self.num_shared, self.num_edges), np.searchsorted(own[0], np.arange(1, len(self.members)))
         )
         x, y = (q[self.end] - q[self.begin])[:, :2].T
-        self.stride = float(np.hypot(x, y).max())  # length of the longest motion
-        self.reach = robot.circumscribed_radius + self.stride  # farthest a motion takes the body from its begin
+        # The farthest that a motion takes the body from the motion's begin.
+        self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return where each primitive leads and its cost, from nodes of robot ``row``, or from one node per robot."""
+        """Return each primitive's child and cost, from nodes of robot ``row`` or from one node of each robot."""
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
@@ -113,7 +111,7 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, for each node, the edges into it that robot ``row`` may use, padded with ``num_edges``."""
+        """Return, for each node, the edges into it that robot ``row`` may use, padded with the dummy edge."""
         into, own = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
         into[:, self.terminals.cell[row]] = self.num_edges
         for node in self.terminals.node[row]:
@@ -157,8 +155,6 @@ class Kind:
 
 
 class Lattice:
-    """A robot's lattice: its nodes, and the motions between them."""
-
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
         self.start, self.goal = kind.terminals.node[row].tolist()
@@ -217,7 +213,7 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return the rows in which robots ``i`` and ``j`` are near, and which of their primitives collide there."""
+        """Return the rows of ``state`` in which two robots are near, and which of their motions collide there."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
@@ -244,7 +240,7 @@ class CellGrid(NamedTuple):
     def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
-        """Return the motions of robots of this shape, with their starts and goals as additional nodes."""
+        """Return the motions of robots ``members`` of this shape, with their starts and goals as additional nodes."""
         num_robots, ends = len(starts), np.concatenate([starts, goals])
         # The cells of starts and goals; outside the grid, the nearest cells.
         index, size = np.floor((ends - self.lo) / self.side).astype(np.intp), np.array(self.shape)
@@ -269,16 +265,15 @@ class CellGrid(NamedTuple):
             )
         # 3. Build the table: motions from representatives, then motions from starts and goals.
         free, offsets = motions.free, motions.offsets
-        nodes, num_cells = np.cumsum(free) - 1, int(free.sum())
+        nodes, end_nodes = np.cumsum(free) - 1, int(free.sum()) + np.arange(len(ends))
         child = np.where(np.isfinite(motions.cost), nodes[motions.child], nodes[:, None])[free]
         target, leads = motions.neighbors(cells, offsets)
         cost = motions.costs(leads, ends[:, None], motions.q[target])
-        away = np.where(np.isfinite(cost), nodes[target], num_cells + np.arange(len(ends))[:, None])
+        away = np.where(np.isfinite(cost), nodes[target], end_nodes[:, None])
         cost[:, 0] = 0.0
         q, cost = np.concatenate([motions.q[free], ends]), np.concatenate([motions.cost[free], cost])
         child = np.concatenate([child, away], dtype=np.int32)
         # 4. Find the motions into starts and goals. A goal equal to the start, up to whole turns, is the same node.
-        end_nodes = num_cells + np.arange(len(ends))
         end_nodes[:num_robots][~differ] += num_robots
         others, others_nodes, others_cells = (np.roll(row, num_robots, axis=0) for row in (ends, end_nodes, cells))
         same_cell = cells == others_cells
@@ -293,7 +288,7 @@ class CellGrid(NamedTuple):
         begin = np.where(enters, nodes[by], -1), np.where(crosses, others_nodes[:, None], -1)
         columns = end_nodes, nodes[cells], np.stack(begin, axis=1), np.stack([into, across], axis=1)
         all_ends = Terminals(*(np.stack(np.split(column, 2), axis=1) for column in columns))
-        return Kind(robot, members, q, (child, cost), num_cells, self.side, offsets * self.side, all_ends)
+        return Kind(robot, members, q, child, cost, self.side, offsets * self.side, all_ends)
 
     def neighbors(self, cells: Cells, offsets: Int[np.ndarray, "primitives dof"]) -> Neighbors:
         """Return the cells at given offsets, and whether each is a different cell that has a free configuration."""
@@ -332,7 +327,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices: cells are at most ``step`` wide, and a turn by one moves no point farther."""
+    """Build all robots' lattices; a cell is at most ``step`` wide, and a turn to the next moves no point farther."""
     each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])
@@ -344,7 +339,7 @@ def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> Join
 
 
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
-    """Return the cells of one kind of robot, with the motions between them; small grids are cached."""
+    """Return the cells of robots of one shape, and the motions between them; small grids are cached."""
     is_small = num_configurations(workspace, robot, step) * (1 + len(PRIMITIVES)) <= _MOST_KEPT
     build = _cached_cell_grid if is_small else _build_cell_grid
     return build(workspace, robot, weight, step, IgnoredByCache(deadline))

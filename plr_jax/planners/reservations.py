@@ -4,6 +4,7 @@ References: Silver, "Cooperative pathfinding", 2005. Li et al., "Anytime multi-a
 neighborhood search", 2021.
 """
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -33,9 +34,8 @@ class ReservationTable:
         self.memory_use = MemoryUse(budget)
         self.memory_use.add(num_bytes_of_table(joint, len(state)))
         self._costs_to_come: dict[int, np.ndarray] = {}
-        pairs = [(a, b) for a in range(len(self.kinds)) for b in range(len(self.kinds))]
-        self._colliding_edges: dict[tuple[int, int], dict[int, Edges]] = {pair: {} for pair in pairs}
-        self._chunk = dict.fromkeys(pairs, 1)  # edges tested at a time, adapted to their number of neighbors
+        self._colliding_edges: defaultdict[tuple[int, int], dict[int, Edges]] = defaultdict(dict)  # by pair of kinds
+        self._chunk = defaultdict(lambda: 1)  # edges tested at a time, adapted to their number of neighbors
         self.kind_and_row = {
             int(i): (k, row) for k, kind in enumerate(self.kinds) for row, i in enumerate(kind.members)
         }
@@ -96,7 +96,10 @@ class ReservationTable:
         return [known[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Find a robot's cheapest path up to ``max_cost`` without its reservations; return whether there is one."""
+        """Move robot ``i`` to its cheapest unblocked path of at most ``max_cost``; return whether there is one.
+
+        The robot's own path must not be reserved.
+        """
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()

@@ -1,14 +1,13 @@
 """A first path for a few discs among few walls, without a lattice: the robots move one after the other.
 
-Each robot follows a shortest route, straight from corner to corner, while the others stand at their starts or goals.
-An order is chosen in which no robot blocks another. If there is none, as for two robots that swap places, one first
-steps aside into a corner.
+Each robot follows a shortest route, straight from corner to corner, in an order in which no robot blocks another. If
+there is none, as for two robots that swap places, one first steps aside into a corner.
 
 References: Buckley, "Fast motion planning for multiple moving robots", 1989. Van den Berg et al., "Centralized path
 planning for multiple robots: optimal decoupling into sequential plans", 2009.
 """
 
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from itertools import groupby, pairwise, permutations
 from typing import NamedTuple
 
@@ -29,12 +28,10 @@ _DEPARTURES = 32  # most departure times that are tried for a robot, besides the
 Points = Float[np.ndarray, "n 2"]
 Route = list[complex]  # positions of the disc's center
 Path = Float[np.ndarray, "steps robots dof"]
-Retimed = Float[np.ndarray, "rows robots dof"]
-TouchDistances = list[list[float]]
 
 
 class CornerRoadmap:
-    """A disc's roadmap: places of its center beside corners of walls, and free straight motions between them."""
+    """A disc's roadmap: positions of its center beside corners of walls, and free straight motions between them."""
 
     def __init__(self, workspace: Workspace, radius: float):
         boundary = workspace.boundary
@@ -50,6 +47,7 @@ class CornerRoadmap:
         self._tips = begin[turn > 0]
         q = _positions_at(begin, boundary.normal, turn, radius)
         self.q = q[workspace.clearance(q) >= self._reach]
+        self.places: list[complex] = (self.q @ _COMPLEX).tolist()
         first, last = np.triu_indices(len(self.q), 1)
         free = self.is_free(self.q[first], self.q[last])
         straight = np.zeros((len(self.q), len(self.q)))
@@ -88,10 +86,6 @@ class CornerRoadmap:
             route.append(int(self._previous[u, route[-1]]))
         return [self.places[corner] for corner in reversed(route)]
 
-    @cached_property
-    def places(self) -> list[complex]:
-        return (self.q @ _COMPLEX).tolist()
-
 
 _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 
@@ -99,7 +93,7 @@ _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 def _positions_at(
     at: Points, normal: Points, turn: Float[np.ndarray, "n"], radius: float
 ) -> Float[np.ndarray, "corners 2"]:
-    """Return places of a disc's center where its paths turn around corners: one, or two if a corner is sharp."""
+    """Return the positions at which a disc's center turns around each corner: one, or two if the corner is sharp."""
     count = np.where(turn > _SHARP_TURN, 2, 1)
     points = []
     for share, there in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
@@ -110,7 +104,10 @@ def _positions_at(
 
 
 class Routes(NamedTuple):
-    """A disc's start, goal, and costs of motions by way of the roadmap's corners; costs are ``inf`` if not free."""
+    """Costs of a disc's straight motions between its start, its goal and the nodes (corners) of a roadmap.
+
+    The cost of a motion that hits a wall is ``inf``.
+    """
 
     roadmap: CornerRoadmap
     start: complex
@@ -131,7 +128,7 @@ class Routes(NamedTuple):
 
 
 def sequential_path(problem: Problem) -> Path | None:
-    """Return a path of at most 8 discs among at most 48 walls that move one after the other, or None."""
+    """Move discs one after the other; None if that fails, or for more than 8 discs or 48 walls."""
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
@@ -152,7 +149,7 @@ def sequential_path(problem: Problem) -> Path | None:
         return not any(_comes_within(route, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
     def is_ready(i: int, *ignored: int) -> bool:
-        """Return whether robot ``i`` can go to its goal and blocks no waiting robot there, but for ``ignored``."""
+        """Return whether robot ``i`` can go to its goal and then blocks no waiting robot, except ``ignored`` ones."""
         others = [j for j in waiting if j not in ignored]
         goal = all_routes[i].goal
         return clears(i, chosen[i], ignored) and not any(_comes_within(chosen[j], goal, reach[i][j]) for j in others)
@@ -164,7 +161,7 @@ def sequential_path(problem: Problem) -> Path | None:
                 rows.append(at.copy())
 
     def make_way(i: int, j: int) -> bool:
-        """Let robot ``i`` step aside into a corner, and ``j`` go to its goal past it; return whether both can."""
+        """Let robot ``i`` step aside into a corner and robot ``j`` pass to its goal; return whether both can."""
         if i in aside or not is_ready(j, i, j):
             return False
         routes = all_routes[i]
@@ -207,12 +204,12 @@ def _comes_within(route: Route, place: complex, reach: float) -> bool:
     return False
 
 
-def _touch_distances(problem: Problem) -> TouchDistances:
+def _touch_distances(problem: Problem) -> list[list[float]]:
     radii, slack = [robot.rounding for robot in problem.robots], problem.workspace.tolerance / 2
     return [[a + b - slack for b in radii] for a in radii]
 
 
-def with_early_departures(problem: Problem, path: Path) -> Retimed:
+def with_early_departures(problem: Problem, path: Path) -> Float[np.ndarray, "rows robots dof"]:
     """Return the path with robots departing before others have arrived, if possible; routes and cost stay equal."""
     num = len(problem.robots)
     first_of, second_of = np.triu_indices(num, 1)

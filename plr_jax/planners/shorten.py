@@ -1,10 +1,9 @@
 """Reduction of a path's cost off the lattices, robot by robot, while the other robots keep their motions.
 
-``shorten`` replaces motions by straight shortcuts. A shortcut usually collides in many motions of the path or in
-none, so a few motions far apart are tested first. A robot that gained nothing is retried only after a robot that
-blocked it has moved. ``shorten_in_corridors`` lets robots deviate to a small pattern of configurations around each
-row; dynamic programming over the rows finds the cheapest collision-free sequence. Two robots that touch move
-together, as neither gains by making way alone. Neither function changes the number of rows or raises the cost.
+``shorten`` replaces motions by straight shortcuts. ``shorten_in_corridors`` lets a robot deviate to one of a few
+configurations around each row of its path (its corridor); dynamic programming over the rows finds the cheapest
+collision-free sequence. Two robots that touch move together, as neither gains by making way alone. Neither function
+changes the number of rows or raises the cost.
 """
 
 from collections.abc import Iterator
@@ -25,7 +24,6 @@ Path = Float[np.ndarray, "steps robots dof"]
 Rows = Int[np.ndarray, "m"]
 Corridor = Float[np.ndarray, "steps _ dof"]  # one configuration per row and place; more places with a heading
 Costs = Float[np.ndarray, "motions size size"]
-CostsOfRobot = Float[np.ndarray, "motions _ _"]
 Robots = tuple[int, ...]
 _LONGEST = 32  # most steps that a shortcut spans
 _STRIDES = (16, 4, 1)  # motions tested in each batch: every 16th, every 4th, all
@@ -69,7 +67,10 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
-    """Return the rows of the path that robot ``i``'s cheapest shortcuts keep, and which robots block others."""
+    """Find robot ``i``'s cheapest path along shortcuts between rows ``begin`` and ``end`` of its path.
+
+    Return the rows that remain, and which robots block shortcuts.
+    """
     # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
     q, own = trajectory.path[:, i], end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
@@ -81,7 +82,8 @@ def _with_shortcuts(
     begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
     shortcuts = np.flatnonzero(~own)
     shortcuts = shortcuts[test.wall_tests[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
-    # 2. Exclude shortcuts that hit another robot. Each is cut at the rows of the path.
+    # 2. Exclude shortcuts that hit another robot. Each is cut at the rows of the path. A shortcut usually collides in
+    #    many motions or in none, so a few motions far apart are tested first.
     apart, in_way = np.ones(len(shortcuts), dtype=bool), np.zeros(len(test.robots), dtype=bool)
     since, until = begin[shortcuts], end[shortcuts]
     owner, step = ragged_indices(until - since)
@@ -107,7 +109,7 @@ def _with_shortcuts(
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
-    """Replace motions of one robot, or of two that touch, by the cheapest ones within ``width`` of them."""
+    """Replace motions of one robot, or of two that touch, by cheaper ones at most ``width`` beside them."""
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):
@@ -129,7 +131,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 
 
 def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
-    """Yield each robot with all rows of the path, and each two robots with the rows in which they touch."""
+    """Yield each robot with all rows of the path, and pairs of robots with the rows in which they nearly touch."""
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
         touch, j = _touching(problem, path, i, width), -1
@@ -156,7 +158,7 @@ def _shortened_in_corridors(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return each robot's cheapest configurations near its own (in its corridor) in ``rows``; both ends stay."""
+    """Return robots' cheapest free configurations in their corridors for ``rows``, whose first and last row stay."""
     require_time(test.deadline, "all corridors were searched")
     path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
@@ -164,13 +166,10 @@ def _shortened_in_corridors(
     own, weights = zip(robots, corridors, strict=True), problem.rotation_weights
     costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in own]
     through = [_least_cost_through(cost) for cost in costs]
-    least = [float(cost[0].min()) for cost in through]
-    spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(least)
-    for i, corridor, reached, cost, total, alone in zip(
-        robots, corridors, around, costs, through, least, strict=True
-    ):
+    spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(float(total[0].min()) for total in through)
+    for i, corridor, reached, cost, total in zip(robots, corridors, around, costs, through, strict=True):
         # Motions cost inf if they cannot gain or hit something. The robot's present motions keep their costs.
-        own, may_gain = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (alone + spare)
+        own, may_gain = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (float(total[0].min()) + spare)
         cost[~may_gain] = np.inf
         row, first, last = np.nonzero(may_gain)
         tight = ~test.wall_tests[i].has_room(*reached)[row]
@@ -190,9 +189,8 @@ def _shortened_in_corridors(
 
 
 def _joint_costs(
-    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list[CostsOfRobot], test: JointMotionTest
+    robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list, test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
-    """Return costs of joint motions of two robots between configurations in their corridors; ``inf`` if blocked."""
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]
@@ -211,7 +209,7 @@ def _joint_costs(
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
-    """Return robot ``i``'s *places*, the configurations to try in each row: first the path's own, then others."""
+    """Return the configurations to try in each row of robot ``i``'s path ``q``: its own, then others."""
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
     offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))
     offsets[:, :2] = width * _PLUS_PATTERN @ axes
@@ -224,7 +222,11 @@ def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width
 
 
 def _least_cost_through(cost: Costs) -> Costs:
-    """Return, for each motion between places, the least cost of a sequence with it from place 0 to place 0."""
+    """Return, for each motion between configurations of two rows, the least cost of a path with it.
+
+    Entry ``[k, a, b]`` of ``cost`` is the cost from configuration ``a`` of row ``k`` to ``b`` of row ``k + 1``. Paths
+    begin and end at configuration 0 of the first and the last row.
+    """
     both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
@@ -234,7 +236,7 @@ def _least_cost_through(cost: Costs) -> Costs:
 
 
 def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
-    """Return, row by row, the indices of the places of the cheapest sequence from place 0 to place 0."""
+    """Return the index of each row's configuration on the cheapest path, for costs as in ``_least_cost_through``."""
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0

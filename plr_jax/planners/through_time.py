@@ -33,7 +33,7 @@ JointPath = Float[np.ndarray, "rows robots dof"]
 
 
 class Timetable:
-    """A team's configurations in rows of equal duration; a robot at rest blocks others for ``patience`` more rows."""
+    """A team's configurations, one row per time step; robots at rest stop blocking others after ``patience`` rows."""
 
     def __init__(
         self, problem: Problem, path: JointPath, patience: float | int = math.inf, deadline: float = math.inf
@@ -52,7 +52,7 @@ class Timetable:
         return self._trajectory.path[: int(self.ends.max()) + 1]
 
     def move(self, i: int, q: Motion) -> None:
-        """Replace robot ``i``'s motion by one of any number of rows; the robot blocks others from now on."""
+        """Replace robot ``i``'s motion by ``q``, of any number of rows; the robot is no longer ignored."""
         if len(q) > self._last + 1:
             more = np.repeat(self._trajectory.path[-1:], len(q) - self._last - 1, axis=0)
             self._last, path = len(q) - 1, np.concatenate([self._trajectory.path, more])
@@ -66,7 +66,7 @@ class Timetable:
     def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return whether robot ``i``, on straight motions of ``count`` rows from ``row`` on, meets no other robot."""
+        """Return whether robot ``i`` meets no other on straight motions of ``count`` time steps from ``row`` on."""
         owner, step = ragged_indices(count)
         share = count[owner, None]
         first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
@@ -76,20 +76,20 @@ class Timetable:
         return fits
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return the rows in which robot ``i``, moving along ``q`` and then resting, meets others, and whom."""
+        """Return the time steps at which robot ``i`` meets others on motion ``q`` or at rest after it, and whom."""
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
-    def next_free_rows(self, i: int, q: Configuration, rest: float | int) -> Float[np.ndarray, "rows"]:
-        """Return, for each row, the next one from which robot ``i`` may rest ``rest`` rows at ``q``, or ``inf``."""
+    def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, "rows"]:
+        """Return, for each time step, the next one from which ``q`` stays free for ``patience`` steps, or ``inf``."""
         # Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
         taken[self._meetings(i, at, at, row)[0]] = True
         until = np.minimum.accumulate(np.where(taken, row, np.inf)[::-1])[::-1]
-        return np.minimum.accumulate(np.where(until - row >= rest, row, np.inf)[::-1])[::-1]
+        return np.minimum.accumulate(np.where(until - row >= self.patience, row, np.inf)[::-1])[::-1]
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
         around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
@@ -112,13 +112,11 @@ def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray,
     return np.ceil(cost / length - _ROUNDING)
 
 
-def plan_through_time(
-    timetable: Timetable, i: int, step: float, rest: float | int, max_states: int
-) -> tuple[Motion | None, bool]:
-    """Plan robot ``i``'s motion to its goal through a timetable by A*; return it, and whether it arrives.
+def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int) -> tuple[Motion | None, bool]:
+    """Plan robot ``i``'s motion to its goal through a timetable by A*; return the motion, and whether it arrives.
 
-    At its end, the robot must be free to rest for ``rest`` rows, or forever if this is ``inf``. If no path is found
-    within ``max_states`` states, the motion ends at the reached place nearest to the goal where it may rest, else it
+    At the motion's end, the robot must be free to rest for ``patience`` time steps. If no path is found within
+    ``max_states`` states, the motion ends at the reached place nearest to the goal where the robot may rest, else it
     is None.
     """
     problem, robot, deadline = timetable.problem, timetable.problem.robots[i], timetable.test.deadline
@@ -133,7 +131,7 @@ def plan_through_time(
     graph = csr_array((duration[leads], child[leads], first), shape=(len(child), len(child)))
     to_go = dijkstra(graph.T, indices=lattice.goal)
     duration[:, 0] = _WAIT
-    free = timetable.next_free_rows(i, q[lattice.goal], rest)
+    free = timetable.next_free_rows(i, q[lattice.goal])
 
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         there = row + to_go[node]
@@ -166,22 +164,21 @@ def plan_through_time(
                 heapq.heappush(waiting, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
                 for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, some[place[n]])):
                     column.append(int(entry))
-    # 3. Else find a state near the goal where it may rest, preferably away from walls, so that others can pass.
-    found = arrived if arrived >= 0 else None
-    at, when = np.array(nodes), np.array(rows)
-    if found is None:
+    # 3. Else find a state near the goal where the robot may rest, best away from walls, so that others can pass.
+    last, at, when = arrived, np.array(nodes), np.array(rows)
+    if last < 0:
         is_narrow = problem.workspace.clearance(q[at, :2]) < _ROOM * robot.circumscribed_radius
         order = np.lexsort((to_go[at], is_narrow))
         for begin in range(0, len(order), _BATCH):
             some = order[begin : begin + _BATCH]
-            count = np.full(len(some), int(min(rest, len(timetable.path))))
+            count = np.full(len(some), int(min(timetable.patience, len(timetable.path))))
             may_rest = timetable.are_free(i, q[at[some]], q[at[some]], when[some], count)
             if may_rest.any():
-                found = int(some[may_rest.argmax()])
+                last = int(some[may_rest.argmax()])
                 break
         else:
             return None, False
-    way = [found]
+    way = [last]
     while parents[way[-1]] >= 0:
         way.append(parents[way[-1]])
     way.reverse()
@@ -189,7 +186,7 @@ def plan_through_time(
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """Skip waypoints ``q`` by straight motions where possible; reach the others by their rows ``row``."""
+    """Skip waypoints ``q`` by straight motions where possible, and reach no other waypoint later than its row."""
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:

@@ -27,7 +27,6 @@ from plr_jax.planners.driver import bl_plan, first_step
 from plr_jax.planners.through_time import ROWS_PER_STEP, JointPath, Motion, Timetable, plan_through_time, subdivided
 
 Goals: TypeAlias = Float[np.ndarray, "robots dof"]
-NextGoal: TypeAlias = Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike]
 Planner: TypeAlias = Callable[[Problem], Solution]
 _DEFAULT_OPTIONS = BLOptions()
 _MOST_STATES = 20_000  # most states expanded for one robot
@@ -49,21 +48,20 @@ def replan(
 ) -> Solution:
     """Replan a moving team after a change; robots whose motions still lead to their goals keep them if possible.
 
-    Use it when a few goals or walls have changed, or when robots have broken down::
+    Use it when goals or walls have changed, or robots have broken down::
 
         problem = Problem(workspace, robots, solution.path_at(time), new_goals)
         solution = replan(problem, solution, time)
 
     Robots keep their routes, but not their times: all must switch to the new path at once. A robot is replanned if
     its motion does not end at its goal, hits an obstacle, or meets a standing robot. If it finds no path among the
-    others, it moves as if it were alone, and the robots that it meets are replanned in turn. If too many robots need
-    replanning, or the path costs more than ``cost_factor`` allows, :func:`bl_plan` plans the whole team.
+    others, it moves as if it were alone, and the robots that it meets are replanned in turn. If that fails, or the
+    path costs more than ``cost_factor`` allows, :func:`bl_plan` plans the whole team.
 
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
         solution: The current motion of the same robots, from any planner.
-        at: The time since the start of the solution's path, at least 0; after its makespan, all robots are at its
-            end.
+        at: The time since the start of the solution's path, at least 0; after its makespan, robots are at its end.
         options: ``step``, ``time_limit``, ``lower_bound`` and ``cost_factor`` apply. If :func:`bl_plan` plans the
             whole team, all options apply, and the time limit starts again; the cheaper path is returned.
         standing: Indices of robots that do not move; their goals must equal their starts. Other robots may make way
@@ -75,7 +73,7 @@ def replan(
 
     Raises:
         ValueError: If the solution has no path or other robots, the starts differ from ``solution.path_at(at)`` by
-            more than the workspace's tolerance, the time is negative or not finite, or ``standing`` is invalid.
+            more than the workspace's tolerance, or ``at`` or ``standing`` is invalid.
 
     References: Silver, "Cooperative pathfinding", 2005.
     """
@@ -134,7 +132,7 @@ def replan(
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Replan all robots but the ``fixed`` ones until they reach their goals; return whether all of them do."""
+    """Replan robots, except ``fixed`` ones, until every motion ends at its goal; return whether that succeeds."""
     num_robots, test = len(problem.robots), timetable.test
     todo = []
     for i in sorted({*range(num_robots)} - fixed):
@@ -145,7 +143,7 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
     timetable.ignored.update(todo)
 
     def make_way(i: int, motion: Motion) -> None:
-        """Queue the robots that a motion of robot ``i`` meets for replanning; until then they block nobody."""
+        """Queue for replanning the robots that collide with this motion of robot ``i``; ignore them until then."""
         others = sorted({*timetable.meetings(i, motion)[1].tolist()} - fixed)
         timetable.ignored.update(others)
         todo.extend(others)
@@ -158,10 +156,10 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
         if not todo:
             return True
         i = todo.pop(0)
-        motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
+        motion, arrives = plan_through_time(timetable, i, step, _MOST_STATES)
         if motion is None or not arrives:
             others, timetable.ignored = timetable.ignored, {*range(num_robots)} - fixed
-            motion, arrives = plan_through_time(timetable, i, step, math.inf, _MOST_STATES)
+            motion, arrives = plan_through_time(timetable, i, step, _MOST_STATES)
             timetable.ignored = others
             if motion is None or not arrives:
                 return False
@@ -175,15 +173,14 @@ class LifelongRun:
     """Result of :func:`lifelong`: the motions of a team, and the goals that it served.
 
     Args:
-        problem: The problem from the path's first row to its last: ``validate(run.problem, run.path)`` checks all
-            motions.
+        problem: The problem from the path's first row to its last, for ``validate(run.problem, run.path)``.
         path: Joint configurations ``(rows, robots, dof)``, as in a :class:`Solution`.
         times: Time at which the path reaches each row, ``(rows,)``, from 0 on.
         robots: The robot that served each goal, in the order of service, ``(goals,)``.
         goals: The served goals, ``(goals, dof)``.
         rows: The row of the path at which each goal was reached, ``(goals,)``.
         seconds: CPU seconds of each replanning, ``(replans,)``.
-        num_from_nothing: Number of times that the whole team was planned, including the first.
+        num_from_nothing: How often the whole team was planned, including the first time.
         status: SOLVED if ``num_goals`` goals were served, INTERRUPTED, or the reason why the team has no path.
     """
 
@@ -200,7 +197,7 @@ class LifelongRun:
 
 def lifelong(
     problem: Problem,
-    next_goal: NextGoal,
+    next_goal: Callable[[int, Float[np.ndarray, "others dof"]], ArrayLike],
     num_goals: int,
     options: BLOptions = _DEFAULT_OPTIONS,
     plan: Planner | None = None,
@@ -209,12 +206,11 @@ def lifelong(
 
     :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
     keep their motions. A robot at its goal blocks others only for a short time, since it will leave for its next
-    goal. A robot that finds no path goes to a place near its goal where it may rest, and is replanned later. If it
-    finds no such place either, it stays, and robots that would pass its position are replanned. If all this fails,
-    the whole team is planned again.
+    goal. A robot that finds no path waits near its goal, or where it is, and is replanned later. If that fails, the
+    whole team is planned again.
 
-    The function shows progress in terminals. Ctrl-C, or a team that cannot be planned, ends it early; it then returns
-    the run so far. Results are deterministic unless a time limit is reached.
+    Ctrl-C, or a team that cannot be planned, ends the function early; it then returns the run so far. Results are
+    deterministic unless a time limit is reached.
 
     Args:
         problem: The robots, their starts, and their first goals.
@@ -223,12 +219,10 @@ def lifelong(
             the robot stays near its place until that robot has another goal, or the two swap places.
         num_goals: Number of goals to serve, at least 1. Goals reached at the same time may add a few more.
         options: Options of :func:`bl_plan`; the time limit applies to each replanning. Ignored if ``plan`` is given.
-        plan: A planner of problems, such as :func:`bl_plan`, that plans the whole team whenever a robot arrives.
-            None: replanning as described above.
+        plan: A planner, such as :func:`bl_plan`, that plans the whole team whenever a robot arrives. None: as above.
 
     Raises:
-        ValueError: If ``num_goals`` is not a positive integer, or a goal has another shape than ``(dof,)``, is not
-            free, or is cut off by obstacles.
+        ValueError: If ``num_goals`` is invalid, or a goal has a wrong shape, is not free, or is cut off by obstacles.
 
     References: Silver, "Cooperative pathfinding", 2005. Li et al., "Lifelong multi-agent path finding in large-scale
     warehouses", 2021.
@@ -279,7 +273,7 @@ class _LifelongTeam:
         return Status.SOLVED
 
     def advance(self) -> list[int]:
-        """Move the team until robots arrive or others are due for replanning; return which robots arrive."""
+        """Move the team until a robot arrives or replanning is due; return which robots arrive."""
         is_there = (self.path == self.requested_goals).all(axis=2)
         arrivals = np.flatnonzero(is_there.any(axis=1))
         row = int(arrivals[0]) if len(arrivals) else len(self.path) - 1
@@ -323,7 +317,7 @@ class _LifelongTeam:
         return Problem(problem.workspace, problem.robots, self.path[0], goals, problem.rotation_weight)
 
     def _possible_goals(self) -> Goals:
-        """Return the requested goals; robots keep previous goals, one by one, until no new goal overlaps another."""
+        """Return the requested goals, but a robot's previous goal if the requested one overlaps another robot's."""
         robots, tolerance = self.problem.robots, self.problem.workspace.tolerance
         size = np.array([robot.circumscribed_radius for robot in robots])
         goals, before = self.requested_goals.copy(), self.problem.goals
@@ -340,7 +334,7 @@ class _LifelongTeam:
         return goals
 
     def _replan_waiting(self) -> Status:
-        """Replan robots that soon rest short of their goals, robots in their way, and the robot that is latest."""
+        """Replan robots whose motions soon end before their goals, robots in their way, and the most delayed one."""
         problem, deadline = self.problem, time.perf_counter() + self.options.time_limit
         timetable = Timetable(problem, self.path, _PATIENCE, deadline)
         waits = (self.path[-1] != self.requested_goals).any(axis=1)
@@ -352,7 +346,7 @@ class _LifelongTeam:
             if not left:
                 return self.plan_from_nothing()
             i, left = todo.pop(0), left - 1
-            motion, _ = self._search(timetable, i)
+            motion, _ = plan_through_time(timetable, i, self.step, _FEW_STATES)
             if motion is None:
                 # The robot stays in place. Robots that would have passed there are replanned.
                 motion = self.path[:1, i, : problem.robots[i].dof]
@@ -366,11 +360,8 @@ class _LifelongTeam:
         i = int(late.argmax())
         if late[i] > _LATE:
             self._hurried[i] = self._num_rows
-            motion, arrives = self._search(timetable, i)
+            motion, arrives = plan_through_time(timetable, i, self.step, _FEW_STATES)
             if motion is not None and arrives and len(motion) <= timetable.ends[i]:
                 timetable.move(i, motion)
         self.path = timetable.path
         return Status.SOLVED
-
-    def _search(self, timetable: Timetable, i: int) -> tuple[Motion | None, bool]:
-        return plan_through_time(timetable, i, self.step, _PATIENCE, _FEW_STATES)

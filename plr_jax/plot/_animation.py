@@ -19,23 +19,12 @@ from plr_jax._files import file_path, write_atomically
 from plr_jax._problem import Problem
 from plr_jax._types import ArrayLike
 from plr_jax.plot._axes import new_axes
-from plr_jax.plot._page import (
-    BORDER,
-    PLAY,
-    asset,
-    html_document,
-    in_iframe,
-    obstacles_path,
-    pixel_scale,
-    pixels,
-    view_box,
-    view_parameters,
-)
+from plr_jax.plot._page import BORDER, PLAY, asset, html_document, in_iframe, obstacles_path, pixel_scale, pixels
 from plr_jax.plot._paths import (
     Timeline,
     add_body,
+    add_goal,
     add_number,
-    add_outline,
     body_outline,
     color_of,
     drawn_rounding,
@@ -79,7 +68,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
     return {
         "seconds": seconds,
         "hold": HOLD,
-        "view": view_parameters(bounds),
+        "view": {"scale": pixel_scale(bounds), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])},
         "duration": motion.duration,
         "times": [short(share, 6) for share in motion.times / motion.duration],
         "steps": [
@@ -130,7 +119,8 @@ def _svg(problem: Problem, motion: Timeline) -> str:
         bodies.append(f'<g id="place{i}"><g id="turn{i}">{body}</g>{number}</g>')
     shapes = "\n".join([obstacles, frame, *tracks, *goals, *trails, *bodies])
     label = f"{len(problem.robots)} robots move from their starts to their goals"
-    return f'<svg viewBox="{view_box(bounds)}" role="img" aria-label="{label}">\n{shapes}\n</svg>'
+    view_box = f"{-BORDER:g} {-BORDER:g} {width + 2 * BORDER:.1f} {height + 2 * BORDER:.1f}"
+    return f'<svg viewBox="{view_box}" role="img" aria-label="{label}">\n{shapes}\n</svg>'
 
 
 _MARGIN, _DPI = 0.08, 120  # inches, pixels per inch
@@ -182,8 +172,7 @@ def animate(
 ) -> Animation:
     """Set a path in motion; ``ValueError`` if the path is invalid or nothing moves.
 
-    In each motion, the robot with the largest cost moves at unit speed, and the others arrive with it: the total time
-    is the makespan. Robots turn the shorter way. Steps in which nothing moves are skipped.
+    Robots move as in :meth:`Solution.path_at`; steps in which nothing moves are skipped.
 
     Args:
         problem: The problem that the path solves.
@@ -240,7 +229,7 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
     ax.set(xticks=[], yticks=[], xlabel="", ylabel="")
     for i in range(len(problem.robots)):
         ax.plot(*motion.configurations[:, i, :2].T, color=color_of(i), linewidth=1.0, alpha=0.3, zorder=_TRACK)
-        add_outline(ax, problem, i, problem.goals[i], zorder=_GOAL)
+        add_goal(ax, problem, i, zorder=_GOAL)
     actors = [_Actor(ax, problem, i) for i in range(len(problem.robots))]
     figure = ax.figure.canvas.figure
     canvas = FigureCanvasAgg(figure)

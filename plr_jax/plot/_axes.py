@@ -30,27 +30,11 @@ _POSITION, _HEADING = ("x", "y", "z"), "heading"
 
 @runtime_checkable
 class FunctionsOfLeaves(PiecewiseFunction, Protocol):
-    """A piecewise function that tells the leaf of each box, and the values of given leaves at points."""
+    """A piecewise function, such as a PLR, each of whose leaves (pieces) covers one or more boxes."""
 
     @property
     def leaf_of_box(self) -> Any: ...
     def values_in_leaves(self, leaf: Any, x: Any, /) -> Float[np.ndarray, "n"]: ...
-
-
-def require_2d(plr: PiecewiseFunction) -> None:
-    if plr.domain.dim != 2:
-        raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
-
-
-def cell_corners(plr: PiecewiseFunction) -> Float[np.ndarray, "leaves 4 2"]:
-    return rectangles(*map(np.asarray, plr.leaf_boxes))
-
-
-def rectangles(lo: Float[np.ndarray, "n 2"], hi: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 4 2"]:
-    """Return the four corners of each box in the plane, counterclockwise."""
-    x = np.stack([lo[:, 0], hi[:, 0], hi[:, 0], lo[:, 0]], axis=1)
-    y = np.stack([lo[:, 1], lo[:, 1], hi[:, 1], hi[:, 1]], axis=1)
-    return np.stack([x, y], axis=-1)
 
 
 def save(ax: Axes, path: str | os.PathLike[str]) -> None:

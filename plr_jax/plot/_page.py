@@ -76,11 +76,6 @@ def pixel_scale(bounds: Box) -> float:
     return SIZE / float(bounds.width.max())
 
 
-def view_parameters(bounds: Box) -> dict[str, float]:
-    """Return the scale and the upper left corner with which scripts convert points to pixels."""
-    return {"scale": pixel_scale(bounds), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])}
-
-
 def pixels(bounds: Box, points: Float[np.ndarray, "n 2"]) -> str:
     """Return points as text for SVG, in pixels from the upper left corner of the bounds."""
     scale = pixel_scale(bounds)
@@ -95,11 +90,6 @@ def obstacles_path(workspace: Workspace, bounds: Box) -> str:
         for ring in (polygon.exterior, *polygon.interiors):
             rings.append(f"M{pixels(bounds, shapely.get_coordinates(ring)[:-1])}Z")
     return "".join(rings)
-
-
-def view_box(bounds: Box) -> str:
-    width, height = pixel_scale(bounds) * bounds.width
-    return f"{-BORDER:g} {-BORDER:g} {width + 2 * BORDER:.1f} {height + 2 * BORDER:.1f}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +117,9 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
     It shows the distance as colors and contours, the walls, and optionally the cells. At the pointer it shows the
     distance, its proven bounds and a path: for cones along the corners that their leaves store, for other leaves down
-    the gradient without entering the given walls. A click starts a swarm that flows to the goal. For pairs (distances
-    between any two points), both ends can be dragged. Other files of cones or pairs can be dropped on the page. Its
-    answers equal those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
+    the gradient, outside the walls. A click starts a swarm that flows to the goal. For pairs (distances between any
+    two points), both ends can be dragged. Other files of cones or pairs can be dropped on the page. Its answers equal
+    those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
 
     Args:
         plr_or_pairs: A PLR or PairPLR in the plane; others raise ``ValueError``.
@@ -145,13 +135,7 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     data, name = source.to_bytes(), source.label or ("A PLR" if isinstance(source, PLR) else "Pairs")
     walls = None if workspace is None else {"data": obstacles_path(workspace, source.domain)}
     content = {"name": json.dumps(name), "walls": json.dumps(walls)}
-    if isinstance(source, PairPLR):
-        is_read_by_page = True
-    else:
-        container = Container.from_bytes(data)
-        is_plain = container.folding is None and not container.domain.is_periodic
-        is_read_by_page = is_plain and isinstance(leaf_of_code(container.last.leaf_code), Cone)
-    if is_read_by_page:
+    if isinstance(source, PairPLR) or _is_plain_cone(Container.from_bytes(data)):
         content |= {"file": json.dumps(b64encode(data).decode())}
     else:
         box = {"lo": source.domain.lo.tolist(), "hi": source.domain.hi.tolist()}
@@ -162,6 +146,11 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
     return Page(
         html_document(name, asset("field.css"), asset("field.html").replace("{{play}}", PLAY), packed_script(script))
     )
+
+
+def _is_plain_cone(container: Container) -> bool:
+    is_plain = container.folding is None and not container.domain.is_periodic
+    return is_plain and isinstance(leaf_of_code(container.last.leaf_code), Cone)
 
 
 def _module(data: bytes) -> str:

@@ -100,11 +100,9 @@ def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
     """Return the ends of a bar near the front of a robot's body, in its own frame, that shows the heading."""
     corners = body_outline(robot, bounds)
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
-    (_, y0), (_, y1) = shapely.get_coordinates(
-        shapely.intersection(
-            shapely.Polygon(corners), shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
-        )
-    )[[0, -1]]
+    across = shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
+    inside = shapely.get_coordinates(shapely.intersection(shapely.Polygon(corners), across))
+    y0, y1 = inside[[0, -1], 1]
     middle, half = (y0 + y1) / 2, 0.28 * abs(y1 - y0)
     return np.array([[x, middle - half], [x, middle + half]])
 
@@ -135,8 +133,8 @@ def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) ->
     return body, bar
 
 
-def add_outline(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"], zorder: float = BODY) -> None:
-    robot, bounds = problem.robots[i], problem.workspace.bounds
+def add_goal(ax: Axes, problem: Problem, i: int, zorder: float = BODY) -> None:
+    robot, q, bounds = problem.robots[i], problem.goals[i], problem.workspace.bounds
     corners = outline(robot, q, bounds)
     style = {"edgecolor": color_of(i), "linewidth": 1.2}
     ax.add_patch(Polygon(corners, fill=False, edgecolor="white", linewidth=2.4, zorder=zorder + 0.1))
@@ -152,12 +150,10 @@ def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text
     return text
 
 
-def add_numbers(
-    ax: Axes, problem: Problem, bodies: Float[np.ndarray, "robots dof"], goals: Float[np.ndarray, "_ dof"]
-) -> None:
-    """Number the robots' bodies and goals: inside if there is room, else beside them."""
-    bounds, num_robots = problem.workspace.bounds, len(bodies)
-    robots, ends = [*problem.robots, *problem.robots[: len(goals)]], [*bodies, *goals]
+def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"]) -> None:
+    """Number the robots at ``ends``, their bodies and then perhaps goals: inside if there is room, else beside."""
+    bounds, num_robots = problem.workspace.bounds, len(problem.robots)
+    robots = (problem.robots * 2)[: len(ends)]
     shapes = [shapely.Polygon(outline(robot, q, bounds)) for robot, q in zip(robots, ends, strict=True)]
     solid, dashed = shapes[:num_robots], [shape.exterior for shape in shapes[num_robots:]]
     taken = [*shapes, shapely.box(*bounds.lo, *bounds.hi).exterior]
@@ -212,8 +208,8 @@ def plot_problem(problem: Problem, ax: Axes | None = None) -> Axes:
     ax = plot_workspace(problem.workspace, ax)
     for i in range(len(problem.robots)):
         add_body(ax, problem, i, problem.starts[i])
-        add_outline(ax, problem, i, problem.goals[i])
-    add_numbers(ax, problem, problem.starts, problem.goals)
+        add_goal(ax, problem, i)
+    add_numbers(ax, problem, np.concatenate([problem.starts, problem.goals]))
     return ax
 
 
@@ -235,8 +231,7 @@ def plot_path(
         problem: The problem that the path solves.
         path: Joint configurations, ``(steps, robots, dof)``, finite.
         ax: Axes to draw on; a new figure by default.
-        begin: Begin of the part, as a share of the makespan. Two pictures with ``end=0.5`` and ``begin=0.5`` show
-            halves.
+        begin: Begin of the part, as a share of the makespan.
         end: End of the part, as a share of the makespan.
         num_poses: Number of faded bodies per robot, from the begin on; 0 for none. A waiting robot is drawn once.
     """
@@ -257,7 +252,7 @@ def plot_path(
                 ax.add_patch(Polygon(corners, **style, zorder=_FADED))
         ax.plot(*shown[:, i, :2].T, color=color_of(i), linewidth=1.6, solid_joinstyle="round", zorder=_LINE)
         add_body(ax, problem, i, shown[-1, i])
-    add_numbers(ax, problem, shown[-1], shown[:0, 0])
+    add_numbers(ax, problem, shown[-1])
     return ax
 
 
@@ -273,12 +268,6 @@ def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -
     ax = plot_problem(problem, ax)
     colors = np.array([color_of(i) for i in range(len(problem.robots))])
     # In one collection, so that no robot's dots cover all dots of earlier robots.
-    ax.scatter(
-        *samples[..., :2].reshape(-1, 2).T,
-        c=np.tile(colors, len(samples)),
-        s=2.2,
-        linewidths=0,
-        zorder=_SAMPLES,
-        rasterized=True,
-    )
+    dots = {"c": np.tile(colors, len(samples)), "s": 2.2, "linewidths": 0, "zorder": _SAMPLES, "rasterized": True}
+    ax.scatter(*samples[..., :2].reshape(-1, 2).T, **dots)
     return ax

@@ -18,6 +18,7 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from plr_jax._arrays import as_finite_point, as_numbers
+from plr_jax._problem import connected_parts
 from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
 from plr_jax.geometry.boundary import triangulate
 from plr_jax.geometry.box import Box, Slice
@@ -30,11 +31,8 @@ from plr_jax.plot._axes import (
     WORKSPACE_UNITS,
     FunctionsOfLeaves,
     add_colorbar,
-    cell_corners,
     new_axes_3d,
     prepare_axes,
-    rectangles,
-    require_2d,
     style_colorbar,
 )
 from plr_jax.spaces import FreeTest
@@ -56,7 +54,8 @@ def plot_surface(
     values are meaningless. Other arguments are as for :func:`plot_contours`. ``ValueError`` is raised if the PLR is
     not 2-D, or no leaf has a finite value.
     """
-    require_2d(plr)
+    if plr.domain.dim != 2:
+        raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
     pieces = _pieces(plr, workspace)
     if not pieces:
         raise ValueError("There is nothing to draw: no leaf in free space has a finite value.")
@@ -81,7 +80,8 @@ def plot_surface(
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
     """Return polygons in space: each cell, or its free parts, with the leaf's values as heights."""
-    parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cell_corners(plr)]
+    cells = _cells_of(plr, Slice.of(plr.domain, None))
+    parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cells]
     pieces = [corners for of_leaf in parts for corners in of_leaf]
     if not pieces:
         return []
@@ -147,8 +147,8 @@ def plot_contours(
     Args:
         plr: The PLR. Points without a finite value stay blank.
         ax: Axes to draw on; a new figure by default.
-        workspace: Its obstacles are drawn on top; without it, meaningless values inside obstacles show. With a
-            ``goal``, free regions that are disconnected from the goal are gray too.
+        workspace: Its obstacles are drawn on top, over meaningless values. With a ``goal``, free regions that are
+            disconnected from the goal are gray too.
         space: Alternatively, a configuration space: points that are not free are gray.
         goal: A configuration, ``(dim,)``, or several, ``(k, dim)``, marked with a star.
         at: For functions of more than two dimensions, the slice: coordinates of all axes except the two that are
@@ -200,7 +200,7 @@ def draw_values(
     closed: Bool[np.ndarray, "rows columns"] | None,
 ) -> AxesImage:
     """Draw values as colors from 0 to ``largest``, about ``num_levels`` contours, and points ``closed`` in gray."""
-    image = add_image(ax, shown.box, values, DISTANCE_COLORS, 0.0, largest)
+    image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
     has_lines = min(values.shape) > 1
     if has_lines and largest > 0 and values.count():
@@ -208,7 +208,7 @@ def draw_values(
         ax.contour(x, y, values, levels=levels, colors="white", linewidths=0.8)
     if closed is not None and closed.any():
         gray = np.ma.masked_where(~closed, np.ones(closed.shape))
-        add_image(ax, shown.box, gray, ListedColormap([OBSTACLE]), 0.0, 1.0).set_zorder(3)
+        _add_image(ax, shown.box, gray, ListedColormap([OBSTACLE]), Normalize(0.0, 1.0)).set_zorder(3)
         if has_lines and not closed.all():
             ax.contour(x, y, closed, levels=[0.5], colors=INK, linewidths=0.6, zorder=3.5)
     return image
@@ -253,9 +253,8 @@ def plot_error(
     """Draw the error ``|L - V|`` of an approximation over free space, as in Fig. 2 of the paper.
 
     Args:
-        errors: Errors at the cell centers of a grid over the bounds, row 0 at the lowest ``y``, as from
-            ``metrics.error_grid``. NaN is blank, infinite errors (points without an answer) are red. At least one is
-            finite.
+        errors: Result of ``metrics.error_grid``: errors at the cell centers of a grid, row 0 at the lowest ``y``. NaN
+            is blank, infinite errors (points without an answer) are red. At least one is finite.
         workspace: Its obstacles are drawn on top. Alternatively, the configuration space of the errors.
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
@@ -272,10 +271,10 @@ def plot_error(
     largest = float(np.quantile(finite, 0.999)) if largest is None else largest
     smallest = _ERROR_RANGE * (largest or 1.0)
     shown_errors = np.ma.masked_invalid(np.maximum(errors, smallest))
-    image = add_image(ax, shown.box, shown_errors, _ERROR_COLORS, smallest, largest or 1.0, LogNorm)
+    image = _add_image(ax, shown.box, shown_errors, _ERROR_COLORS, LogNorm(smallest, largest or 1.0))
     unanswered = np.ma.masked_where(~np.isposinf(errors), np.ones_like(errors))
     if unanswered.count():
-        add_image(ax, shown.box, unanswered, "autumn", 1.0, 2.0)
+        _add_image(ax, shown.box, unanswered, "autumn", Normalize(1.0, 2.0))
     if isinstance(workspace, Workspace):
         _add_obstacles(workspace, ax)
     clipped = "both" if finite.max() > largest else "min"
@@ -305,35 +304,27 @@ def free_points(
 def _split_by_reachability(
     workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into parts connected to a goal and other parts; all are connected if no goal is in one."""
-    parts = shapely.get_parts(workspace.free_space)
-    reached, num = shapely.distance(parts, shapely.MultiPoint(goals)) <= workspace.tolerance, 0
-    while workspace.squeeze and num < (num := np.count_nonzero(reached)):  # add parts that touch
-        reached = shapely.distance(parts, shapely.MultiPolygon(list(parts[reached]))) <= workspace.tolerance
+    """Split free space into parts connected to a goal and other parts; all count as connected if no goal is free."""
+    parts, label = connected_parts(workspace)
+    reached = np.isin(label, label[shapely.distance(parts, shapely.MultiPoint(goals)) <= workspace.tolerance])
     return (list(parts[reached]), list(parts[~reached])) if reached.any() else (list(parts), [])
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4 2"]:
+    """Return the four corners, counterclockwise, of each cell that meets a slice."""
     lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
     others = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]
     ends = hi[:, others] == shown.domain.hi[others]
     at = shown.at[others]
     meets = np.all((lo[:, others] <= at) & ((at < hi[:, others]) | (ends & (at == hi[:, others]))), axis=1)
-    return rectangles(lo[meets][:, shown.axes], hi[meets][:, shown.axes])
+    x, y = np.stack([lo[meets], hi[meets]])[..., shown.axes].transpose(2, 1, 0)
+    return np.stack([x[:, [0, 1, 1, 0]], y[:, [0, 0, 1, 1]]], axis=2)
 
 
-def add_image(
-    ax: Axes,
-    box: Box,
-    values: np.ma.MaskedArray,
-    colors: str | Colormap,
-    lowest: float,
-    largest: float | None,
-    norm: type[Normalize] = Normalize,
-) -> AxesImage:
-    scale = {"cmap": colors, "norm": norm(lowest, largest)}
+def _add_image(ax: Axes, box: Box, values: np.ma.MaskedArray, colors: str | Colormap, norm: Normalize) -> AxesImage:
     extent, aspect = (box.lo[0], box.hi[0], box.lo[1], box.hi[1]), ax.get_aspect()
-    return ax.imshow(values, origin="lower", extent=extent, aspect=aspect, interpolation="nearest", **scale)
+    options = {"extent": extent, "aspect": aspect, "cmap": colors, "norm": norm}
+    return ax.imshow(values, origin="lower", interpolation="nearest", **options)
 
 
 def _outline(polygon: shapely.Polygon) -> Path:

@@ -54,7 +54,7 @@ def slices(
         count: Number of slices, from 1 to 64, in the middle of equal layers of the domain.
         space: The configuration space: points that are not free, or have no value, are gray. Without it they stay
             blank.
-        goal: A configuration, ``(dim,)``: a star in the nearest slice, which is moved to it.
+        goal: A configuration, ``(dim,)``. The nearest slice is moved to contain it, and marks it with a star.
         at: For functions of more than three dimensions, coordinates of all other axes except the two that are drawn.
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".
@@ -77,7 +77,6 @@ def slices(
     places = domain.lo[axis] + domain.width[axis] * (np.arange(count) + 0.5) / count
     if goal is not None:
         places[np.abs(places - goal[axis]).argmin()] = goal[axis]
-
     # 2. Evaluate a grid of points in each slice, and find values in free space.
     cuts = [Slice.of(domain, {**at, axis: float(place)}) for place in places]
     require_drawable(cuts[0], None, space)
@@ -90,7 +89,6 @@ def slices(
     largest = max((float(of[seen].max()) for of, seen in zip(values, shows, strict=True) if seen.any()), default=None)
     if largest is None:
         raise ValueError("There is nothing to draw: no point in free space has a finite value.")
-
     # 3. Draw slices row by row from the top left, with the aspect ratio of a figure in a paper.
     horizontal, vertical = cuts[0].axes
     same_unit = is_angle(domain, horizontal) == is_angle(domain, vertical)

@@ -156,7 +156,8 @@ def test_staying_costs_nothing_and_blocked_primitives_lead_back(alone):
     blocked = np.isinf(lattice.cost)
     assert blocked.any() and (lattice.child[blocked] == np.nonzero(blocked)[0]).all()
     lengths = np.linalg.norm((lattice.q[lattice.child] - lattice.q[:, None])[..., :2], axis=2)
-    assert lattice.kind.stride == pytest.approx(lengths.max()) and lattice.kind.stride > alone[1]
+    stride = lattice.kind.reach - lattice.kind.robot.circumscribed_radius
+    assert stride == pytest.approx(lengths.max()) and stride > alone[1]
 
 
 def test_costs_are_lengths_and_weighted_turns():
@@ -204,6 +205,10 @@ def test_ends_in_one_cell_are_told_apart(start, goal):
     assert cheapest == pytest.approx(way + BAR.circumscribed_radius * turn, abs=1e-9)
 
 
+def num_cells(kind):
+    return len(kind.q) - 2 * len(kind.members)  # the other nodes are starts and goals
+
+
 def motions_at_ends(problem, robot, lattice, step):
     """The motions from and to a start and a goal, by their definition: 1 where they are free, 0.5 where unsure."""
 
@@ -214,7 +219,7 @@ def motions_at_ends(problem, robot, lattice, step):
     start, goal = lattice.start, lattice.goal
     (offset,) = offsets(np.array([[start, goal]]))
     same_cell = start != goal and not any(offset)
-    cells = np.setdiff1d(np.arange(lattice.kind.num_cells), lattice.kind.terminals.cell[lattice.row]).tolist()
+    cells = np.setdiff1d(np.arange(num_cells(lattice.kind)), lattice.kind.terminals.cell[lattice.row]).tolist()
     pairs = [pair for end in {start, goal} for cell in cells for pair in ((end, cell), (cell, end))]
     pairs = np.array([*pairs, (start, goal), (goal, start)])
     leads = [tuple(offset) in PRIMITIVES for offset in offsets(pairs)]
@@ -239,7 +244,7 @@ def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
         np.testing.assert_array_equal(lattice.q[lattice.goal], problem.goals[i, :dof])
         np.testing.assert_allclose(lattice.q[lattice.start][:2], problem.starts[i, :2])
         graph, visited_nodes = graph_of(lattice), set(visited(lattice).tolist())
-        of_others = set(range(lattice.kind.num_cells, len(lattice.q))) - {lattice.start, lattice.goal}
+        of_others = set(range(num_cells(lattice.kind), len(lattice.q))) - {lattice.start, lattice.goal}
         assert not of_others & nx.descendants(graph, lattice.start), "nobody passes the ends of another"
         expected = motions_at_ends(problem, robot, lattice, step)
         found = {(u, v) for u, v in graph.edges if {u, v} <= visited_nodes and {u, v} & {lattice.start, lattice.goal}}
@@ -328,6 +333,6 @@ def test_costs_to_come_mirror_costs_to_go():
     there = MIXED
     back = Problem(MIXED.workspace, MIXED.robots, MIXED.goals, MIXED.starts)
     for kind, mirrored in zip(joint_lattice_of(there, 0.5).kinds, joint_lattice_of(back, 0.5).kinds, strict=True):
-        rows, cells = np.arange(len(kind.members)), slice(kind.num_cells)
+        rows, cells = np.arange(len(kind.members)), slice(num_cells(kind))
         come, go = np.stack([kind.costs_to_come(row)[cells] for row in rows]), mirrored.costs_to_go(rows)[:, cells]
         np.testing.assert_allclose(come, go, rtol=1e-9)

@@ -20,8 +20,8 @@ def straight(problem, num_rows):
     return between(problem.starts[None], problem.goals[None], share[..., None])
 
 
-def planned(timetable, i, rest=np.inf, most=10_000):
-    motion, arrives = plan_through_time(timetable, i, ROWS_PER_STEP * LENGTH, rest, most)
+def planned(timetable, i):
+    motion, arrives = plan_through_time(timetable, i, ROWS_PER_STEP * LENGTH, 10_000)
     assert motion is not None
     return motion, arrives
 
@@ -60,13 +60,13 @@ def test_a_place_is_free_from_the_row_on_at_which_the_last_has_passed():
     timetable, place = Timetable(problem, path), np.array([5.0, 5.0])
     meetings, who = timetable.meetings(0, place[None])
     assert meetings.tolist() == [3, 4] and set(who.tolist()) == {1}
-    free = timetable.next_free_rows(0, place, np.inf)
+    free = timetable.next_free_rows(0, place)
     assert free.tolist() == [5] * 6 + [6, 7, 8]
-    assert timetable.next_free_rows(0, place, 3)[:5].tolist() == [0, 5, 5, 5, 5]
+    assert Timetable(problem, path, patience=3).next_free_rows(0, place)[:5].tolist() == [0, 5, 5, 5, 5]
     # Where it rests it rests for good, or for as long as it is patient.
-    assert not np.isfinite(timetable.next_free_rows(0, np.array([9.0, 5.0]), np.inf)).any()
+    assert not np.isfinite(timetable.next_free_rows(0, np.array([9.0, 5.0]))).any()
     patient = Timetable(problem, path, patience=4)
-    assert patient.next_free_rows(0, np.array([9.0, 5.0]), 2)[6:].min() == 12
+    assert patient.next_free_rows(0, np.array([9.0, 5.0]))[6:].min() == 12
 
 
 def test_alone_a_robot_goes_straight_at_unit_speed():
