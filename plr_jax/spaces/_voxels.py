@@ -70,6 +70,7 @@ class VoxelSpace:
 
     @property
     def motion_cost(self) -> MotionCost:
+        """Euclidean length of a motion."""
         return MotionCost(((tuple(range(self.grid.dim)), 1.0),))
 
     @property
