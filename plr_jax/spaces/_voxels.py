@@ -66,6 +66,7 @@ class VoxelSpace:
 
     @property
     def domain(self) -> Box:
+        """The box that the voxels fill."""
         return self.grid.bounds
 
     @property
