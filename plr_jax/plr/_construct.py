@@ -175,8 +175,8 @@ def construct(
           certified, else the geometric mean of the mean and the largest error at random points. It tries all models
           if certified, else cones, ``"continuous"`` and ``"smooth"``. If the distance function does not answer for
           whole cells, it builds only ``"continuous"``, or ``"plane"`` in more than 6 dimensions. At 7 bytes a corner,
-          it tries only cones if all corners take at most half of ``max_bytes`` and there are no other limits or
-          rules; it tries neither cones nor, uncertified, ``"smooth"`` if they take over 4 times ``max_bytes``.
+          it tries only cones if all corners take at most half of ``max_bytes``, without ``max_leaves``, ``max_depth``
+          and own rules; it tries neither cones nor, uncertified, ``"smooth"`` if corners take over 4 ``max_bytes``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.

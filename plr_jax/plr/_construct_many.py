@@ -126,7 +126,7 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build a PLR file for each oracle with ``task``, which shares work; if that returns None, with ``alone``."""
+    """Build a PLR file for each oracle with ``task``, which shares work; where it gives None, with ``alone``."""
     trees = {} if task is None else {i: tree for i, each in enumerate(oracles) if (tree := task(each)) is not None}
     found = [DecodedFile(task.domain, leaf, tree, stored) for tree, stored, _ in trees.values()] if task else []
     if task is not None and found and task.limits.proof is not Proof.NONE:

@@ -82,7 +82,7 @@ def decode_cells(data: bytes) -> Cells:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the leaves' domain minus ``origin``, and leaf parameters for points relative to its lower corner."""
+    """Return the leaves' domain minus ``origin``, and leaf parameters for points relative to the domain's corner."""
     # Mirrored points are relative to the center of the symmetries already.
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)

@@ -212,10 +212,7 @@ class PLR(FileBacked):
 
     @property
     def max_error(self) -> float | None:
-        """Proven limit of the error where :meth:`bounds` hold, in units of distance; None without a proof.
-
-        It is ``inf`` if some leaf has no upper bound, as is common after :func:`solve_eikonal`.
-        """
+        """Proven largest error where ``bounds`` hold, in distance units; ``inf`` if unbounded, None if unproven."""
         certificate = self._contents.certificate
         return None if certificate is None else certificate.max_error
 
@@ -414,7 +411,7 @@ class PLR(FileBacked):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Whether each leaf is stored as unreachable; it continues a neighbor's plane or answers ``inf``."""
+        """Whether each leaf is stored as unreachable; such a leaf continues a neighbor's plane or answers ``inf``."""
         return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
 
     @property

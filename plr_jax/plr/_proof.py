@@ -62,7 +62,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """A function that returns bounds of a PLR's leaves so tight that tighter ones would hardly change its file."""
+    """A function that returns bounds at which a PLR's proof may stop: tighter bounds would hardly change its file."""
 
     leaves: slice
     rounding: Errors

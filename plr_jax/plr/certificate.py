@@ -363,7 +363,7 @@ class Certificate:
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
-        """Return bounds so close to the least and most error met in each leaf that tighter bounds are of no use."""
+        """Return bounds at which a proof may stop: tighter bounds are of little use, given the errors in leaves."""
         if self.proof is not Proof.CLASSES:
             largest = max(most.max(initial=0.0), -least.min(initial=0.0))
             spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)

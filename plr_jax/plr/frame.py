@@ -83,7 +83,7 @@ def enumerate_boxes(
 
 
 def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
-    """Return how often to halve each axis: at most ``bits`` times, ``most`` times in all, longest axes first."""
+    """Distribute ``most`` halvings over the axes, each to the axis that has the most of its ``bits`` left."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
         chosen[np.argmax(bits - chosen)] += 1

@@ -308,7 +308,7 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
-    """Return the largest error weight of all points of the domain whose mirror image is ``z``; 0 without any."""
+    """Return the largest error weight of all points of the domain whose mirror image is ``z``; else 0."""
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):
         weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])

@@ -37,7 +37,7 @@ class SmallBatches:
     def _by_numpy(
         self, key: Hashable, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any
     ) -> Any:
-        """Return what a compiled query would, from NumPy; None if compiling pays off or bits could differ."""
+        """Compute a compiled function's answers in NumPy; return None if compiling pays off or bits could differ."""
         before, arrays = self.work.get(key, 0), jax.tree.leaves(tables)
         self.work[key] = before + x.size + _WORK_OF_CALL
         if before == 0 and not (
