@@ -67,7 +67,8 @@ class BuildOptions:
     """Options of :func:`construct` that few users need: rules of Algorithm 1, samples, workers and a checkpoint.
 
     The paper's own configuration is ``BuildOptions(should_split=maximum_depth, split=cyclic_axis)`` with
-    ``max_depth=9``, or ``should_split=center_error`` with a tolerance.
+    ``max_depth=9``, or ``should_split=center_error`` with a tolerance. ``ValueError`` if an option has a wrong type
+    or is out of range.
 
     Args:
         compute_coefficients: Function that fits each cell's plane: ``least_squares`` or your own. For planes only.
@@ -76,18 +77,13 @@ class BuildOptions:
         split: Function from a ``CellFit`` to a split axis for each cell: ``best_axis``, ``cyclic_axis`` or your own.
         num_samples: Samples in each cell, at most 65,536. None: 192 for planes, 96 for others. At least ``dim + 1``
             for planes and cones, ``2**dim + 1`` for others; take several times as many.
-        margin: Distance by which samples reach beyond their cell, as a fraction from 0 to 1 of its width. A margin
-            averages out the noise of an oracle such as a roadmap.
+        margin: Fraction of a cell's width, from 0 to 1, by which samples reach beyond the cell, against noise.
         weight_fn: Function from points ``(n, dim)`` to error weights ``(n,)``, finite and >= 0. None: weight 1.
-        executor: ``concurrent.futures.Executor`` (threads, processes, a cluster) that evaluates a slow distance
-            function on batches of 1,024 points. Processes need a picklable distance function. The PLR is the same
-            for any number of workers. None: this process.
+        executor: ``concurrent.futures.Executor`` that evaluates a slow distance function, 1,024 points at a time; the
+            number of workers does not change the PLR. Processes need a picklable function. None: this process.
         checkpoint: Path of a file that keeps all answers of the distance function, 8 bytes each. After the process
-            was killed, call ``construct`` again with the same arguments: only missing answers are computed. The file
-            identifies the distance function by its answers at 256 points. None: no file.
-
-    Raises:
-        ValueError: If an option has a wrong type or is out of range.
+            was killed, call ``construct`` again with the same arguments: only missing answers are computed. Answers
+            at 256 points tell whether the distance function is the same. None: no file.
     """
 
     compute_coefficients: FitRule = least_squares
@@ -163,8 +159,7 @@ def construct(
             or, for cones and certified planes, the proven error.
         certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.
             ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that *answers for whole
-            cells*: that knows to which corners shortest paths from the points of a cell may go first, such as
-            ``VisibilityGraph``. See :func:`certify`.
+            cells*, as ``VisibilityGraph`` does: see :func:`certify`.
         seed: Seed of the samples. The same seed gives the same PLR.
         options: Rules of fitting and splitting, samples, workers and a checkpoint: see :class:`BuildOptions`.
 
@@ -177,11 +172,11 @@ def construct(
           the next corner of the path changes, if the budget has room for all corners (about 7 bytes each). Needs a
           distance function in the plane that answers for whole cells.
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
-          certified, else the geometric mean of the mean and the largest error at random points. Certified, it tries
-          all models that suit the domain; else cones, ``"continuous"`` and ``"smooth"``, or, if the distance function
-          does not answer for whole cells, ``"continuous"`` (in more than 6 dimensions ``"plane"``). At 7 bytes a
-          corner, it tries only cones if all corners take at most half of ``max_bytes`` and there are no other limits
-          or rules; it tries neither cones nor, uncertified, ``"smooth"`` if they take over 4 times ``max_bytes``.
+          certified, else the geometric mean of the mean and the largest error at random points. It tries all models
+          if certified, else cones, ``"continuous"`` and ``"smooth"``. If the distance function does not answer for
+          whole cells, it builds only ``"continuous"``, or ``"plane"`` in more than 6 dimensions. At 7 bytes a corner,
+          it tries only cones if all corners take at most half of ``max_bytes``, without ``max_leaves``, ``max_depth``
+          and own rules; it tries neither cones nor, uncertified, ``"smooth"`` if corners take over 4 ``max_bytes``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.
@@ -315,22 +310,16 @@ def _warn_if_cut_off(distance_fn: FreeSpaceFn, domain: Box) -> None:
         warnings.warn(message, stacklevel=3)
 
 
-# leaf="best": build each leaf model that suits the distance function, and keep the one with the smallest error.
-
-
 def build_best_model(
     build: Callable[[str, CellSources | None], DecodedFile],
     distance_fn: DistanceFn,
     domain: Box,
     proof: Proof,
     max_bytes: int | None,
-    only_bytes: bool,
+    only_bytes: bool,  # whether max_bytes is the only limit and all rules are the defaults
     seed: int,
 ) -> DecodedFile:
-    """Build leaves of all suitable models, until Ctrl-C, and return those of the smallest error.
-
-    ``only_bytes`` tells that ``max_bytes`` is the only limit and all rules are the defaults.
-    """
+    """Build leaves of all suitable models, until Ctrl-C, and return those of the smallest error."""
     root = None
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
         root = distance_fn.cell_sources(grown_domain(domain))
@@ -404,18 +393,16 @@ def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) ->
 def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PLR":
     """Prove bounds of the error of an existing PLR at all points of its domain that reach the goal.
 
-    No point is sampled: the oracle tells to which corners shortest paths from a whole cell may go first. Errors of
-    the oracle itself are not included. Where two parts of free space touch at a point, one cell covers both, so the
-    proven error is at least half of the jump between them.
+    Return a copy with this proof, in ``max_error`` and ``bounds``, instead of any earlier one. The proof samples no
+    points: the oracle *answers for whole cells*, that is, it knows to which corners shortest paths from the points of
+    a cell may go first. Errors of the oracle itself are not included. Where two parts of free space touch at a point,
+    one cell covers both, so the proven error is at least half of the jump between them.
 
     Args:
         plr: A PLR in the plane, of any leaf model.
         oracle: The distance function, one that answers for whole cells, such as ``VisibilityGraph``.
         leaf_bounds: True stores bounds of every leaf, 2 bytes each. False stores bounds that groups of leaves share,
             in at most 1/128 of the bytes of the leaves; if that is less than 10 bytes, only the largest error.
-
-    Returns:
-        The same PLR with this proof, in ``max_error`` and ``bounds``, instead of any earlier one.
 
     Raises:
         ValueError: If ``plr`` is no PLR in the plane or is folded; its domain is periodic, or too far from the origin

@@ -48,10 +48,10 @@ def construct_many(
         plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=1024)
 
     Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
-    chosen by their mean errors at a grid of up to 512 x 512 points that all goals share, not by proven errors as in
-    :func:`construct`. This is faster, and mean errors are mostly smaller; files are smaller than ``max_bytes`` if
-    these points have no error. All other PLRs are built one by one with :func:`construct`, also cones of a family if
-    a tolerance is given or the limits allow more than about 8,000 leaves.
+    chosen by their mean errors at a grid of up to 512 x 512 points that all goals share. This is faster than
+    :func:`construct`, and mean errors are mostly smaller; files stay below ``max_bytes`` if these points have no
+    error. All other PLRs are built one by one with :func:`construct`, also cones of a family if a tolerance is given
+    or the limits allow more than about 8,000 leaves.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -63,11 +63,10 @@ def construct_many(
         tolerance: As for :func:`construct`.
         certified: As for :func:`construct`.
         seed: Seed of the samples. The same seed gives the same files, whatever the executor.
-        options: As for :func:`construct`, with two differences. Each task of the ``executor`` (threads, processes, or
-            a cluster such as Dask's ``Client.get_executor()``) builds up to 64 PLRs of a family, or a single PLR. If
-            a worker dies, threads of this process build what is left. None: one thread per core. The ``checkpoint``
-            stores whole PLRs: a later call with the same arguments builds only the missing PLRs, and the final
-            checkpoint is the same, byte for byte.
+        options: As for :func:`construct`, with two differences. Each task of the ``executor``, such as Dask's
+            ``Client.get_executor()``, builds up to 64 PLRs of a family or a single PLR; None: one thread per core. If
+            a worker dies, threads of this process build what is left. The ``checkpoint`` stores whole PLRs: a later
+            call with the same arguments builds only the missing PLRs, and ends with the same file, byte for byte.
 
     Returns:
         The PLRs, in the order of ``oracles``; lookup tables are made at the first query. After an interrupt (Ctrl-C),
@@ -127,7 +126,7 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build a PLR file for each oracle with ``task``, which shares work; if it returns None, with ``alone``."""
+    """Build a PLR file for each oracle with ``task``, which shares work; where it gives None, with ``alone``."""
     trees = {} if task is None else {i: tree for i, each in enumerate(oracles) if (tree := task(each)) is not None}
     found = [DecodedFile(task.domain, leaf, tree, stored) for tree, stored, _ in trees.values()] if task else []
     if task is not None and found and task.limits.proof is not Proof.NONE:
@@ -140,7 +139,7 @@ def _files(
 def _certified(
     contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
 ) -> list[DecodedFile]:
-    """Prove error bounds of PLRs for goals of one workspace; ``sources`` indexes ``oracle.sources`` by leaf."""
+    """Prove error bounds of PLRs of one map; ``sources[i]`` has indices into ``oracles[i].sources``, one per leaf."""
     for oracle in oracles:
         require_certifiable(oracle, contents[0].domain)
     # Cells that several members have as leaves are cut into free pieces once.

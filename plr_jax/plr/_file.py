@@ -21,17 +21,12 @@ from plr_jax.plr.tree import Cells, Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
-    """The decoded content of a PLR file; ``domain`` is the box that its leaves cover.
-
-    If the file has mirror symmetries (a ``folding``), they map all points of the PLR's domain to this box.
-    """
-
-    domain: Box
+    domain: Box  # covered by the leaves; the PLR's domain, unless the file has mirror symmetries
     leaf: LeafModel
     tree: Tree
     stored: Any
     certificate: Certificate | None = None
-    folding: Folding | None = None
+    folding: Folding | None = None  # mirror symmetries that map all points of the PLR's domain to ``domain``
 
 
 def encode(contents: DecodedFile) -> bytes:
@@ -87,10 +82,8 @@ def decode_cells(data: bytes) -> Cells:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the leaves' domain minus ``origin``, and leaf parameters for points minus its lower corner.
-
-    If the file has mirror symmetries, the domain stays, as mirrored points are relative to the symmetries' center.
-    """
+    """Return the leaves' domain minus ``origin``, and leaf parameters for points relative to the domain's corner."""
+    # Mirrored points are relative to the center of the symmetries already.
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
     corner = origin + table_corners(domain)[0]
@@ -102,11 +95,8 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
 
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of all leaves, also of those from which the goal cannot be reached.
-
-    Such a leaf continues the mean plane of the reachable leaf with which it shares the largest face, edge or corner,
-    if any, so that free points in the leaf have a finite answer.
-    """
+    """Return the coefficients of all leaves; a leaf that cannot reach the goal continues a neighbor's mean plane."""
+    # The neighbor, if any, shares the largest face, edge or corner. So free points in the leaf have a finite answer.
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
     unreachable = coefficients[:, 0] == np.inf

@@ -59,11 +59,8 @@ class PLR(FileBacked):
     and a pytree of arrays: a jitted function can close over it or take it as an argument. Such a function can only
     query it; properties like ``domain`` need concrete arrays. Reference: Putman et al., Section III.
 
-    ``jax.grad`` differentiates with respect to points. Differentiating with respect to the PLR raises ``TypeError``,
-    because a PLR has integer tables.
-
-    Attributes:
-        file: Bytes that :func:`save` writes, padded; see :func:`~plr_jax.plr.container.padded_file`.
+    ``jax.grad`` differentiates with respect to points, but raises ``TypeError`` with respect to the PLR, because a
+    PLR has integer tables.
     """
 
     def __init__(
@@ -73,7 +70,7 @@ class PLR(FileBacked):
         build_inputs: BuildInputs | None = None,
         nearest_goal: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> None:
-        """Wrap a valid PLR file, padded by :func:`padded_file`.
+        """Wrap ``file``, the bytes that :func:`save` writes, padded by :func:`~plr_jax.plr.container.padded_file`.
 
         Only :meth:`updated` uses ``build_inputs``. Only :meth:`which` uses ``nearest_goal``, a function from points
         ``(n, dim)`` to indices of goals ``(n,)``, instead of the goals that cones store.
@@ -126,10 +123,9 @@ class PLR(FileBacked):
         return self if labeled is self else self._copied(labeled.file, self.nearest_goal)
 
     def with_nearest_goal(self, nearest_goal: Callable[[np.ndarray], np.ndarray]) -> "PLR":
-        """Return this PLR of the distance to several goals, with the function that :meth:`which` calls.
+        """Return a copy whose :meth:`which` calls ``nearest_goal``, such as :meth:`NearestGoal.which`.
 
-        The function takes points ``(n, dim)`` and returns indices ``(n,)``, as ``oracle.which`` of a
-        :class:`NearestGoal` does. Files do not keep it. ``ValueError`` if it is not a function.
+        The function maps points ``(n, dim)`` to indices ``(n,)``; ``ValueError`` if it is none. Files do not keep it.
         """
         require_function("nearest_goal", nearest_goal)
         return self._copied(self.file, nearest_goal)
@@ -182,15 +178,14 @@ class PLR(FileBacked):
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven bounds of the distance at points of free space from which the goal can be reached.
 
-        The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was
-        given, and covers the rounding of a query. It includes points on the boundaries of obstacles. It excludes
-        points that are free, or connected to the goal, only because of the workspace's tolerance. In a domain far
-        from the origin, as in UTM coordinates, bounds hold for the points as rounded to 32 bits: pass NumPy's 64-bit
-        points outside of ``jit``, or enable ``jax_enable_x64``.
-
         Return lower bounds, at least 0, and upper bounds, ``(...)`` each, for points ``(..., dim)``. Both are ``inf``
         outside the domain and NaN for NaN. In obstacles, and where the goal cannot be reached, they are meaningless.
         ``ValueError`` if the PLR has no proof, or as for :func:`evaluate`.
+
+        The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was
+        given, and covers the rounding of a query. It holds on the boundaries of obstacles, but not at points that are
+        free, or connected to the goal, only because of the workspace's tolerance. In a domain far from the origin,
+        bounds hold for points as :func:`evaluate` rounds them.
         """
         band, (tables, placed) = self._require_band(), self._tables_and_points(x)
         return self._answer(bound_points, (tables, band, self._straight), placed)
@@ -199,9 +194,9 @@ class PLR(FileBacked):
     def lower(self) -> "LowerBound":
         """A proven lower bound of the distance as a function of points: an admissible heuristic.
 
-        It returns the first result of :meth:`bounds`. It is not consistent, because it jumps between leaves: A* must
-        reopen a node when it finds a shorter path to that node. :meth:`LowerBound.stack` combines the lower bounds of
-        several robots. Raises ``ValueError`` if the PLR has no proof.
+        It returns the first result of :meth:`bounds`. The heuristic is not consistent, because it jumps between
+        leaves: A* must reopen a node when it finds a shorter path to that node. :meth:`LowerBound.stack` combines the
+        lower bounds of several robots. ``ValueError`` if the PLR has no proof.
         """
         self._require_band()
         return LowerBound(self)
@@ -217,10 +212,7 @@ class PLR(FileBacked):
 
     @property
     def max_error(self) -> float | None:
-        """Proven limit of the error where :meth:`bounds` hold, in units of distance; None without a proof.
-
-        It is ``inf`` if some leaf has no upper bound, as is common after :func:`solve_eikonal`.
-        """
+        """Proven largest error where ``bounds`` hold, in distance units; ``inf`` if unbounded, None if unproven."""
         certificate = self._contents.certificate
         return None if certificate is None else certificate.max_error
 
@@ -241,11 +233,11 @@ class PLR(FileBacked):
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
         """Return the index of the goal that is nearest to each point ``(n, dim)``; -1 where the PLR is not finite.
 
-        The index is an estimate: where two goals are about equally near, it may be wrong. Of a goal that was given
-        twice, it is the first index. A file stores goals only if the PLR has cones and was built from a
-        :class:`NearestGoal` of visibility graphs; then all points of a leaf have one answer. Other PLRs of several
-        goals lose them in a file and in a jitted function; see :meth:`with_nearest_goal`. Call this method outside of
-        ``jit``. ``ValueError`` if the PLR does not know its goals, or points have another shape.
+        Where two goals are about equally near, the index may be wrong. Of a goal that was given twice, it is the
+        first index. A file stores goals only if the PLR has cones and was built from a :class:`NearestGoal` of
+        visibility graphs. Other PLRs of several goals lose them in a file and in a jitted function; see
+        :meth:`with_nearest_goal`. Call this method outside of ``jit``. ``ValueError`` if the PLR does not know its
+        goals, or points have another shape.
         """
         x = as_points("x", x, self.tables.dim)
         is_finite = np.isfinite(np.asarray(self(x)))
@@ -261,20 +253,15 @@ class PLR(FileBacked):
     def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
         """Return the PLR of a locally changed map, much faster than a new construction.
 
-        Only PLRs of cones with a proof can be updated. A leaf stays if all its distances are proven to have changed
-        by one constant; all other leaves are built again. The mean error is about that of a new PLR. If the file
-        exceeds its budget, leaves are merged; if bytes are left, leaves with large errors are refined. The new PLR
-        keeps its oracle and intermediate results in memory, so updating it again is faster than the first update.
+        Only PLRs of cones with a proof can be updated. The result is a new PLR with the same domain, label and kind
+        of proof, whose ``bounds`` hold for the new map. Its mean error is about that of a new construction. It keeps
+        its oracle and intermediate results in memory, so updating it again is faster than the first update.
 
         Args:
             oracle: Oracle of the new map for the same goal, such as ``before.with_workspace(workspace)``.
             before: Oracle of the old map; None for the oracle with which this process built or last updated this PLR.
-            max_bytes: Most bytes of the file; None for the limits of the construction or, for a PLR from a file, its
-                size.
-
-        Returns:
-            A new PLR with the same domain, label and kind of proof, whose ``bounds`` hold for the new map. This PLR
-            does not change.
+            max_bytes: Most bytes of the file; None for the limits of the construction or, for a PLR from a file, the
+                file's size.
 
         Raises:
             ValueError: If this PLR has no cones or no proof, the oracles are no visibility graphs of one goal, the
@@ -313,17 +300,16 @@ class PLR(FileBacked):
 
         Args:
             name: Prefix of all definitions; ``ValueError`` if it is no C identifier.
-            compact: False for tables that are fast to read; True for the bytes of :meth:`c_bytes` and their decoder,
-                which take a half to a twelfth of the memory. Compact queries take two to five times as long; for
-                smooth leaves, whose derivatives are computed from adjacent leaves, 40 times.
+            compact: True for the bytes of :meth:`c_bytes` and their decoder, in a half to a twelfth of the memory of
+                plain tables; queries then take two to five times as long, with smooth leaves 40 times.
         """
         return self.numpy().c_header(name, compact)
 
     def c_bytes(self) -> bytes:
         """Return the bytes that the decoder in a compact C header reads.
 
-        A program can receive such bytes while it runs. After ``plr_jax_open`` has accepted them, it can query them
-        without unpacking. For files of 1 KB or more in the plane, they take one to four times the file's size.
+        A program can receive such bytes while it runs, and query them once ``plr_jax_open`` has accepted them. For
+        files of 1 KB or more in the plane, they take one to four times the file's size.
         """
         return self.numpy().c_bytes()
 
@@ -425,7 +411,7 @@ class PLR(FileBacked):
 
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
-        """Whether each leaf is stored as unreachable; it continues a neighbor's plane or answers ``inf``."""
+        """Whether each leaf is stored as unreachable; such a leaf continues a neighbor's plane or answers ``inf``."""
         return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
 
     @property
@@ -519,7 +505,7 @@ def from_bytes(data: bytes) -> PLR:
 
 
 def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None, data: bytes | None = None) -> PLR:
-    """Build a PLR and its lookup tables from a decoded file, whose bytes ``data`` are encoded if they are None."""
+    """Build a PLR and its lookup tables from a decoded file; ``data`` are its bytes, None to encode it again."""
     plr = PLR(padded_file(encode(contents) if data is None else data), build_inputs=build_inputs)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain

@@ -27,7 +27,7 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
 
 
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    """Prove error bounds of PLRs of one leaf model and domain, whose leaves follow one another in ``visible``."""
+    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` lists the leaves of all PLRs in order."""
     domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
@@ -62,7 +62,7 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """A function that returns bounds of a PLR's leaves so tight that tighter ones would hardly change its file."""
+    """A function that returns bounds at which a PLR's proof may stop: tighter bounds would hardly change its file."""
 
     leaves: slice
     rounding: Errors

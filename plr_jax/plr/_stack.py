@@ -1,11 +1,9 @@
 """The public functions that evaluate one PLR (:func:`evaluate`) and combine many into one function (:func:`stack`).
 
-A stack finds a point's leaf in a *trie* of its PLRs, level by level. The tables of the trie, *pages*, have an entry
-for each cell of a grid: the first page of each PLR covers its domain, any other page a cell of the level above that
-has several leaves. An odd entry ``2 * i + 1`` leads to the page that starts at entry ``i``, an even entry ``2 * i``
-to row ``i`` of the leaf parameters. Entry ``i`` of the trie is ``2 * i`` for each row ``i``, so that later levels
-keep a row.
-
+A stack finds a point's leaf in a *trie*, level by level. The tables of the trie, *pages*, have an entry for each cell
+of a grid: the first page of each PLR covers its domain, any other page a cell of the level above with several leaves.
+An odd entry ``2 * i + 1`` leads to the page that starts at entry ``i``, an even entry ``2 * i`` to row ``i`` of the
+leaf parameters. Entry ``i`` is ``2 * i`` for each row ``i``, so that a found row does not change at later levels.
 Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
 """
 
@@ -44,7 +42,6 @@ from plr_jax.plr.tables import AnyArray, PerPointTable, Tables, Trie, arrange_pa
 from plr_jax.plr.tree import Cells
 
 _PerAxis = Int[np.ndarray, "dim"]
-
 _FIRST_BITS = 10  # index bits of first pages: those of 1,000 PLRs take 4 MB, and most points need no other page
 _PAGE_BITS = 6  # most index bits of other pages
 _MOST_ENTRIES = 2**25  # most entries of one PLR; the estimate counts a page of k leaves up to k times
@@ -91,7 +88,7 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]]
 def _pages(
     cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[_PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, "entries"]]:
-    """Yield the entries of one PLR in each level of a trie; its entries of level 2 will start at ``next_start``."""
+    """Yield the entries of one PLR in each level of a trie; those of the second level start at ``next_start``."""
     page = np.zeros(1, np.int64)  # numbers of the cells of the level above that have a page in this level
     for number, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
@@ -180,8 +177,7 @@ class PLRStack:
     """Many PLRs as one function: ``f(index, x)`` evaluates PLR number ``index`` at each point.
 
     :func:`stack` makes stacks. A stack is a pytree of arrays: a jitted function can close over it or take it as an
-    argument, also under ``jax.vmap`` and ``jax.grad``. Stacks with equally many PLRs of one leaf model and similar
-    size share compiled code.
+    argument, also under ``jax.vmap`` and ``jax.grad``. Stacks of equally many similar PLRs share compiled code.
     """
 
     groups: tuple[_SameShapeGroup, ...]
@@ -199,8 +195,8 @@ class PLRStack:
 
         Args:
             index: Indices of PLRs, integers of a shape that broadcasts with the batch.
-            x: Points, ``(..., dim)``, NumPy or JAX. If a domain is far from the origin, ``index`` and ``x`` should be
-                NumPy arrays outside of ``jit``: then points are shifted to a corner of the domain in 64 bits.
+            x: Points, ``(..., dim)``, NumPy or JAX. If a domain is far from the origin, pass ``index`` and ``x`` as
+                NumPy arrays outside of ``jit``, so that 64-bit points are not rounded to 32 bits.
             outside: Answer outside the PLR's domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`.
 
         Returns:
@@ -208,8 +204,7 @@ class PLRStack:
             NaN for indices that are negative or too large.
 
         Raises:
-            ValueError: If the last axis of ``x`` is not ``dim`` long, ``index`` is not of integers, ``outside`` is
-                invalid, or the type of the points is too coarse for a domain (see :func:`evaluate`).
+            ValueError: If ``index`` is not of integers, or as for :func:`evaluate`.
         """
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_queries(x)
@@ -306,12 +301,11 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is the gradient of the leaf's function. It is
     finite everywhere, 0 where the distance is ``inf``, and arbitrary where a coordinate is NaN. An optimizer that may
     leave the domain should pass ``outside="clamp"``, so that a descent step leads back. Outside of ``jit``, NumPy
-    computes the first small batches of each shape, with the same bits as compiled code. The query is compiled for
-    shapes that are used often.
+    computes the first small batches of each shape, with the same bits as compiled code.
 
-    ``jax.export`` turns a query into a program that runs without this package, for batches of any size. The program
-    takes a few hundred kilobytes, and exporting needs the package ``flatbuffers``. Close over the PLR or pass the
-    leaves of ``jax.tree.flatten(plr)``, since a program that takes the PLR itself cannot be serialized::
+    ``jax.export`` (with the package ``flatbuffers``) turns a query into a program of a few hundred kilobytes that
+    runs without this package, for batches of any size. Close over the PLR or pass the leaves of
+    ``jax.tree.flatten(plr)``, since a program that takes the PLR itself cannot be serialized::
 
         n, dim = jax.export.symbolic_shape("n, 2")
         exported = jax.export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))

@@ -41,8 +41,7 @@ class Traces:
     Attributes:
         paths: Points of each path, ``(n, steps, dim)``, from the start along straight segments; the last point is
             repeated up to the length of the longest path. NaN if there is no path.
-        counts: Number of points of each path without repetitions, ``(n,)``: 1 if the start is the goal, 0 if there is
-            no path.
+        counts: Number of distinct points of each path, ``(n,)``: 1 if the start is the goal, 0 without a path.
         lengths: Length of each path in the units of the domain, ``(n,)``; ``inf`` if there is no path.
         status: :class:`TraceStatus` of each path, ``(n,)``.
         are_tested: Whether segments were tested for collisions with a workspace.
@@ -73,21 +72,17 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     A cone measures distances from its *source*, the goal or a corner. The first segment leads to the source of the
     start's leaf, every further segment to the next source on the shortest path from there. A path is as long as the
     PLR says. Segments between sources cross no wall, but for rounding. The first segment may cross a wall, if the
-    start does not see the source of its leaf; from a start in an obstacle, or cut off from the goal, it does.
+    start does not see the source of its leaf; from a start in an obstacle, or cut off from the goal, it does. At a
+    source, the first segment leads to the next source.
 
     With a workspace, no path that arrives crosses a wall. If a start does not see its leaf's source, or the path from
-    there does not lead to the goal, it takes the shortest path through another source that it sees. Computation is in
-    double precision.
+    that source does not lead to the goal, the start gets the shortest path through another source that it sees.
 
     Args:
         plr: PLR with ``leaf="cone"``.
         starts: Start points, ``(n, dim)``.
-        workspace: Free space in which each segment is tested, up to the rounding of the file (6e-8 of the domain's
-            width). Segments are tested one by one, so a path may pass through a point where two walls touch if it
-            bends there. The first call for a workspace takes longer. None: no tests.
-
-    Returns:
-        A path and a status for each start. The path from a source begins with the segment to the next source.
+        workspace: Free space in which each segment is tested by itself, up to the rounding of the file (6e-8 of the
+            domain's width): a path that bends where two walls touch may pass between them. None: no tests.
 
     Raises:
         ValueError: If ``plr`` is no PLR of cones, ``starts`` has a wrong shape, ``workspace`` is no Workspace, or a

@@ -20,8 +20,7 @@ from plr_jax.plr.tree import leaf_order
 
 # The longest side of a box is at most 2**2 times its shortest, in fractions of the domain. Without a proof, it may be
 # 2**4 times as long if its largest error makes a tenth of the box's cost, as only long boxes beside walls have small
-# errors. Measured at 8 KB: the largest error falls from 7.0 to 0.9 cm on the walkable area arena, from 2.2 to 1.3 cm
-# on aknz_evac, in about as much time. With proofs, proven errors would be larger.
+# errors: at 8 KB, the largest falls from 7.0 to 0.9 cm on the map arena. With proofs, proven errors would be larger.
 MAX_ASPECT_BITS, _MAX_ASPECT_BITS_OF_PEAKS, _PEAKED = 2, 4, 0.1
 # Weight of a box's largest error (its peak) beside the integral of its error, in volumes of an average leaf.
 LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
@@ -163,7 +162,6 @@ _BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # estimated bits of one more leaf, and
 # Most prices to try between two trees; the share of the limits to aim at, and the share at which the search stops.
 _ATTEMPTS, _AIM, _FULL = 12, 0.9985, 0.997
 _LAST = 1e-4  # factor of the price once no box is left to halve; not 0, so that the smaller of equal trees is chosen
-
 Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
 """For each level, the indices of the boxes that are leaves of a tree."""
 

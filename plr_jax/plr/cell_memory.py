@@ -15,8 +15,6 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class CellMemory:
-    """A cache of the *sources* of cells: corners (or the goal) to which shortest paths from a cell may go first."""
-
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
         self._parts: list[CellSources] = []

@@ -1,7 +1,4 @@
-"""Prove bounds of (distance - leaf function) in each leaf of a PLR by branch and bound, and encode them in its file.
-
-The bits in the file are described in ``portable/FORMAT.md``.
-"""
+"""Prove bounds of (distance - leaf function) by branch and bound; encode them in files (``portable/FORMAT.md``)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -86,7 +83,7 @@ Codes: TypeAlias = Integer[np.ndarray, "2 leaves"]
 
 @dataclass(frozen=True, eq=False)
 class LeafBounds:
-    """Bounds of (distance to the goal - leaf function) for each leaf, over all its points that reach the goal."""
+    """Bounds of (distance to the goal - leaf function) for each leaf, over its points that reach the goal."""
 
     lower: Errors
     upper: Errors
@@ -95,8 +92,8 @@ class LeafBounds:
 def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    Convex pieces of the leaves' free space (``visible``) are halved until their bounds are ``sufficient``. Bounds
-    include ``visible.slack``, the uncertainty of distances.
+    Convex pieces of the leaves' free space are halved until their bounds are ``sufficient``. The result includes
+    ``visible.slack``, the uncertainty of distances.
     """
     num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -224,7 +221,7 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], vol
 def requantize_bounds(
     codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, "codes"], max_bits: int
 ) -> Codes | None:
-    """Widen each leaf's bounds (codes) to the narrowest pair of ``classes`` that contains them, else return None."""
+    """Widen each leaf's bounds to the narrowest pair in ``classes`` that contains them; None if this fails."""
     classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
@@ -304,15 +301,13 @@ def _room_for_classes(num_bytes: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """Proven bounds of (distance - value of a PLR), as a file stores them.
-
-    ``straight`` has the goal (relative to the domain's lower corner), rate and margin of one more lower bound of the
-    distance, ``rate * |x - goal| - margin``, capped at the PLR's value; None without this bound.
-    """
+    """Proven bounds of (distance - value of a PLR), as a file stores them."""
 
     scale: float  # at least the largest finite bound, exact in 32 bits; codes stand for fractions of it
     codes: UInt8[np.ndarray, "2 leaves"] | None  # of lower and upper bounds; None if only the scale is stored
     proof: Proof
+    # Goal (relative to the domain's lower corner), rate and margin of one more lower bound of the distance, ``rate *
+    # |x - goal| - margin``, capped at the PLR's value; None without this bound.
     straight: Float[np.ndarray, "numbers"] | None = None
 
     @staticmethod
@@ -368,7 +363,7 @@ class Certificate:
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
-        """Return bounds so close to the least and most error met in each leaf that tighter bounds are of no use."""
+        """Return bounds at which a proof may stop: tighter bounds are of little use, given the errors in leaves."""
         if self.proof is not Proof.CLASSES:
             largest = max(most.max(initial=0.0), -least.min(initial=0.0))
             spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)

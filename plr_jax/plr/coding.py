@@ -118,7 +118,7 @@ def _bits_of(values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -
 
 
 class BitReader:
-    """A reader of what :class:`BitWriter` wrote; methods raise ``ValueError`` if the data end too early."""
+    """A reader of the bits of :class:`BitWriter`; methods raise ``ValueError`` if the data end too early."""
 
     def __init__(self, data: bytes) -> None:
         self._bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")

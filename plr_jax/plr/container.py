@@ -1,7 +1,4 @@
-"""The outer structure of PLR files: header, checksums and layers of bits, as ``portable/FORMAT.md`` describes it.
-
-A PLR is stored in one layer. A file of distances between pairs of points may have several, and be cut off after any.
-"""
+"""The outer structure of PLR files: header, checksums and layers of bits, as ``portable/FORMAT.md`` describes it."""
 
 import os
 import struct
@@ -118,7 +115,7 @@ class Header:
 
 @dataclass(frozen=True)
 class Container:
-    """The header and layers of a file; a file that was cut off after a layer has fewer layers."""
+    """The header and layers of a file: one layer for a PLR, one or more for distances between pairs of points."""
 
     domain: Box
     layers: tuple[Layer, ...]
@@ -150,7 +147,7 @@ class Container:
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """Decode a file, which may be cut off after any layer; raises ``ValueError`` if it is invalid."""
+        """Decode a file, which may be cut off after any layer; ``ValueError`` if the file is invalid."""
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
         header = Header.read(data)
@@ -277,10 +274,7 @@ class FileBacked:
 
     @property
     def label(self) -> str:
-        """Text that the file's author attached, such as the names of map and goal; empty if there is none.
-
-        The text may contain control characters, which a terminal would obey.
-        """
+        """Text attached to the file, such as a map's name, or ``""``; it may contain control characters."""
         return Header.read(self.to_bytes()).label
 
     def with_label(self, label: str) -> Any:

@@ -22,8 +22,7 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
     """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
     Each step replaces a pair by two pairs, with either half of its larger node; ``keep`` returns which pairs stay.
-    The rows of ``pairs`` are nodes of ``a``, nodes of ``b``, and further data of each pair, which new pairs copy. In
-    the result, indices of leaves replace those of nodes.
+    Rows of ``pairs``: nodes of ``a``, nodes of ``b``, data that new pairs copy. The result has indices of leaves.
     """
     trees, found = (a, b), [pairs[:, :0]]
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]

@@ -28,10 +28,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 # Largest number of weights in the constraint equations: in all, or per leaf if that gives more. Trees of random
-# splits have 2,000 weights a leaf in 6 dimensions, 50 in 3. The elimination of constraints may use _GROWTH times as
-# many.
+# splits have 2,000 weights a leaf in 6 dimensions, 50 in 3.
 _MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF = 2**20, 2**8
-_GROWTH = 4
+_GROWTH = 4  # the elimination of constraints may use this many times more weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +93,8 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
     level = np.zeros(num_groups, np.int64)
     level[group] = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=1)
-    # 5. In 3 or more dimensions a corner may hang on two leaves, whose interpolations must agree there. Each pair of
-    # interpolations gives an equation, which eliminates the group of the highest level in it.
+    # 5. In 3 or more dimensions a corner may hang on two leaves, whose interpolations must agree there. Each such
+    # equation eliminates the group of the highest level in it.
     if dim > 2:
         row = np.flatnonzero(~is_shared)
         check_num_weights(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, row], axis=2))), most)
@@ -114,8 +113,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
     free_dofs = np.flatnonzero(is_free_dof)
     free_dofs = free_dofs[np.argsort(level[free_dofs], kind="stable")]
     values = csr_array(of_groups[group][:, free_dofs])
-    # 7. Prediction: at each node that a split made, the mean of the halved edge's ends; averaged over a group's
-    # nodes.
+    # 7. Prediction: at each node that a split made, the mean of the halved edge's ends; averaged over the group.
     ends, is_made = corner_parents(tree)
     counts = is_made[..., None] & ~unreachable[ends >> dim] & ~unreachable[:, None, None]
     dof_of_group = np.full(num_groups, -1)
@@ -158,9 +156,7 @@ POWERS = (2, 4)  # number of powers of t along each axis, by order
 # Largest dimension, by order. For order 0, a leaf in 6-D has 64 corners already. For order 1 in 3-D, a corner may
 # hang on two leaves with different cubics.
 MAX_DIM_OF_ORDER = (6, 2)
-
-# By order: coefficients of the basis functions on [0, 1] by powers of t. Axes: end of the interval, value or
-# derivative there, power. The functions of order 1 are the cubic Hermite polynomials.
+# By order: coefficients of the basis functions on [0, 1]. Axes: end of the interval, value or derivative, power of t.
 _BASIS_1D = (
     np.array([[1, -1], [0, 1]], float).reshape(2, 1, 2),
     np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], float).reshape(2, 2, 4),

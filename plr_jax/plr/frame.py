@@ -83,7 +83,7 @@ def enumerate_boxes(
 
 
 def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
-    """Return how often to halve each axis: at most ``bits`` times, ``most`` times in all, where most are left."""
+    """Distribute ``most`` halvings over the axes, each to the axis that has the most of its ``bits`` left."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
         chosen[np.argmax(bits - chosen)] += 1
@@ -137,7 +137,6 @@ LARGEST = 1e30  # bound of coordinates, distances and slopes, well below the lar
 
 Corner: TypeAlias = Float[np.ndarray, "dim"]
 """A point, such as the domain's lower corner, relative to which other points are given."""
-
 Outside: TypeAlias = Literal["inf", "clamp", "nan"]
 """Answer to a query outside the domain; ``"clamp"``: the value at the nearest point plus the distance to it."""
 

@@ -44,8 +44,6 @@ class ConstructionInterrupted(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """The limits of a construction, mostly arguments of :func:`construct`."""
-
     max_depth: int
     max_axis_depth: int  # most halvings of a cell along one axis, which limit the size of lookup tables
     max_leaves: int
@@ -168,40 +166,30 @@ def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.n
         )
 
 
-# The rules SHOULDSPLIT and SPLIT of Algorithm 1: ``should_split`` returns a priority for each cell, and the leaf of
-# the largest positive priority is split next. ``split`` returns the axis along which to halve each cell.
-
+# The rules SHOULDSPLIT and SPLIT of Algorithm 1. The leaf of the largest positive priority is split next.
 ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, "cells"]]
 SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
-
 # The longest side of a cell is at most 2**3 times its shortest, in fractions of the domain. That suffices for thin
 # walls, and stops cells that lie mostly in an obstacle from being halved forever along one axis.
 MAX_ASPECT_BITS = 3
 
 
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each cell's largest weighted absolute error over its samples, in units of distance.
-
-    The worst leaf is split first. The error is 0 (never split) if the goal cannot be reached from any sample.
-    """
+    """Return each cell's largest weighted sample error, in units of distance; 0 if no sample reaches the goal."""
     return np.max(fit.weight * np.abs(fit.residual), axis=1)
 
 
 def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
     """Return each cell's weighted absolute error at its center, in units of distance (Section III-B of the paper).
 
-    If the goal cannot be reached from the center, return :func:`largest_error` instead, so that an obstacle in the
-    middle does not hide a bad fit around it.
+    If the center does not reach the goal, return :func:`largest_error`, so that an obstacle hides no bad fit.
     """
     at_center = fit.weight[:, 0] * np.abs(fit.residual[:, 0])
     return np.where(fit.reachable[:, 0], at_center, largest_error(fit))
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return ``inf`` for each cell, so that cells are split breadth first: the paper's simplest rule.
-
-    Cells from which no sample reaches the goal get 0 (never split).
-    """
+    """Return ``inf`` for each cell, or 0 if no sample reaches the goal, so that cells are split breadth first."""
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 
@@ -215,7 +203,7 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
-    """Return each cell's axis of least cost whose halves are neither too narrow nor too deep; axis 0 if none is."""
+    """Return each cell's axis of least cost whose halves are neither too narrow nor too deep; else axis 0."""
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
     closed |= depth >= fit.max_axis_depth
@@ -249,7 +237,6 @@ _BYTES_SLACK = 1.15  # growth beyond the byte budget, so that more leaves of few
 _ROUNDING_SHARE = 0.2  # file sizes during growth are estimated for this ratio of rounding error to the fit's error
 _SAMPLES_AT_ONCE = 2**20
 _LAST_SHARE = 32  # if at most 1/32 as many splits are left as were made, one round makes them all
-
 FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
 """Function from cells and their parents' keys to nodes, which samples and fits cells and applies the split rules."""
 

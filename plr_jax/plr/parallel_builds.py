@@ -160,7 +160,7 @@ class BuildResults:
         return sum(result is not None for result in self.results)
 
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
-        """Compute chunks on the executor; threads of this process do so if it is None, or if a worker dies."""
+        """Compute chunks on ``executor``, or on threads of this process if ``executor`` is None or a worker dies."""
         threads = ThreadPoolExecutor(num_cores())
         try:
             left = chunks if executor is None else self._build_by(executor, chunks, progress)

@@ -20,7 +20,6 @@ Points = Float[AnyArray, "*batch dim"]
 Values = Float[AnyArray, "*batch"]
 Flags = Bool[AnyArray, "*batch"]
 Bits = UInt32[AnyArray, "*batch"]
-
 _EXPONENT = np.uint32(0xFF800000)  # sign and exponent of a 32-bit float
 _SHIFTS = np.uint32(WORD_BITS - 1)  # a mask that tells the compiler that no shift is by 32 bits or more
 _ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables, for 64-bit points
@@ -299,9 +298,6 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
             trie.bits[level].any(), lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
         )
     return entry >> np.uint32(1)
-
-
-# The operations below pass NumPy arrays through, or apply NumPy to them.
 
 
 def _constant(x: Shaped[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:

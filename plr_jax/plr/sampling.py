@@ -18,7 +18,7 @@ from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells, Rows
 
 _RANK_TOLERANCE = 1e-9  # relative size of singular values that count as zero
-_FACE_WEIGHT = 0.01  # fit weight of samples on faces and corners; samples inside have weight 1
+_FACE_WEIGHT = 0.01  # weight of samples on faces and corners, which hardly change fits; inside it is 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +67,8 @@ class Pattern:
 def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -> Pattern:
     """Make a pattern of samples in a cell: its center, points inside and on faces, and its corners if few.
 
-    About 1/3 of all samples are on faces. These detect slivers of free space behind a wall, where large errors are
-    frequent; their small weight hardly changes fits. ``margin`` is the distance by which samples reach beyond the
-    cell, as a fraction of its width.
+    About 1/3 of all samples are on faces, to detect slivers of free space behind walls. Samples reach beyond the cell
+    by ``margin`` times its width.
     """
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
@@ -85,10 +84,8 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
 
 
 def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "num_points dim"]:
-    """Return evenly spread points in the unit cube, shifted modulo 1: in the plane, a Fibonacci lattice.
-
-    Steps are equal along the first axis; along other axes, they are the steps of Roberts' R sequence.
-    """
+    """Return evenly spread points in the unit cube, shifted modulo 1: in the plane, a Fibonacci lattice."""
+    # Steps are equal along the first axis; along other axes, they are the steps of Roberts' R sequence.
     dim, root = len(shift), 1.0
     for _ in range(64 if dim > 1 else 0):  # root ** dim == root + 1: the golden ratio in the plane
         root = (1 + root) ** (1 / dim)
@@ -102,7 +99,6 @@ def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarra
 # Ridge on the slope, relative to the sum of weights. It changes a fit that samples determine by less than 1e-8, and
 # makes the slope zero along directions in which no sample varies.
 _RIDGE = 1e-9
-
 OfSamples: TypeAlias = Float[np.ndarray, "cells k"]
 Planes: TypeAlias = tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]
 FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]
@@ -121,8 +117,7 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
         weight: Weight of each sample, ``(cells, k)``, >= 0; 0 where the goal cannot be reached.
 
     Returns:
-        Values at the cells' centers ``(cells,)``, and half of the rise across each cell along each axis
-        ``(cells, dim)``.
+        Values at cell centers ``(cells,)``, and half of the rise across each cell along each axis ``(cells, dim)``.
     """
     plane = row_products(value, pattern.pseudo_inverse.T)
     masked = masked_cells(weight)
@@ -151,7 +146,6 @@ def solve_planes(
 
 
 _FEW_A_TERM = 2  # up to this many samples per coefficient that reach the goal, a plane may fit by chance
-
 WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
 
 
@@ -314,7 +308,7 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
-    """Return the largest error weight of all points of the domain whose mirror image is ``z``; 0 without any."""
+    """Return the largest error weight of all points of the domain whose mirror image is ``z``; else 0."""
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):
         weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])

@@ -27,7 +27,6 @@ class SmallBatches:
         self.work: dict[Hashable, int] = {}  # coordinates that NumPy answered, plus 4,096 per call, by call and shape
 
     def __call__(self, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any) -> Any:
-        """Return ``compiled(*tables, x, *static)``."""
         if not any(isinstance(each, Tracer) for each in (x, *tables)):
             key = compiled.__name__, x.shape, *static  # a name, since functions of JAX cannot be pickled
             answer = None if self.work.get(key, 0) > _MOST_WORK else self._by_numpy(key, compiled, tables, x, *static)
@@ -38,7 +37,7 @@ class SmallBatches:
     def _by_numpy(
         self, key: Hashable, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any
     ) -> Any:
-        """Return what a compiled query would, from NumPy; None if compiling pays off or bits could differ."""
+        """Compute a compiled function's answers in NumPy; return None if compiling pays off or bits could differ."""
         before, arrays = self.work.get(key, 0), jax.tree.leaves(tables)
         self.work[key] = before + x.size + _WORK_OF_CALL
         if before == 0 and not (

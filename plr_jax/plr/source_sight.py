@@ -16,16 +16,12 @@ from plr_jax.plr.leaves import as_sourced
 
 
 class SourceSight:
-    """The visibility of a PLR's sources, the corners and goals from which its leaves measure distances.
-
-    It includes which sources have a free path to the goal. Tests of walls have at least the tolerance ``rounding``,
-    the largest rounding of a source's position in a file.
-    """
+    """The visibility of a PLR's sources, the corners and goals from which its leaves measure distances."""
 
     def __init__(self, plr: PLR, workspace: Workspace, rounding: float):
         sources, _ = as_sourced(plr.leaf).sources(plr.stored)
         self._distances, root = sources.distances, sources.parents
-        self._workspace, self._tolerance = workspace, max(workspace.tolerance, rounding)
+        self._workspace, self._tolerance = workspace, max(workspace.tolerance, rounding)  # files round sources
         # 1. Undo the rounding of corners: beside a point where two walls touch, a rounded one lies on either side.
         corners = workspace.boundary.vertices
         away, corner = KDTree(corners).query(sources.points)
@@ -47,8 +43,7 @@ class SourceSight:
     ) -> tuple[Int[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
         """Return the source (corner or goal) to which each start's path goes first, and whether the path is free.
 
-        This is ``first`` if the path from there crosses no wall and ends at the goal; else the first source of the
-        shortest free path to the goal, if there is one.
+        The source is ``first`` if its path is free and ends at the goal, else that of the shortest free path, if any.
         """
         first, is_free = first.copy(), self._is_clear[first] & self._sees(first, x)
         failing = np.flatnonzero(~(is_free & self._arrives[first]))

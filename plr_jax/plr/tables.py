@@ -69,7 +69,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """Small arrays of equal shape, one for each query point, in one flat table; ``t[i, j]`` reads every array."""
+    """Small arrays of equal shape, one per query point, in one flat table; ``t[i, j]`` reads one number each."""
 
     flat: AnyArray
     shape: tuple[int, ...]  # of each point's array
@@ -119,10 +119,10 @@ class Blocks:
 
 
 def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"], shift: PerAxis) -> Blocks:
-    """Pack the size and start of the finer table in each cell of a coarse grid into integers that a query reads.
+    """Pack size and start of the table of each block, a cell of a coarse grid, into integers that a query reads.
 
-    ``shape`` has log2 of the sizes by axis, ``offset`` the starts. ``shift`` is, for each axis, how many bits of a
-    point's position are below those that find its cell.
+    ``shape`` has log2 of the sizes by axis, ``offset`` the starts. ``shift`` counts, by axis, the bits of a point's
+    position below those of its block.
     """
     width = max(1, int(shape.max()).bit_length())
     room = (WORD_BITS - int(offset[-1]).bit_length()) // width
@@ -239,8 +239,7 @@ def _place_pages(
 
     ``shape`` has log2 of the slots of each page by axis, ``page_bits`` that of the largest possible page. ``below``
     counts the bits of all later axes in the index of a slot in the largest page. A buddy allocator places pages by
-    decreasing size in the smallest free room, from the slot ``first`` on. A room that is too large is halved along
-    one axis after another; each half has every other slot.
+    decreasing size, from the slot ``first`` on; either half of a room that it halves has every other slot.
     """
     finest = tuple(page_bits.tolist())
     rooms: dict[tuple[int, ...], Int[np.ndarray, _]] = {}  # starts of free rooms, by shape
@@ -269,11 +268,9 @@ def _place_pages(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """Arrays that a query reads, padded to the size class of the file so that PLRs of a class share compiled code.
+    """Arrays that a query reads, padded to the size class of the file so that PLRs of a class share compiled code."""
 
-    Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
-    """
-
+    # Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
     frame: Float[AnyArray, "7 dim"] | PerPointTable  # domain in 32-bit floats, rows as in :class:`Frame`
     bits: UInt32[AnyArray, "2 dim"]  # mask of the fraction bits that index an entry or block, and their right shift
     blocks: Blocks | None

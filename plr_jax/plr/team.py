@@ -26,7 +26,6 @@ class PointPlacement:
 
 
 Bands = tuple[tuple[Float[AnyArray, "2 _"], Float[AnyArray, "_"] | None] | None, ...]
-
 # Compiled batch sizes. Padding is cheap while a call's overhead dominates; tiny sizes avoid a thread switch in JAX.
 _SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
 _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps with copies between NumPy and JAX

@@ -168,7 +168,7 @@ def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
 
 
 def leaf_order(axes: list[Int[np.ndarray, "_"]]) -> Int[np.ndarray, "leaves"]:
-    """Return the permutation of leaves level by level into left to right; ``axes`` is as in :func:`tree_of_axes`."""
+    """Return the indices of leaves from left to right, if leaves are numbered level by level as in ``axes``."""
     paths, path = [], np.zeros(1, np.int64)
     for depth, axis in enumerate(axes):
         paths.append(path[axis < 0])
