@@ -120,6 +120,7 @@ class PlaneSpace(BodySpace):
 
     @property
     def motion_cost(self) -> MotionCost:
+        """Length of a motion."""
         return MotionCost((((0, 1), 1.0),))
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
