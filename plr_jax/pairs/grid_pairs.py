@@ -152,16 +152,14 @@ class GridPairs:
     def window(self, goals: ArrayLike, positions: ArrayLike, radius: int) -> Int32[Array, "n width width"]:
         """Return path lengths in whole steps to goals from all cells in squares around agents.
 
-        A function is compiled for each number of agents and radius. It works inside jitted functions.
+        Lengths are rounded down, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. They are -1 in
+        blocked cells, outside the grid, without a path, and in all cells if the agent or the goal is outside. A
+        function is compiled for each number of agents and radius. It works inside jitted functions.
 
         Args:
             goals: A point in the goal cell of each agent, ``(n, 2)``, else ``ValueError``.
             positions: A point in the cell of each agent, ``(n, 2)``.
             radius: Cells on each side of an agent, an integer of at least 0, else ``ValueError``.
-
-        Returns:
-            Distances, rounded down, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns; -1 in
-                blocked cells, outside the grid, without a path, and in all cells if the agent or the goal is outside.
         """
         require_integer("radius", radius, 0)
         goals, positions = _as_points("goals", goals), _as_points("positions", positions)

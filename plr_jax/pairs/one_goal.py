@@ -92,7 +92,7 @@ def _best_sources(
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
-    """Join halves of a cell that share the source (apex) of their cone; return the remaining leaves and their sources."""
+    """Join halves of a cell that share a source, the apex of their cone; return the new leaves and their sources."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
     for split in reversed(tree.splits):

@@ -77,22 +77,20 @@ class PairPLR(FileBacked):
     def __call__(
         self, x: ArrayLike, y: ArrayLike | PreparedGoals, *, outside: Outside = "inf"
     ) -> Float[Array, "*batch"]:
-        """Return the distance between points: the length of the shortest path in free space.
+        """Return the distance between points, ``(...)``: the length of the shortest path in free space.
 
-        It works under ``jax.jit``, ``jax.vmap`` and ``jax.grad`` in both arguments. The gradient points away from the
-        first turn of the path. It is zero where the distance is 0 or ``inf``. Few pairs outside of ``jit`` are
-        answered in NumPy, without compiling: answers then differ by rounding from those of compiled functions.
+        It is ``inf`` without a path, NaN for NaN, 0 for ``x == y``, and meaningless for points in obstacles.
+        ``pairs(x, y) == pairs(y, x)`` to the last bit. The precision is that of the points as for :func:`evaluate`,
+        though corners have 32 bits. Few pairs outside of ``jit`` are answered in NumPy, without compiling: answers
+        then differ by rounding from those of compiled functions. It works under ``jax.jit``, ``jax.vmap`` and
+        ``jax.grad`` in both arguments. The gradient points away from the first turn of the path. It is zero where the
+        distance is 0 or ``inf``.
 
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
             y: Points whose shape broadcasts with ``x``; or goals made by :meth:`prepared`, whose batch broadcasts.
             outside: Answer for points outside the domain, as for :func:`evaluate`. ``"clamp"`` adds the distances of
                 both ends to the domain.
-
-        Returns:
-            Distances, ``(...)``, in the precision of the points as for :func:`evaluate`, though corners have 32 bits.
-                They are ``inf`` without a path, NaN for NaN, 0 for ``x == y``, and meaningless for points in
-                obstacles. ``pairs(x, y) == pairs(y, x)`` to the last bit.
         """
         outside = as_outside(outside)
         if isinstance(y, PreparedGoals):
