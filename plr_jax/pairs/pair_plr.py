@@ -269,8 +269,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     - Within 8e-6 w of a wall or gap thinner than this, or of a place where obstacles touch, a point may get the
       distance of a point on the other side, or a smaller one. Bounds hold, but lower bounds treat walls this thin as
       free space.
-    - Where a thin wall starts at the sharp tip of a thicker obstacle, a point beyond the tip, exactly in line with
-      the wall, may see through where both meet. So may a point within 4e-6 w of another wall that ends there.
+    - Where a thin wall starts at the sharp tip of a thicker obstacle, a point near the tip, in line with the wall up
+      to rounding, may see through where both meet. So may a point within 4e-6 w of another wall that ends there.
     - Paths around the end of a thin wall may be 2e-6 w too long.
 
     Otherwise gaps stay open however narrow, and places where obstacles touch stay closed. Only gaps below 6e-8 w
