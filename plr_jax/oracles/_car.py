@@ -21,7 +21,6 @@ from plr_jax._types import ArrayLike, Distances, Symmetry
 Batch: TypeAlias = Float[np.ndarray, "n"]
 Vectors: TypeAlias = tuple[Batch, Batch]
 Pose: TypeAlias = Float[np.ndarray, "3"]
-
 _AT_ONCE = 4096  # poses processed at a time, so that their arrays stay in the cache
 _MIRRORED = str.maketrans("LR", "RL")
 
@@ -92,11 +91,10 @@ class _Car(ABC):
     @staticmethod
     @abstractmethod
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
-        """Yield the words from the pose (0, 0), heading along x, that start with a left turn.
+        """Yield the words from the pose (0, 0), heading along x, to given headings that start with a left turn.
 
-        The words end at poses with the given headings. ``to_left`` and ``to_right`` are the coordinates, in turning
-        radii, of the centers of the left and right turning circle at the end. The first is relative to the center of
-        the left turning circle at the start, (0, 1), the second to (0, -1).
+        ``to_left`` and ``to_right`` lead, in turning radii, from the centers of the left and right turning circles at
+        the start, (0, 1) and (0, -1), to those at the end.
         """
 
     def _words(self, x: Float[np.ndarray, "n 3"]) -> Iterator[Word]:
@@ -130,14 +128,12 @@ _ROUNDING = 4 * np.finfo(np.float64).eps
 class ReedsShepp(_Car):
     """Length of the shortest path of a car that drives forward and backward, without obstacles.
 
-    The car moves along its heading and turns no sharper than its turning radius. A shortest path is one of 48 words
-    of at most five turns and straight lines: Reeds and Shepp, "Optimal paths for a car that goes both forwards and
-    backwards", Pacific Journal of Mathematics 145, 1990. The distance is continuous, and the same in both directions.
-    Sideways from the goal it grows like a square root.
+    The car moves along its heading and turns no sharper than its minimum turning ``radius``, positive, in workspace
+    units. The ``goal`` is a pose ``(x, y, theta)``, theta in radians. Both must be finite, else ``ValueError``.
 
-    Args:
-        goal: The goal pose ``(x, y, theta)``, in workspace units and radians, finite, else ``ValueError``.
-        radius: The minimum turning radius, in workspace units, positive and finite, else ``ValueError``.
+    A shortest path is one of 48 words of at most five turns and straight lines: Reeds and Shepp, "Optimal paths for a
+    car that goes both forwards and backwards", Pacific Journal of Mathematics 145, 1990. The distance is continuous,
+    and the same in both directions. Sideways from the goal it grows like a square root.
     """
 
     @property
@@ -213,15 +209,13 @@ _CIRCLE = 2 * np.pi
 class Dubins(_Car):
     """Length of the shortest path of a car that only drives forward, without obstacles.
 
-    The car moves along its heading and turns no sharper than its turning radius. A shortest path is one of six words,
-    LSL, RSR, LSR, RSL, RLR, LRL: Dubins, "On curves of minimal length with a constraint on average curvature",
-    American J. of Mathematics 79, 1957. The distance depends on the direction of travel. It jumps, by up to a full
-    circle, at poses from which a single turn, or one turn to each side, leads to the goal. There the shorter path
-    counts, which may miss the goal by 1e-10 turning radii.
+    The car moves along its heading and turns no sharper than its minimum turning ``radius``, positive, in workspace
+    units. The ``goal`` is a pose ``(x, y, theta)``, theta in radians. Both must be finite, else ``ValueError``.
 
-    Args:
-        goal: The goal pose ``(x, y, theta)``, in workspace units and radians, finite, else ``ValueError``.
-        radius: The minimum turning radius, in workspace units, positive and finite, else ``ValueError``.
+    A shortest path is one of six words, LSL, RSR, LSR, RSL, RLR, LRL: Dubins, "On curves of minimal length with a
+    constraint on average curvature", American J. of Mathematics 79, 1957. The distance depends on the direction of
+    travel. It jumps, by up to a full circle, at poses from which a single turn, or one turn to each side, leads to
+    the goal. There the shorter path counts, which may miss the goal by 1e-10 turning radii.
     """
 
     @property

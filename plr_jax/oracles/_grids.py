@@ -160,10 +160,9 @@ class VoxelGraph(_CellGraph):
     also lead across one of 12 edges, with 26 moves also across one of 8 corners. All voxels of the box that the step
     spans must be free, so it cuts no edge or corner. In voxels of side 1, steps have lengths 1, sqrt(2) and sqrt(3).
 
-    A point can follow any path over 26 neighbors. So the length is never below that of the shortest path of any angle
-    between the two centers. In open space, for cubes, it is at most 12.9 % above it. A point on a face between two
-    voxels belongs to the upper one, a point on an upper bound to the last one. Invalid arguments raise
-    ``ValueError``.
+    The length is never below that of the shortest path of any angle between the two centers. In open space, for cubes
+    and 26 moves, it is at most 12.9 % above it. A point on a face between two voxels belongs to the upper one, a
+    point on an upper bound to the last one. Invalid arguments raise ``ValueError``.
 
     Args:
         free: Whether each voxel is free, booleans ``(nx, ny, nz)``, indexed ``[i, j, k]`` as in :class:`VoxelSpace`;
@@ -262,13 +261,13 @@ class GridField:
 
     Interpolation is multilinear between the centers of cells with a value. If some centers around a point have none,
     the weights of the others are scaled to sum to 1. In the outer halves of the cells at the bounds, the distance is
-    that of the nearest point between centers. Along a periodic axis, the last cells are neighbors of the first.
-    Invalid arguments raise ``ValueError``.
+    that of the nearest point between centers. Invalid arguments raise ``ValueError``.
 
     Args:
         values: Distance at each center, in any dimension, at least 0; ``inf``, NaN or masked where the goal cannot be
             reached. Kept as a read-only array, with ``inf`` for all of these.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: corners of outer cells, not centers.
+            Periodic axes wrap around.
     """
 
     values: Float[np.ndarray, "..."]
@@ -304,8 +303,7 @@ class GridField:
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the interpolated distance at each point ``(n, dim)``, ``(n,)``.
 
-        It is ``inf`` where the cell that contains the point has no value, outside the bounds, and for points with a
-        NaN.
+        It is ``inf`` where the point's cell has no value, outside the bounds, and for points with a NaN.
         """
         x = as_points("x", self.bounds.settled(x), self.dim)
         distances = np.full(len(x), np.inf)
@@ -317,9 +315,9 @@ class GridField:
         return distances
 
     def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, "n"]]:
-        """Return interpolated distances at points in the box, and whether the cell of each point has a value.
+        """Return distances at points in the box, and whether each point's cell has a value.
 
-        Cells without a value get distances too: ``inf`` where no cell around the point has a value.
+        If no cell around a point has a value, its distance is ``inf``.
         """
         from scipy import ndimage  # slow to import, and needed only here
 
@@ -342,7 +340,7 @@ class GridField:
         """Distances with NaN, and with 0, for cells without a value; 1 for cells with a value, else 0; and a mask.
 
         The mask, or None, marks boxes between neighboring centers in which cells with a value touch only at an edge
-        or a corner: there, distances are not interpolated. The other arrays have a layer of copied cells around them.
+        or corner: no distances are interpolated there. The other arrays have a layer of copied cells around them.
         """
         padded = np.where(np.isfinite(self.values), self.values, np.nan)
         for axis, is_periodic in enumerate(self.bounds.periodic[::-1]):

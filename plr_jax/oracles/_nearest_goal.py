@@ -17,15 +17,12 @@ from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sour
 class NearestGoal:
     """Distance to the nearest of several goals, such as docks or exits, and the index of that goal.
 
-    It is a distance function like others, for example for ``construct`` or for planners. Its PLR needs only a few
-    more bytes per additional goal. If all functions are ``VisibilityGraph``s of one workspace, the PLR may have
-    leaves that are cones, can be certified, and answers ``which`` too; with cones, also from its file. A wide exit,
-    such as a door, is several goals: points along it, no farther apart than twice the error that you accept.
-
-    Args:
-        distance_fns: One distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs.
-            To share preprocessing, use ``[first, *map(first.with_goal, others)]`` of a ``VisibilityGraph``,
-            ``Roadmap`` or ``GridGraph``.
+    It has one distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs. To share
+    preprocessing, use ``[first, *map(first.with_goal, others)]`` of a ``VisibilityGraph``, ``Roadmap`` or
+    ``GridGraph``. It is a distance function like others, for example for ``construct`` or for planners. If all
+    functions are ``VisibilityGraph``s of one workspace, the PLR may have leaves that are cones, can be certified, and
+    answers ``which`` too; with cones, also from its file. A wide exit, such as a door, is several goals: points along
+    it, no farther apart than twice the error that you accept.
     """
 
     distance_fns: tuple[DistanceFn, ...]

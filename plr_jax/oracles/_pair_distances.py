@@ -1,7 +1,7 @@
 """Exact distances between pairs of points in the plane: straight, or through the first and the last turn.
 
-A shortest path that is not straight turns first at a corner that its start sees, and last at a corner that its end
-sees. Its length is the minimum, over pairs of such corners, of two straight segments and the corners' distance.
+A shortest path that is not straight turns first and last at corners that its start and its end see. Its length is the
+minimum, over pairs of such corners, of two straight segments and the corners' distance.
 """
 
 import math
@@ -90,7 +90,7 @@ class PairDistances:
 
     @cached_property
     def _lists_of_triangles(self) -> tuple[Int[np.ndarray, "runs_plus_one"], Int[np.ndarray, "entries"]]:
-        """Lists of the corners at which paths may turn first: per triangle, and last all, for points at vertices."""
+        """The corners where paths from each triangle may turn first, in lists; the last list is all corners."""
         triangulation, corners, views = self.workspace.triangulation, self.visibility.corners, self.visibility.views
         opens, closes = corners.walls
         visits = [triangles_within(triangulation, views, *cone) for cone in ((opens, -closes), (-opens, closes))]

@@ -57,7 +57,6 @@ class Metric:
 
 IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, "n"]]
 IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, "n"]]
-
 _BATCH = 2**18  # configurations tested at a time: a few tens of megabytes
 _EDGES_A_STEP = 2**15  # edges tested between two updates of the progress bar
 _MIN_FREE_FRACTION = 1e-4
@@ -140,9 +139,9 @@ class Roadmap:
     The vertices are free configurations, drawn uniformly, and the goal. Two vertices within the PRM* radius that see
     each other are joined by a straight edge (Karaman and Frazzoli, "Sampling-based algorithms for optimal motion
     planning", IJRR 2011, section 3.3). A query takes the shortest path through one of the vertices that the point
-    sees within the radius. If the edge test is right, the answer is never below the true distance; it approaches the
-    true distance as samples are added. Lengths are Euclidean norms of differences times the ``weights``; edges go the
-    short way around periodic axes.
+    sees within the radius. If the edge test is right, the answer is never below the true distance, and approaches it
+    as samples are added. Lengths are Euclidean norms of differences times the ``weights``, the short way around
+    periodic axes. ``ValueError`` if an argument is invalid, or fewer than 1 in 10,000 draws are free.
 
     Args:
         domain: The box of configurations, or its corners ``(lo, hi)``. Outside it nothing is free. Along periodic
@@ -156,16 +155,12 @@ class Roadmap:
             Around periodic axes a motion may leave the domain: its end is the image nearest to its start.
         resolution: Instead of ``is_visible``: the largest step, in weighted units, between points of a straight
             motion that are tested with ``is_free``. Thinner obstacles can be passed through.
-        weights: Weight of a unit along each axis, ``(dim,)``, positive, such as the length that one radian counts.
-            None: 1 each.
+        weights: Weight of a unit along each axis, ``(dim,)``, positive, such as the length of a radian. None: 1 each.
 
     Attributes:
         radius: Connection radius, in weighted units.
         graph: Vertices and edges; vertex 0 is the goal, the others are the samples.
         distances: Distance of each vertex to the goal, ``inf`` if the roadmap does not connect them.
-
-    Raises:
-        ValueError: If fewer than 1 in 10,000 draws are free, or an argument is invalid.
     """
 
     domain: Box

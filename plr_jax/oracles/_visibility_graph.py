@@ -37,19 +37,18 @@ _ROUNDING = 1e-12  # changes count as equal up to this share of the largest dist
 class VisibilityGraph:
     """Exact length of the shortest path to a goal for a point among polygonal obstacles in the plane.
 
-    A shortest path turns only at corners that stick out into free space. Construction computes the visibility polygon
-    of every corner, the graph of corners that see one another, and by Dijkstra's algorithm the distance of each
-    corner to the goal. A query tries corners in ascending order of ``distance(corner) + |x - corner|`` and stops at
-    the first one that sees the point. See de Berg et al., Computational Geometry (3rd ed.), chapter 15.
+        oracle = plr_jax.VisibilityGraph(workspace, goal)
+        oracle(x)  # distances (n,) of points (n, 2)
+
+    A shortest path turns only at corners that stick out into free space. Construction computes the graph of corners
+    that see one another, and by Dijkstra's algorithm ``distances`` of the vertices of ``graph`` to the goal, ``inf``
+    without a path. A query tries corners in ascending order of ``distance(corner) + |x - corner|`` and stops at the
+    first one that sees the point. See de Berg et al., Computational Geometry (3rd ed.), chapter 15.
 
     Args:
         workspace: The free space. Its ``squeeze`` decides about passing between obstacles that touch.
         goal: The goal, two finite numbers in closed free space, else ``ValueError``.
-        shared: For internal use: corners and what they see; None: computed from the workspace.
-        goal_view: For internal use: what the goal sees; None: checked and computed from the goal.
-
-    Attributes:
-        distances: Distance of each vertex of ``graph`` to the goal, ``inf`` if it cannot be reached.
+        shared: For internal use, like ``goal_view``.
     """
 
     workspace: Workspace
@@ -99,8 +98,8 @@ class VisibilityGraph:
         """Return the oracle for the same goal after a local change of the workspace, reusing what did not change.
 
         The changed workspace comes for example from :meth:`Workspace.with_obstacles`. The result equals a new oracle
-        up to rounding. The more the workspaces differ, the longer it takes. ``ValueError`` if the goal is no longer
-        in closed free space.
+        up to rounding. Small changes take the least time. ``ValueError`` if the goal is no longer in closed free
+        space.
         """
         require_workspace(workspace)
         own, goal = self.workspace, self.goal
@@ -195,8 +194,7 @@ class VisibilityGraph:
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the length of the shortest path from each point ``(n, 2)`` to the goal, ``(n,)`` in workspace units.
 
-        It is ``inf`` in an obstacle, outside the bounds, where the goal cannot be reached, and for points that are
-        not finite.
+        It is ``inf`` for points in obstacles, outside the bounds, without a path to the goal, or not finite.
         """
         return self._first_turns(self._points("x", x))[0]
 

@@ -1,8 +1,7 @@
 """Distances between any two points: of a planar workspace, of a grid's cells, or for any metric.
 
-In the plane (:func:`construct_pairs`), each leaf lists the corners at which shortest paths from it may turn first.
-The modules: `construct` builds the lists, `stored` defines the file, `query` searches in JAX, `portable` in NumPy,
-`hiding` finds what blocks sight. On grids (:func:`construct_grid_pairs`), distances are exact: see ``GRIDS.md``.
+In the plane (:func:`construct_pairs`), module `construct` builds the file, which `stored` defines; `query` searches
+for paths in JAX, `portable` in NumPy; `hiding` finds what blocks sight. ``GRIDS.md`` explains grids.
 """
 
 import lazy_loader

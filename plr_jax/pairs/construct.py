@@ -1,9 +1,8 @@
-"""Construction of a PairPLR, the file of distances between any two points of a planar workspace.
+"""Construction of a PairPLR: distances between any two points of a planar workspace, stored in one file.
 
-1. Round the boundary of free space to a lattice, and find the corners that shortest paths may join.
-2. Halve cells and list, for each leaf, the corners at which shortest paths from it may turn first. A query tries the
-   listed corners, in vain if its point does not see a corner. So cells with a large free area and many corners that
-   only a part of the cell sees are halved first.
+The boundary of free space is rounded to a lattice, and cells are halved. Each leaf lists the corners at which
+shortest paths from it may turn first. A query tries these corners. Those that its point does not see cost time in
+vain, so cells with many such corners are halved first.
 """
 
 from collections.abc import Callable
@@ -79,7 +78,7 @@ def outline_of(
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
-    """Return the largest power of two or ten to whose multiples points can be rounded within the tolerance."""
+    """Return the largest power of two or ten to whose multiples points round distinctly, within the tolerance."""
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
     for step in np.sort(steps[(steps <= width) & (steps >= FINEST * width)])[::-1]:
@@ -141,8 +140,7 @@ def grow_lists(
 ) -> Lists:
     """Halve cells into at most ``most_leaves`` leaves; return them with the corners where paths may turn first.
 
-    Halving ends once queries gain little or a limit is passed. Then the least useful halvings are undone until the
-    file, of ``num_bytes(lists)``, fits into ``limits.max_bytes``; the root always stays.
+    The least useful halvings are undone until the file, of ``num_bytes(lists)``, fits into ``limits.max_bytes``.
     """
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
     enough = _IN_VAIN * areas(root.pieces).sum()

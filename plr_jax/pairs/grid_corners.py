@@ -1,11 +1,8 @@
 """Distances between all obstacle corners of a grid, by vertex elimination on the graph of visible corners.
 
 Eliminate corners one by one, and join the neighbors of each by edges as long as the path through it, unless shorter
-edges join them. Then compute distances in reverse order: each is a minimum over a few known rows of the distance
-matrix, those of the corner's neighbors when it was eliminated. ``GRIDS.md`` has the proofs. References: Rose, Tarjan,
-Lueker, "Algorithmic aspects of vertex elimination on graphs", SIAM J. Comput. 5(2), 1976. Dibbelt, Strasser, Wagner,
-"Customizable contraction hierarchies", ACM JEA 21, 2016. Ouyang et al., "When hierarchy meets 2-hop-labeling", SIGMOD
-2018.
+edges join them. In reverse order, each distance is then a minimum over the corner's neighbors at its elimination.
+``GRIDS.md`` has the proofs and references.
 """
 
 import heapq
@@ -45,7 +42,6 @@ _TOO_LARGE = (
 _TOO_LONG = f"Paths of the grid are too long: distances of pairs go up to {FAR} units. Cut the map."
 _DIAGONALS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 _AT_ONCE = 2**22  # cells listed in one step
-
 Grid = Bool[np.ndarray, "rows columns"]
 _Cells = Int[np.ndarray, "pairs"]
 
@@ -225,8 +221,6 @@ def looked_up(table: Any, index: Any) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class CornerTable:
-    """Distances between all obstacle corners of a grid; a straight step has the length ``STRAIGHT``."""
-
     center: Integer[Array, "corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
     # For each corner and all up to it, row by row: the distance minus that between the centers near both corners.
@@ -245,9 +239,8 @@ class CornerTable:
 class CornerLabels:
     """Distances from each obstacle corner of a grid to its ancestors in a tree; a corner is its own last ancestor.
 
-    Vertex elimination on the graph of corners gives the tree: a corner's parent is, of its neighbors when it is
-    eliminated, the one that is eliminated next. The distance between two corners is the least sum of their distances
-    to a common ancestor. A straight step has the length ``STRAIGHT``.
+    Vertex elimination gives the tree: a corner's parent is, of its neighbors when it is eliminated, the one
+    eliminated next. The distance between two corners is the least sum of their distances to a common ancestor.
     """
 
     first: Int32[Array, "corners_plus_one"]  # index of each corner's first entry

@@ -46,7 +46,6 @@ def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> by
 
 
 def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
-    """Return the free cells and the connectivity of a file; raise ``ValueError`` with the reason if that fails."""
     if not data.startswith(GRID_MAGIC):
         raise ValueError("it does not start like a file of pairs of a grid")
     if len(data) < _HEADER.size + _CRC.size:
@@ -109,12 +108,10 @@ class GridPairs:
     """Lengths of shortest paths between any two cells of a grid, never above the truth.
 
     Made by :func:`construct_grid_pairs`: a pytree of arrays, which a jitted function can close over or take as an
-    argument. The ``file``, which :func:`save` writes, holds only the map, in one or two kilobytes for a quarter of a
-    million cells. On loading, the ``tables`` that a query reads are built again, in about a second, or a few for two
-    million cells.
-
-    Answers are exact on 4-connected grids. On 8-connected grids they are rounded down, by less than a millionth;
-    whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the proof.
+    argument. Answers are exact on 4-connected grids. On 8-connected grids they are rounded down, by less than a
+    millionth; whole numbers of straight steps are exact. ``plr_jax/pairs/GRIDS.md`` has the proof. The ``file``,
+    which :func:`save` writes, holds only the map, in one or two kilobytes for a quarter of a million cells. On
+    loading, the ``tables`` that a query reads are built again, in the time of a construction.
     """
 
     tables: GridTables
@@ -155,17 +152,14 @@ class GridPairs:
     def window(self, goals: ArrayLike, positions: ArrayLike, radius: int) -> Int32[Array, "n width width"]:
         """Return path lengths in whole steps to goals from all cells in squares around agents.
 
-        A function is compiled for each number of agents and radius. It works inside jitted functions.
+        Lengths are rounded down, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. They are -1 in
+        blocked cells, outside the grid, without a path, and in all cells if the agent or the goal is outside. A
+        function is compiled for each number of agents and radius. It works inside jitted functions.
 
         Args:
             goals: A point in the goal cell of each agent, ``(n, 2)``, else ``ValueError``.
             positions: A point in the cell of each agent, ``(n, 2)``.
             radius: Cells on each side of an agent, an integer of at least 0, else ``ValueError``.
-
-        Returns:
-            Distances, rounded down, ``(n, 2 radius + 1, 2 radius + 1)``, rows along ``y``, then columns. They are -1
-                where no path leads to the goal, as from blocked cells and from outside the grid, and in all cells if
-                the agent or the goal is outside.
         """
         require_integer("radius", radius, 0)
         goals, positions = _as_points("goals", goals), _as_points("positions", positions)
@@ -177,10 +171,7 @@ class GridPairs:
         return distances_around(self.tables, goals, positions, radius=int(radius))
 
     def to(self, goal: ArrayLike) -> DistanceToCell:
-        """Return the distance function of one goal cell; its queries are several times as fast.
-
-        The goal is a point ``(2,)`` of the cell; ``ValueError`` if it is not in a free cell.
-        """
+        """Return the faster distance function of one goal, a point ``(2,)`` in a free cell, else ``ValueError``."""
         goal = as_finite_point("The goal", goal, 2)
         if not np.isfinite(self(goal, goal)):
             raise ValueError(f"The goal must be in a free cell of the grid, got {goal.tolist()}.")
@@ -284,14 +275,14 @@ class GridPairs:
 def construct_grid_pairs(graph: ArrayLike) -> GridPairs:
     """Compute distances between all pairs of cells of a grid, given as a :class:`GridGraph` or its free cells.
 
-    Free cells are an array ``(rows, columns)``; the grid is then 4-connected. Other grids are GridGraphs, with or
-    without a goal. A game map of two million cells takes some seconds and a gigabyte of memory. All distances between
-    corners of obstacles are kept if there are at most 2**14; else, as in mazes, only distances across narrow
-    passages. ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises ``KeyboardInterrupt``.
+        pairs = plr_jax.construct_grid_pairs(free)
+        pairs(x, y)  # path lengths (n,) in steps between the cells of points x and y, both (n, 2)
 
-    Raises:
-        ValueError: If ``graph`` is not a grid or has more than 2**22 cells, if paths of an 8-connected grid are
-            longer than a million steps, or if a table would take more than 2**30 bytes or minutes.
+    Free cells are booleans ``(rows, columns)``; the grid is then 4-connected. Other grids are GridGraphs, with or
+    without a goal. A game map of two million cells takes some seconds and a gigabyte of memory.
+    ``plr_jax/pairs/GRIDS.md`` has the method. An interrupt (Ctrl-C) raises ``KeyboardInterrupt``. ``ValueError`` if
+    ``graph`` is not a grid, has more than 2**22 cells or (if 8-connected) paths of over a million steps, or needs a
+    table of more than 2**30 bytes or minutes of work.
     """
     from plr_jax.oracles import GridGraph  # imports Shapely, which queries do not need
 

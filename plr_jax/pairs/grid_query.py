@@ -1,14 +1,9 @@
 """Distances between pairs of grid cells in JAX.
 
-Two cells that see each other are as far apart as on an empty grid. Between other cells, a shortest path leads from
-each cell, as on an empty grid, to one of up to dozens of obstacle corners that are stored for the cell, in blocks of
-four. Few pairs of corners need be tried, as no path through a corner is shorter than on an empty grid:
-
-1. For each of two cells, find the stored corner over which the path to the other cell would be shortest on an empty
-grid. Compute the length of the true path through both of these corners. 2. Mark the blocks with a corner over which a
-path on an empty grid would be shorter. Try all pairs of marked blocks.
-
-Pairs of cells are sorted by the work that both steps take, and handled in chunks of about equal work.
+Cells that see each other are as far apart as on an empty grid. Other shortest paths lead from each cell, as on an
+empty grid, to one of up to dozens of obstacle corners that are stored for the cell, in blocks of four. First choose
+for each cell the corner through which the path would be shortest on an empty grid, and compute the path length
+through both. Then try only blocks with a corner through which a path on an empty grid would be shorter.
 """
 
 from collections.abc import Callable
@@ -36,7 +31,6 @@ from plr_jax.pairs.grid_corners import (
 )
 
 _WAYS, _IN_ROWS = 3, 2  # tables for each orientation of a grid, and the index of the table of row sums
-
 Cells = Int[Array, "n 2"] | Int[np.ndarray, "n 2"]  # rows and columns; functions of cells answer NumPy in NumPy
 Ints = Int[Array, "*n"] | Int[np.ndarray, "*n"]
 Flags = Bool[Array, "n"] | Bool[np.ndarray, "n"]
@@ -193,7 +187,6 @@ _MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that 
 _MOST_TOLD = 2**7 - 1  # larger numbers of blocks count as this in sorting
 _WORD = 32  # bits of a word
 _ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
-
 # Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step.
 SLACK = 2.0**-20
 
@@ -300,7 +293,7 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
-    """Return the length of a path between cells, and for both, bits of the blocks of corners that may beat it."""
+    """Return the length of a path between cells and, for each cell, bits: which blocks of its corners may beat it."""
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
@@ -311,7 +304,7 @@ def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_
 
 
 def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flags) -> tuple[_Lengths, _Lengths]:
-    """Return each cell's corner with the shortest way over it to the other cell, and its distance to the cell."""
+    """Return each cell's stored corner that is nearest to both cells, in sum on an empty grid, and its distance."""
     first, count = _blocks_of(tables, cells)
     count = jnp.where(seen, 0, count)
 
@@ -364,7 +357,6 @@ class _Left(NamedTuple):
 
 
 def _least_of_those_left(tables: GridTables, left: _Left, others_left: _Left, length: _Lengths) -> _Lengths:
-
     def with_words(words: _Scalar, length: _Lengths) -> _Lengths:
         word, other_word = jnp.divmod(words, others_left.words(tables))
         blocks, other_blocks = left.word(tables, word), others_left.word(tables, other_word)

@@ -18,7 +18,6 @@ from plr_jax.pairs.grid_query import Cells, GridTables, cells_of, is_free, lengt
 
 _RIM_CELLS_AT_ONCE = 2**13  # rim cells whose distances are computed together
 _AGENTS = 1024  # agents whose squares are computed together
-
 # Agents are the last axis, so that processors vectorize over them.
 Square = Int32[Array, "width width n"]
 _Free = Bool[Array, "width width n"]
@@ -40,7 +39,6 @@ def distances_around(
     on_grid = (row >= 0) & (row < tables.shape[0]) & (column >= 0) & (column < tables.shape[1])
     in_grid = jnp.stack([jnp.where(on_grid, one, 0).ravel() for one in (row, column)], axis=-1)
     free = on_grid & is_free(tables.sight, in_grid).reshape(on_grid.shape)
-
     # Number the rim of a square from cell to neighbor cell, starting at a corner.
     side, zero, far = np.arange(2 * radius), np.zeros(2 * radius, int), np.full(2 * radius, 2 * radius)
     around = np.concatenate([zero, side, far, far - side]), np.concatenate([side, far, far - side, zero])
@@ -66,7 +64,6 @@ def _lengths_of_rim(
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
     def nearest_known(lengths: Rim, known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
-
         def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
             place, length, is_known = cell
             nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
@@ -123,7 +120,6 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
     def swept(lengths: Square, free: _Free, turns: tuple[int, ...], reverse: bool) -> Square:
-
         def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
             (last_row, last_free), (row, is_free) = last, here
             row = jnp.minimum(row, last_row + straight)

@@ -1,9 +1,8 @@
 """Fast tests of whether obstacles hide points from each other: walls between leaves and corners, and occluders.
 
-The walls that may hide a corner from a leaf are few, as most of the leaf sees the corners that it lists. They are
-found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a large box and a
-corner is not between a part of the box and the corner. Occluders are long chords inside obstacles, each of which
-hides many of some random pairs of points: a few dozen replace most tests of walls.
+Few walls can hide a corner from a leaf that lists it. They are found for runs of neighbor leaves first, then for ever
+shorter runs: a wall that is not between a large box and a corner is not between a part of the box and the corner.
+Occluders are long chords inside obstacles: a few dozen replace most tests of walls.
 """
 
 from collections.abc import Callable
@@ -33,7 +32,6 @@ _MOST_PAIRS = 2**24  # pairs of a list entry and a near wall that fit into memor
 _PAIRS = 2**12  # random pairs of points by which occluders are chosen
 _MOST_VERTICES, _MOST_CHORDS = 96, 64  # vertices and chords tried for each obstacle
 _CLEAR = 2e-6  # domain widths: rounding may move a nearer point across an occluder's line
-
 State = TypeVar("State")
 Points = Float[Array, "n 2"]
 Rows = UInt32[Array, "n"]
@@ -107,7 +105,7 @@ class NearWalls:
 def updated(
     state: State, is_open: Flags, size: int, update: Callable[..., State], *columns: Any, leaves_rest: bool = False
 ) -> State:
-    """Replace the rows of ``state`` that are open by ``update(state, *columns)``, on ``size`` rows at a time."""
+    """Replace the open rows of ``state`` by those of ``update(state, *columns)``, on ``size`` rows at a time."""
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
     words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
     ends = jnp.cumsum(jax.lax.population_count(words))  # number of open rows up to each word
@@ -140,9 +138,8 @@ def near_entries(
 ) -> NearPairs | None:
     """Find the walls within ``margin`` of the convex hull of a leaf's box and a corner that the leaf lists.
 
-    Entry ``i`` is the corner ``listed[i]`` in the list of ``leaf[i]``; leaves ascend. Return pairs of an entry,
-    ascending, and a wall near this entry's hull; a few of the walls are not as near. Return None if an entry has more
-    than ``most`` walls, or all pairs take too much memory.
+    Entry ``i`` is the corner ``listed[i]`` of ``leaf[i]``; leaves ascend. Return pairs of an entry, ascending, and a
+    wall (a few are not as near); None if an entry has more than ``most`` walls, or all pairs take too much memory.
     """
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
@@ -235,9 +232,8 @@ def _near_pairs(
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
     """Choose occluders: chords at least ``depth`` inside the obstacles around a region that block many segments.
 
-    A query tests ``num_walls`` walls for each pair of points that no occluder separates. Each row has both ends of an
-    occluder, relative to the middle of the domain, and a linear function: 0 on its line, beyond 1 or -1 where
-    rounding cannot confuse its sides.
+    Each row has both ends of an occluder, relative to the middle of the domain, and a linear function: 0 on the
+    occluder's line, beyond 1 or -1 where rounding cannot confuse its sides.
     """
     import shapely  # other queries do not need Shapely
 

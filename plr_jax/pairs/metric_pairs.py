@@ -77,14 +77,16 @@ def construct_metric_pairs(
 ) -> MetricPairs:
     """Build a PLR of any symmetric distance function of two points in a box, from samples.
 
+        pairs = plr_jax.construct_metric_pairs(graph.between, workspace.bounds, max_bytes=2**16)
+        pairs(x, y)  # approximate distances (n,) of points x and y, both (n, dim)
+
     The PLR has twice as many dimensions as the box. For distances in a planar workspace use :func:`construct_pairs`,
-    which is exact. If interrupted (Ctrl-C), the result has the partition so far. ``ValueError`` if the box has more
-    than 3 dimensions, or as for :func:`construct`. Reference: "all-pairs" in Section II of the paper.
+    which is exact. If interrupted (Ctrl-C), the result has the partition so far. Reference: "all-pairs" in Section II
+    of the paper.
 
     Args:
-        distance_fn: Distances ``(n,)`` between points ``(n, dim)`` and ``(n, dim)``, symmetric, ``inf`` without a
-            path; for example ``VisibilityGraph.between``.
-        domain: The box of both points, a ``Box`` or its two corners.
+        distance_fn: Distances ``(n,)`` between two arrays of points ``(n, dim)``, symmetric, ``inf`` without a path.
+        domain: The box of both points, a ``Box`` or its two corners, of at most 3 dimensions, else ``ValueError``.
         **options: Options of :func:`construct`, such as limits, leaf model and seed.
     """
     domain = Box.of(domain)

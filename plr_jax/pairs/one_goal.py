@@ -21,7 +21,6 @@ _DEPTH = 13  # halvings that the leaves of a file and further halvings may reach
 _MAX_AXIS_DEPTH = 13
 _NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
 _ROUNDING = 1e-6  # more than a query's error, relative to the distance plus the domain width
-
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
 ToCorners = Float[np.ndarray, "corners"]
 Point = Float[np.ndarray, "2"]
@@ -75,7 +74,7 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """Return through which corner each cell's path lengths to the goal fit best (-1: none), and the mean error."""
+    """Return the corner (-1: none) whose cone fits each cell's path lengths to the goal best, and the mean error."""
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
@@ -93,7 +92,7 @@ def _best_sources(
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
-    """Join halves of a cell that share a source, the apex of their cone; return the leaves left and their sources."""
+    """Join halves of a cell that share a source, the apex of their cone; return the new leaves and their sources."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
     for split in reversed(tree.splits):

@@ -40,10 +40,10 @@ _PAIRS_A_GOAL = 8  # pairs that take as long as a prepared goal
 @jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True, eq=False)
 class PairPLR(FileBacked):
-    """Distances between any two points of a planar workspace.
+    """Distances between any two points of a planar workspace, made by :func:`construct_pairs` or :func:`load`.
 
-    Made by :func:`construct_pairs` and :func:`load`. A PairPLR is a pytree of arrays: jitted functions can close over
-    it or take it as an argument. Its ``file`` is padded with zeros (``padded_file`` in ``plr/container.py``).
+    It is a pytree of arrays: jitted functions can close over it or take it as an argument. Its ``file`` is padded
+    with zeros.
     """
 
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
@@ -52,10 +52,7 @@ class PairPLR(FileBacked):
 
     @cached_property
     def tables(self) -> PairTables:
-        """The tables that a query reads, built from the file on first use.
-
-        They are many times as large as the file, and may take many times as long to build as the file takes to read.
-        """
+        """The tables that a query reads, built from the file on first use; many times as large as the file."""
         if self._known_tables is not None:
             return self._known_tables
         with jax.ensure_compile_time_eval():  # also inside a traced function
@@ -80,23 +77,20 @@ class PairPLR(FileBacked):
     def __call__(
         self, x: ArrayLike, y: ArrayLike | PreparedGoals, *, outside: Outside = "inf"
     ) -> Float[Array, "*batch"]:
-        """Return the distance between points: the length of the shortest path in free space.
+        """Return the distance between points, ``(...)``: the length of the shortest path in free space.
 
-        It works under ``jax.jit``, ``jax.vmap`` and ``jax.grad`` in both arguments. The gradient points away from the
-        first turn of the path. It is zero where the distance is 0 or ``inf``. Few pairs outside of ``jit`` are
-        answered in NumPy, without compiling: answers then differ by rounding from those of compiled functions.
+        It is ``inf`` without a path, NaN for NaN, 0 for ``x == y``, and meaningless for points in obstacles.
+        ``pairs(x, y) == pairs(y, x)`` to the last bit. The precision is that of the points as for :func:`evaluate`,
+        though corners have 32 bits. Few pairs outside of ``jit`` are answered in NumPy, without compiling: answers
+        then differ by rounding from those of compiled functions. It works under ``jax.jit``, ``jax.vmap`` and
+        ``jax.grad`` in both arguments. The gradient points away from the first turn of the path. It is zero where the
+        distance is 0 or ``inf``.
 
         Args:
             x: Points, ``(..., 2)``, NumPy or JAX, real, else ``ValueError``.
             y: Points whose shape broadcasts with ``x``; or goals made by :meth:`prepared`, whose batch broadcasts.
             outside: Answer for points outside the domain, as for :func:`evaluate`. ``"clamp"`` adds the distances of
                 both ends to the domain.
-
-        Returns:
-            Distances, ``(...)``, in the precision of the points as for :func:`evaluate`; corners and the distances
-                between them have 32 bits. ``pairs(x, y) == pairs(y, x)`` to the last bit, and the distance is 0 for
-                ``x == y``. It is ``inf`` without a path and NaN for NaN. Answers for points in obstacles are
-                meaningless.
         """
         outside = as_outside(outside)
         if isinstance(y, PreparedGoals):
@@ -131,10 +125,9 @@ class PairPLR(FileBacked):
         """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
 
         Large batches then take about half the time on small maps, a fifth on large ones. The result takes 4 bytes per
-        goal and corner. It works under ``jax.jit`` and ``jax.vmap``, for example in the ``reset`` of an environment
-        that draws its goal. Answers differ from unprepared ones by rounding. They have no gradient in goals, which
-        have 32 bits. With ``outside="clamp"``, a goal outside the domain stays outside: ``inf``. Pairs of other maps
-        must not use these goals. ``ValueError`` as for a call.
+        goal and corner. It works under ``jax.jit`` and ``jax.vmap``. Answers differ from unprepared ones by rounding,
+        and have no gradient in goals, which have 32 bits. With ``outside="clamp"``, a goal outside the domain stays
+        outside: ``inf``. Pairs of other maps must not use these goals. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
@@ -151,11 +144,10 @@ class PairPLR(FileBacked):
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven lower and upper bounds, ``(...)`` each, of the distance between points of free space.
 
-        The proof includes the rounding of the file and of the query. It holds for points of ``Workspace.free_space``,
-        walls included, but not for points that count as free only because of the workspace's tolerance. Points are
-        given as for a call, with the same ``ValueError``. Lower bounds are at least 0. Upper bounds are lengths of
-        certainly free paths; ``inf`` if none was found, as from points on a wall or within 4e-6 domain widths of a
-        wall.
+        Points and errors are as for a call. The proof includes rounding of the file and of the query. It holds for
+        points of ``Workspace.free_space``, walls included, but not for points that count as free only because of the
+        workspace's tolerance. Lower bounds are at least 0. Upper bounds are lengths of certainly free paths; ``inf``
+        if none was found, as from points on a wall or within 4e-6 domain widths of a wall.
         """
         lower, upper = self._answered(_bounds, NumpyPairs.bounds_between, x, y)
         return lower, upper
@@ -163,10 +155,8 @@ class PairPLR(FileBacked):
     def to(self, goal: ArrayLike) -> PLR:
         """Return the distance to one goal, a point ``(2,)`` of the domain, as an ordinary PLR of cones.
 
-        Each leaf gets the corner that fits it best at some sample points, and is halved a few times if no corner fits
-        all of it. Nothing is proven about the result: use :func:`certify`. Inside ``jit``, call the pairs with
-        ``y=goal`` instead. ``ValueError`` if the goal is not two finite numbers, is outside the domain, or cannot be
-        reached.
+        Nothing is proven about the result: use :func:`certify`. Inside ``jit``, call the pairs with ``y=goal``
+        instead. ``ValueError`` if the goal is not two finite numbers, is outside the domain, or cannot be reached.
         """
         goal = as_finite_point("The goal", self.domain.settled(goal), 2)
         if not self.domain.contains(goal[None])[0]:
@@ -235,7 +225,6 @@ class PairPLR(FileBacked):
 
     @cached_property
     def stored(self) -> PairsFileData:
-        """The decoded file."""
         return self._known_stored or PairsFileData.from_bytes(self.to_bytes())
 
     @property
@@ -263,33 +252,35 @@ class PairPLR(FileBacked):
 def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> PairPLR:
     """Build a PairPLR: distances between any two points of a planar workspace.
 
-    The domain is halved repeatedly. Each leaf lists the corners at which a shortest path from it may turn first. The
-    file holds free space, the pairs of corners that a shortest path may join straight, the partition and the lists.
+    The common call names a budget in bytes:
+
+        pairs = plr_jax.construct_pairs(workspace, max_bytes=1024)
+        pairs(x, y)  # distances (n,) of points x and y, both (n, 2)
+
+    The domain is halved repeatedly, and each leaf lists the corners at which a shortest path from it may turn first.
     More bytes make queries faster, because fewer corners must be tried; bytes are spent only as long as they do. If
     interrupted (Ctrl-C), the result has the partition so far, with a ``ConstructionInterrupted`` warning. Reference:
     "all-pairs" in Section II of the paper.
 
-    Distances are exact up to the rounding of 32-bit floats, for any budget, except for points near walls:
+    For any budget, distances are exact up to the rounding of 32-bit floats, except right beside walls. With ``w`` the
+    width of the domain:
 
-    - A point within 4e-6 domain widths of a wall may see past its ends: distances may be 2e-5 widths too small.
-    - A point within 8e-6 widths of a contact (where obstacles touch), or of a wall or gap thinner than that, may get
-      the distance of a point on the other side, or one that is too small. Bounds still hold there, but lower bounds
-      treat thin walls as free space, so they may be far below distances between opposite sides.
-    - If a thin wall starts at the tip of a thicker obstacle, a point near this tip and in line with the thin wall, up
-      to rounding, may get the length of a path through the tip. So may a point within 4e-6 widths of another wall, if
-      32-bit floats do not tell the ends of both walls apart.
-    - Paths around an end of a thin wall may be up to 2e-6 widths too long.
+    - Within 4e-6 w of a wall, a point may see around the wall's end: distances may be 2e-5 w too small.
+    - Within 8e-6 w of a wall or gap thinner than this, or of a place where obstacles touch, a point may get the
+      distance of a point on the other side, or a smaller one. Bounds hold, but lower bounds treat walls this thin as
+      free space.
+    - Where a thin wall starts at the sharp tip of a thicker obstacle, a point near the tip, in line with the wall up
+      to rounding, may see through where both meet. So may a point within 4e-6 w of another wall that ends there.
+    - Paths around the end of a thin wall may be 2e-6 w too long.
 
-    Gaps between obstacles stay open however narrow they are, and contacts stay closed. Only a gap of less than 6e-8
-    widths may be closed where obstacles touch beside it.
+    Otherwise gaps stay open however narrow, and places where obstacles touch stay closed. Only gaps below 6e-8 w
+    beside such a place may be closed.
 
     Args:
-        workspace: The free space, with at most 8,192 reflex corners; sharp tips of thin walls count twice.
-        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536.
-
-    Raises:
-        ValueError: If the workspace is not a Workspace, has too many corners or is wider than 1e18, or if free space
-            and corners alone exceed ``max_bytes``.
+        workspace: The free space, at most 1e18 wide, with at most 8,192 reflex corners (sharp tips of thin walls
+            count twice), else ``ValueError``.
+        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536. ``ValueError`` if free space and
+            corners alone take more.
     """
     from plr_jax.pairs.construct import construct_stored  # queries do not need it
 

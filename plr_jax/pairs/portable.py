@@ -28,13 +28,12 @@ _SHRUNK, _STRETCHED = np.float32(1 - _ROUNDINGS), np.float32(1 + _ROUNDINGS)
 ENDS = np.float32(4 * np.finfo(np.float32).eps)  # relative error of the ends of the domain for points in 32 bits
 _AT_ONCE = 2**19  # pairs of a segment and a wall that are tested together
 _PAIRS = 2**12  # pairs of points that are answered together
-
 _Points = Float[np.ndarray, "n 2"]
 _Lengths = Float[np.ndarray, "n"]
 
 
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether segments cross walls, given by the coordinates of both ends, into obstacles, and whether out."""
+    """Return whether segments cross walls, given by both ends, into obstacles, and whether out of obstacles."""
     (px, py), (qx, qy), (ax, ay, bx, by) = p, q, wall
     ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
     # Differences between close points are exact. They tell sides even if a segment and a wall are almost in line.
@@ -64,9 +63,9 @@ class Scene:
     def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
         """Build the scene of a file's walls and corners.
 
-        If ``is_certain``, walls move into free space, so that a path between them is certainly free. Otherwise walls
-        move into their obstacles, so that rounding hides no corner. With ``hides_surely``, walls of thin obstacles
-        are left out too, and paths may pass between obstacles that touch: what is hidden then is certainly hidden.
+        If ``is_certain``, walls move into free space: a path between them is certainly free. Otherwise walls move
+        into their obstacles, so that rounding hides no corner. With ``hides_surely``, thin walls are left out too,
+        and paths may pass between obstacles that touch: what is hidden then is certainly hidden.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -142,10 +141,7 @@ class NumpyPairs:
         return _in_blocks(partial(self._lengths, self._seen), self._ends, np.inf, p, q).reshape(shape)[()]
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
-        """Return proven lower and upper bounds, ``(...)`` in float32, of distances between points of free space.
-
-        Points, errors and meaning are as for a call and :meth:`PairPLR.bounds`.
-        """
+        """Return proven lower and upper bounds, ``(...)`` in float32, of distances; see :meth:`PairPLR.bounds`."""
         p, q, shape = self._from_middle(x, y)
         lower, upper = _in_blocks(self._bounds, self._ends, np.inf, p, q).reshape(2, *shape)
         return lower[()], upper[()]

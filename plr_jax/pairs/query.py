@@ -1,10 +1,9 @@
 """Queries of a PairPLR in JAX: the search for shortest paths.
 
 If two points do not see each other, the path between them turns first and last at corners that the leaves of both
-points list. The search takes the corners in the first point's list in the order of lower bounds of path lengths
-through each. It finds the shortest path through the corner, and drops a corner from a list if a wall hides it from
-that list's point. It stops once no bound is less than the length of a path found. Most pairs of points need one or
-two rounds.
+points list. The search tries the corners in the first point's list by ascending lower bound of the path length
+through each. It drops a corner from a list if a wall hides it from the list's point, and stops once no bound is below
+the length of a path found. Most pairs of points need one or two rounds.
 """
 
 from collections.abc import Callable
@@ -28,7 +27,6 @@ _AT_ONCE = 2**14  # pairs of points that fit into caches
 _TESTED = 2**10  # pairs tested against the walls of a box together
 _FEW, _SEARCHED = 2**7, 2**10  # pairs whose rounds take all of them; open pairs searched together, if there are more
 _LAST_KEY = np.float32(np.inf).view(np.uint32)  # the key of no path
-
 Columns = TypeVar("Columns")
 _Lengths = Float[Array, "n"]
 _Crossed = tuple[Array, Array]  # whether segments cross walls inward, and whether outward
@@ -37,14 +35,10 @@ _Crossed = tuple[Array, Array]  # whether segments cross walls inward, and wheth
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PreparedGoals:
-    """Goals with their distances to all corners: a pytree of arrays made by :meth:`PairPLR.prepared`.
+    """Goals with their distances to all corners: a pytree of arrays made by :meth:`PairPLR.prepared`."""
 
-    The ``points`` are relative to the middle of the domain, in 32 bits. ``to_corners`` holds the length of the
-    shortest path from each goal to each corner, ``inf`` without a path.
-    """
-
-    points: Float[Array, "*batch 2"]
-    to_corners: Float[Array, "*batch size"]
+    points: Float[Array, "*batch 2"]  # relative to the middle of the domain, in 32 bits
+    to_corners: Float[Array, "*batch size"]  # length of the shortest path to each corner; `inf` without a path
 
 
 @jax.jit
@@ -258,11 +252,11 @@ def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corne
 
 
 def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
-    """Return whether an obstacle separates points. Occluders, chords of obstacles, decide most pairs, walls the rest.
+    """Return whether an obstacle separates points: occluders, chords of obstacles, decide most pairs, walls the rest.
 
     Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
-    another outward. A single crossing is a matter of rounding, or of walls of thin obstacles that moved past one
-    another. It does not hide a point, except if ``tables.is_certain``: then paths must be certainly free.
+    another outward. A single crossing is due to rounding, or to thin obstacles whose walls moved past one another. It
+    hides a point only if ``tables.is_certain``: then paths must be certainly free.
     """
     size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
     takes_all = is_symbolic_dim(size) or size <= _TESTED
@@ -292,7 +286,7 @@ def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
 
 
 def is_inside(tables: PairTables, x: Points) -> Flags:
-    """Return whether the walls, if moved into free space, leave points in it: they wind around each point once."""
+    """Return whether points stay in free space when its walls move into it: walls wind once around each point."""
 
     def winds(turns, walls):
         for wall in walls:

@@ -126,9 +126,9 @@ class Outline:
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
         """Return the ends of all walls after they move into obstacles, or into free space for negative distances.
 
-        When walls move into obstacles, the point where two obstacles touch moves to two places, and a sharp tip moves
-        far. So that no path slips through, two walls of opposite directions join each old place, or a point near the
-        tip, to the new place. Walls of thin obstacles stay. With ``surely``, these move too, and no walls are added.
+        Into obstacles, a point where two obstacles touch moves to two places, and a sharp tip moves far. So that no
+        path slips through, two walls of opposite directions join each old place, or a point near the tip, to the new
+        place. Walls of thin obstacles stay. With ``surely``, these move too, and no walls are added.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         moved = self.positions - distance * self._moves(distance, surely)
@@ -153,7 +153,6 @@ class Outline:
         return np.concatenate([np.concatenate([corners[k], corners[(k + 1) % 4]], axis=1) for k in range(4)])
 
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
-        """Return the points of walls that moved into obstacles, or into free space for negative distances."""
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
@@ -163,10 +162,9 @@ class Outline:
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
         """Return vectors ``v`` such that walls move by the distance if each point moves by ``-distance * v``.
 
-        Walls move into obstacles, or into free space if the distance is negative. Vectors at sharp corners are
-        limited, so walls move less there. Into obstacles, unless ``surely``, two kinds of points do not move: those
-        between two walls of thin obstacles, and both ends of a wall that would change direction, as at the end of a
-        thin obstacle.
+        Walls move into obstacles, or into free space for negative distances, and less at sharp corners. Into
+        obstacles, unless ``surely``, two kinds of points stay: those between two walls of thin obstacles, and both
+        ends of a wall that would change direction, as at the end of a thin obstacle.
         """
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
@@ -292,7 +290,6 @@ class PairsFileData:
 
     @staticmethod
     def from_bytes(data: bytes) -> "PairsFileData":
-        """Decode a file; raise ``ValueError`` with the reason if that fails."""
         container = Container.from_bytes(data)
         domain = container.domain
         if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):

@@ -59,7 +59,7 @@ class PairTables:
 
 
 def table_size(num_corners: int) -> int:
-    """Return the size of tables over corners: room for at least one more corner, at ``inf``; one of a few sizes."""
+    """Return the size of tables over corners: one of few sizes, with room for one more corner, at ``inf``."""
     return size_in_eighths(num_corners + 1)
 
 
@@ -145,9 +145,8 @@ def _bounds_to_leaves(
 ) -> UInt32[np.ndarray, "rows size"]:
     """Return lower bounds of path lengths from corners to the points of leaves, as `PairTables.onward`.
 
-    A leaf is given by its listed corners, the middle of its box and half the box's widths. The distance from a corner
-    is convex: nowhere below its tangent plane at the middle. Take the plane of the corner with the shortest path to
-    the middle, and lower it until it is below the planes of all listed corners in the box.
+    Distances from a corner are convex, so above their tangent plane at the middle of a leaf's box. Take the plane of
+    the corner with the shortest path to the middle, lowered below the planes of all listed corners in the box.
     """
     onward = np.full((len(listed), len(distances)), NO_WAY, np.uint32)
     counts = np.isfinite(corners[:, 0])[listed].sum(axis=1)

@@ -30,9 +30,9 @@ def with_thin_parts(
 ) -> tuple[Outline, Int[np.ndarray, "found_points"]]:
     """Find walls of thin obstacles, cut walls that are thin in part, and give sharp tips of thin walls two points.
 
-    Both points of a tip have the same boundary vertex, and are neighbors on the lattice to which the outline is
-    rounded. So a point that rounding puts on or across a thin wall sees the tip's corner on its own side. Return the
-    new outline, and the boundary vertex at each of its points, -1 where a wall is cut.
+    Both points of a tip are neighbors on the lattice: a point that rounding puts on or across a thin wall sees the
+    tip's corner on its own side. Return the new outline, and the boundary vertex at each of its points, -1 where a
+    wall is cut.
     """
     spans = _thin_spans(outline, free_space, width)
     if not any(spans.values()):

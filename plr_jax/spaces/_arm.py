@@ -22,7 +22,6 @@ _BOXES, _MOTIONS = 1 << 14, 1 << 10  # batch sizes, which bound the memory
 _MOST_BISECTIONS = 12
 _SIDES = 12  # sides of the polygon around the disc that a link's end sweeps; it reaches 3.5 % farther than the disc
 _PROBES = np.array([0.0, 0.5, 1.0])  # positions along each link at which it is tested against obstacles
-
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
 Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
 

@@ -19,7 +19,6 @@ _ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the la
 # Clearances contradict the constants only if they differ by more than this factor times the bound.
 _LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
-
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 Numbers: TypeAlias = Float[np.ndarray, "n"]
 
@@ -30,13 +29,13 @@ class ClearanceSpace:
 
     Within a box, the clearance differs from the one at the center by at most the sum over axes of ``lipschitz`` times
     the half width. So one evaluation can prove a box free or blocked. Proofs hold only if the constants are right. If
-    clearances contradict the constants, an error names constants that would fit.
+    clearances contradict the constants, an error names constants that would fit. Invalid arguments raise
+    ``ValueError``.
 
     Constants follow from geometry: a distance changes no faster than the points of the robot move, and a turning
     joint moves no point faster than its distance from the joint. For the minimum of several clearances, take their
-    largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of the precision, float32
-    or float64, that ``clearance`` returns are allowed for. If it has larger errors, subtract their bound from its
-    answers. Invalid arguments raise ``ValueError``.
+    largest constant along each axis. Smaller constants prove larger boxes. Rounding errors of float32 or float64 are
+    allowed for. If ``clearance`` has larger errors, subtract their bound from its answers.
 
     Args:
         domain: The box of all configurations, or its corners. Outside it nothing is free; periodic axes wrap around.
@@ -44,8 +43,7 @@ class ClearanceSpace:
             unit: at least 0 where free, negative where not, by the depth in an obstacle. It is called only within the
             domain, with batches of varying size. If the distance is 0 inside obstacles, subtract a margin; without
             depth, no box is proven blocked.
-        lipschitz: Largest change of the clearance per unit along each axis, at least 0: ``(dof,)``, or one number for
-            all.
+        lipschitz: Largest change of the clearance per unit along each axis, at least 0: ``(dof,)``, or one for all.
         motion_cost: Cost of motions; by default their Euclidean length over all axes.
 
     Example:

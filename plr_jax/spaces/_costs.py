@@ -12,7 +12,6 @@ from plr_jax._types import ArrayLike
 from plr_jax.spaces._space import MotionCost, precision_of
 
 _ROUNDING = 16.0  # error of a user's function that is allowed for, in units in the last place
-
 Vectors: TypeAlias = Float[np.ndarray, "n dof"]
 Pulls: TypeAlias = Float[np.ndarray, "2 n dof"]
 Rates: TypeAlias = Float[np.ndarray, "n"]
@@ -74,8 +73,7 @@ class DirectionalCost(CostMap, Protocol):
                     uphill = rate * gradient((lo + hi) / 2)
                     return np.zeros_like(uphill), uphill, 1 - spread, 1 + spread
 
-        In a steady current ``w``, a vehicle of speed 1 needs the time ``(sqrt((w . v)^2 + a |v|^2) - w . v) / a`` for
-        a motion ``v``, where ``a = 1 - |w|^2`` (Zermelo). The root lies between ``sqrt(a) |v|`` and ``|v|``. So
+        For the travel time of a vehicle of speed 1 in a steady current ``w``, with ``a = 1 - |w|^2`` (Zermelo),
         ``pulls`` returns ``-w / a`` twice, ``1 / sqrt(a)`` and ``1 / a``, each for every box.
     """
 

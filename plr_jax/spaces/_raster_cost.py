@@ -42,7 +42,6 @@ _MAX_COST, _INSCRIBED, _LETHAL, _UNKNOWN = 252, 253, 254, 255
 _GRID_UNKNOWN, _GRID_MAX_COST, _GRID_INSCRIBED, _GRID_LETHAL = -1, 98, 99, 100
 _MAX_ENTRIES = 2**26  # of a sparse table (256 MiB); beyond it, large blocks need more lookups
 _WINDOWS_PER_BATCH = 2**18  # lookups in a sparse table at a time, which bounds the memory
-
 Raster = Float[np.ndarray, "..."]
 Window = Float[np.ndarray, "..."] | Float32[np.ndarray, "..."]
 Extremes = tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]
@@ -59,10 +58,9 @@ class RasterCost:
     picture, whose row 0 is at the top, and ``values.T`` for a table indexed ``[x, y, ...]``.
 
     The cost map does not keep paths out of blocked cells; a space such as :meth:`space` does. A blocked cell has the
-    factor of the nearest unblocked cell, so that interpolation beside it stays finite. Outside the bounds, the factor
-    is that of the nearest point inside; along periodic axes the raster repeats. If configurations have more
-    coordinates than the raster has axes, the leading ones select the factor, which applies to turns as well. Invalid
-    arguments raise ``ValueError``.
+    factor of the nearest unblocked cell. Outside the bounds, the factor is that of the nearest point inside; along
+    periodic axes the raster repeats. If configurations have more coordinates than the raster has axes, the leading
+    ones select the factor, which applies to turns as well. Invalid arguments raise ``ValueError``.
 
     Args:
         values: The factor at the center of each cell, from 1e-30 to 1e30; ``inf``, NaN or masked where the cell is
@@ -179,15 +177,14 @@ class RasterCost:
         """Return a cost map with higher costs around lethal cells, as Nav2's inflation layer computes them.
 
         Lethal cells are those with cost 254 in :meth:`from_costmap` or 100 in :meth:`from_occupancy_grid`; in other
-        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated. See
-        https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
-
-        A cell is blocked if its center is at most ``inscribed_radius`` from the center of a lethal cell, even if
-        ``inflation_radius`` is smaller. So :meth:`space` for a point is the space of the robot. Up to
-        ``inflation_radius``, rounded up to whole cells as in Nav2 (by their shortest side), the cost is at least
+        cost maps all blocked cells are lethal. Unknown and inscribed cells are not inflated. A cell is blocked if its
+        center is at most ``inscribed_radius`` from the center of a lethal cell, even if ``inflation_radius`` is
+        smaller. So :meth:`space` for a point is the space of the robot. Up to ``inflation_radius``, rounded up to
+        whole cells as in Nav2 (by their shortest side), the cost is at least
         ``252 * exp(-cost_scaling_factor * (distance - inscribed_radius))``. Radii and distances are in units of the
-        bounds. Costs become factors as in :meth:`from_costmap`, but are not rounded to bytes, because steps would
-        widen the bounds. ``ValueError`` if an argument is negative or not finite.
+        bounds. Costs become factors as in :meth:`from_costmap`, but are not rounded to bytes. ``ValueError`` if an
+        argument is negative or not finite. See
+        https://docs.nav2.org/configuration/packages/costmap-plugins/inflation.html.
         """
         inscribed = as_finite("inscribed_radius", inscribed_radius)
         reach = as_finite("inflation_radius", inflation_radius)
@@ -357,10 +354,9 @@ def _in_range(values: ArrayLike, least: int, most: int, what: str) -> Raster:
 
 @dataclass(frozen=True, eq=False)
 class SparseTable:
-    """A table to look up the smallest and largest entry of any block of an array.
+    """A table to look up the smallest and largest entry of any block of an array, as float32 rounded outward.
 
-    For every position and power of two, the table stores the extremes of the window of this side that begins at the
-    position, as float32 rounded outward: Bender and Farach-Colton, "The LCA problem revisited", 2000.
+    Bender and Farach-Colton, "The LCA problem revisited", 2000.
     """
 
     values: Raster

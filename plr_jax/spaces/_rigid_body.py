@@ -20,7 +20,6 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes
 # Half turns below this are bounded by a polygon around the swept body, larger ones by its circumscribed circle.
 _WIDEST_ARC = math.pi / 3
 _POINTS = 1 << 19  # corners of hulls in a batch, which bounds the memory
-
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
 Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
 Turns: TypeAlias = Float[np.ndarray, "n"]

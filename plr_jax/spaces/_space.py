@@ -174,8 +174,6 @@ def precision_of(numbers: ArrayLike) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
-    """A wrapper of a configuration space that checks the answers of the space's ``is_free``."""
-
     space: FreeTest
 
     @property

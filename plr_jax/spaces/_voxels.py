@@ -14,7 +14,6 @@ from plr_jax.geometry.voxels import VoxelGrid
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 Booleans = Bool[np.ndarray, "n"]
-
 _LEAST_RADIUS = 1e3  # in tolerances
 
 
@@ -28,7 +27,8 @@ class VoxelSpace:
     blocked voxels that share only an edge or corner: free voxels are connected through faces, as in the plane.
 
     For a point all answers are exact. A ball may come nearer than its radius by the ``tolerance``; some boxes that
-    only several blocked voxels jointly forbid to a ball are MIXED instead of BLOCKED.
+    only several blocked voxels jointly forbid to a ball are MIXED instead of BLOCKED. ``ValueError`` if an argument
+    is invalid, no voxel is free, or voxels are too small for the precision of coordinates.
 
     Args:
         free: Boolean array of one to four axes, True where a voxel is free.
@@ -36,10 +36,6 @@ class VoxelSpace:
             be periodic. Voxels need not be cubes. None: unit voxels, the first with its corner at 0.
         radius: Radius of the ball, in units of the bounds: 0 for a point, else from a thousand tolerances to half the
             narrowest width of the bounds.
-
-    Raises:
-        ValueError: If an argument is invalid, no voxel is free, or voxels are too small for the precision of
-        coordinates.
     """
 
     grid: VoxelGrid

@@ -1,4 +1,4 @@
-"""The public function :func:`grid_distance`: distances on a grid of cells that may be traced by JAX."""
+"""Distances on a grid of cells that JAX may trace: the public function :func:`grid_distance`."""
 
 import warnings
 from contextlib import suppress
@@ -23,15 +23,11 @@ Moves = Literal["any-angle", 4, 8]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridDistance:
-    """The distance from any point of a grid to a goal; made by :func:`grid_distance`.
+    """The distance from any point of a grid to a goal, made by :func:`grid_distance`; a pytree of arrays.
 
-    It is a pytree of arrays whose shapes depend only on the shape of the grid, ``moves`` and ``max_corners``.
-
-    Attributes:
-        is_complete: Whether the map has at most ``max_corners`` corners at which paths may bend; if not, distances
-            are NaN. Always true for ``moves`` of 4 or 8.
-        is_nan: Whether a coordinate of the goal is NaN; all distances are NaN then.
-        shape: Rows and columns of the grid.
+    All distances are NaN if ``is_complete`` is false (the map has more than ``max_corners`` corners where paths may
+    bend) or ``is_nan`` is true (a coordinate of the goal is NaN). Shapes of arrays depend only on the ``shape`` of
+    the grid, ``(rows, columns)``, on ``moves`` and ``max_corners``.
     """
 
     paths: Steps | CornerPaths
@@ -62,10 +58,7 @@ class GridDistance:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridDistances:
-    """The distance between any two points of a grid; made by :func:`grid_distance` without a goal.
-
-    ``is_complete`` tells whether the map has at most ``max_corners`` corners; if not, distances are NaN.
-    """
+    """The distance between any two points of a grid; made by :func:`grid_distance` without a goal."""
 
     paths: StepPairs | CornerPairs
     is_complete: Bool[Array, "*maps"]
@@ -100,34 +93,30 @@ def grid_distance(
 ) -> GridDistance | GridDistances:
     """Return a function that measures shortest paths on a grid of free and blocked cells, also inside ``jit``.
 
+        field = plr_jax.grid_distance(free, goal)
+        field(x)  # distances (n,) to the goal from points x, (n, 2)
+
     Maps and goals may be created inside ``jax.jit``, batched by ``jax.vmap``, and distances differentiated by
     ``jax.grad`` with respect to points and goal (the gradient is 0 for ``moves`` of 4 or 8). Cell ``[i, j]`` covers
     ``x`` in ``[j, j + 1]`` and ``y`` in ``[i, i + 1]``; everything beyond the grid is blocked. A point on a boundary
-    between cells counts as free if one of them is. The center of cell ``[i, j]`` is ``(j + 0.5, i + 0.5)``: add 0.5
-    to integer cell positions, column first. Integer points are corners of cells, and give a ``UserWarning``.
+    between cells counts as free if one of them is. The center of cell ``[i, j]`` is ``(j + 0.5, i + 0.5)``; integer
+    points are corners of cells, and give a ``UserWarning``. Invalid arguments raise ``ValueError``, also in tracing.
 
-    If the agent moves between neighboring cells, use ``moves=4`` or ``moves=8``: the distance is the number (length)
-    of steps, and is computed several times faster. If the agent stands on cell centers, compute ``field.cells`` once,
-    store it and index ``cells[row, column]``: this is faster than ``field(x)`` in each step.
+    If the agent moves between neighboring cells, ``moves=4`` or ``moves=8`` is several times faster. If it stands on
+    cell centers, compute ``field.cells`` once and index ``cells[row, column]``: faster than ``field(x)`` in each
+    step.
 
     Args:
         free: Which cells are free, booleans ``(h, w)``.
-        goal: Goal ``(x, y)``, ``(2,)``, or None for distances between any two points.
+        goal: Goal ``(x, y)``, ``(2,)``. None: the result is a :class:`GridDistances`, of pairs of points.
         moves: Kind of paths. ``"any-angle"``: all paths outside blocked cells; they may touch walls, but not pass
             between two blocked cells that share only a corner. These are the distances of ``VisibilityGraph`` in
             ``Workspace.from_mask(free, tolerance=0)``. 4: steps between cells that share a side, from the point's
             cell to the goal's. 8: also diagonal steps, of length sqrt(2), if both adjacent cells are free.
-        max_corners: For any-angle paths only: most convex corners of blocked cells, where paths can bend. Time and
-            memory grow with its square; without a goal, time grows with its cube. Maps with more corners give NaN and
-            ``is_complete`` false. Default: all cell corners inside grids with at most 256 of them (17 x 17 cells),
-            else half of them.
-
-    Returns:
-        :class:`GridDistance`, a function of points; if ``goal`` is None, :class:`GridDistances`, of pairs of points.
-
-    Raises:
-        ValueError: If ``free`` is no non-empty boolean matrix, ``goal`` no point, ``moves`` or ``max_corners``
-            invalid, or the grid too large. Also raised during tracing.
+        max_corners: For any-angle paths only: most convex corners of blocked cells, where paths can bend. Maps with
+            more give NaN and ``is_complete`` false. Time and memory grow with the square; without a goal, time with
+            the cube. Default: all cell corners inside grids with at most 256 of them (17 x 17 cells), else half of
+            them.
     """
     mask = _as_mask(free)
     h, w = mask.shape

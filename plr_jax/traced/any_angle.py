@@ -1,10 +1,9 @@
 """Any-angle shortest paths on a traced grid; they bend only at convex corners of blocked cells.
 
-Segments run between points inside free cells, at a :func:`margin` from the cells' sides. A segment also crosses the
-cells to which it comes closer than a fourth of this margin. Cells are bits of words, so that the crossed cells of a
-grid row are compared with its blocked cells at once. A segment that grazes a corner may thus count as blocked; the
-path through that corner is as long. If both ends are independent of the map, the crossed cells are computed once, on
-the host. Distances from corner to corner follow by relaxation.
+Segments run between points inside free cells, at a :func:`margin` from the cells' sides, and also cross the cells to
+which they come closer than a fourth of this margin. A segment that grazes a corner may thus count as blocked; the
+path through that corner is as long. Cells are bits of words, so a whole grid row is tested at once. Distances from
+corner to corner follow by relaxation.
 """
 
 from collections.abc import Iterator
@@ -23,7 +22,6 @@ from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, containing_ce
 Broadcast = Float[Array, "*#batch 2"]
 Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
-
 MOST_CORNERS = 2**12  # most corners of a map; the distances between so many take 64 MB
 MAX_LATTICE = 2**8  # tables have room for all corners of cells if there are at most so many, else for half
 
@@ -34,7 +32,7 @@ def margin(shape: Shape, dtype: Any) -> float:
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Move points into the first and last of up to four free cells around each; also return whether there is one."""
+    """Move points into the first and last free cell of up to four around each; also return whether any is free."""
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
     which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
@@ -102,8 +100,7 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
     """Return the cells, as bits, that segments cross from each cell corner (or cell center) to each cell corner.
 
     A segment through a corner crosses all four cells there: if one is blocked, a path through the corner is as long.
-    A segment along a grid line runs on its left, so two corners see each other if one of both directions is free; if
-    the free side changes, a path leads through the corner there.
+    A segment along a grid line runs on its left: two corners see each other if one of both directions is free.
     """
     a, b = (cell_centers(shape) if from_centers else lattice(shape))[:, None], lattice(shape)[None]
     along = b - a

@@ -1,7 +1,4 @@
-"""Distances on a traced grid by steps between cells, to 4 or 8 neighbors.
-
-For 4 neighbors, grids are stored as bits: a word holds 32 cells of a row, the first column in the lowest bit.
-"""
+"""Distances on a traced grid by steps between cells, to 4 or 8 neighbors."""
 
 from dataclasses import dataclass
 from functools import reduce
@@ -22,8 +19,7 @@ Shape = tuple[int, ...]
 Points = Float[Array, "*batch 2"]
 Cells = tuple[Int32[Array, "4 *batch"], Int32[Array, "4 *batch"]]
 Distances = Float[Array, "h w"]
-
-WORD = 32  # bits of a word
+WORD = 32  # bits of a word, which holds as many cells of a row, the first column in the lowest bit
 _PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
 
 
@@ -69,7 +65,7 @@ def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batc
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Path lengths from all cells to the goal's; a point on a border gets the shortest of its cells."""
+    """Path lengths from all cells to the goal's cell; a point between cells gets the shortest of theirs."""
 
     table: Float[Array, "*maps h w"]
 
