@@ -118,8 +118,8 @@ def motions_apart(
 ) -> Apart:
     """Return whether two robots keep clear of one another in motions ``a0`` to ``a1`` and ``b0`` to ``b1``.
 
-    Shapes ``(..., dof)`` broadcast. An overlap up to ``tolerance`` is allowed. The result is exact if nothing turns,
-    or both robots are round; else a motion within about 1e-7 of a robot's size of a collision may be rejected.
+    Shapes ``(..., dof)`` broadcast. Robots may overlap by up to ``tolerance``. The result is exact, except that a
+    motion may be rejected if a robot that is not round turns within about 1e-7 of its size from a collision.
     """
     require_time(deadline, "all motions were tested")
     motions = a0, a1, b0, b1
