@@ -56,7 +56,7 @@ class TeamTrajectory:
             self.move(i, path[:, i])
 
     def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
-        """Replace robot ``i``'s configurations in some rows of the path, except the first and last of these rows."""
+        """Replace robot ``i``'s path, or only ``rows`` of it, whose first and last configuration must not change."""
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
         x, y, radius = circles_along(q[:, None])
@@ -65,7 +65,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Pair motions ``motion[k]``, in which robot ``i`` stays in circle ``k``, with the robots it may meet."""
+        """Return pairs ``(k, j)``: robot ``i``, in circle ``k`` during step ``motion[k]``, may meet robot ``j``."""
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)

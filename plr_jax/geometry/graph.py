@@ -103,7 +103,7 @@ def first_visible(
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Apply :func:`first_visible` to slices of points, to save memory; ``lengths(rows)`` returns those of a slice."""
+    """Apply :func:`first_visible` to slices of points, to save memory; ``lengths`` gives path lengths of a slice."""
     found, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
     for begin in range(0, n, step):

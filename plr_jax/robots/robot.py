@@ -119,7 +119,7 @@ def between(
 
 
 def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return a path's rows before and after given times, and the share of the motion between that is done then."""
+    """Return a path's rows before and after given times, and the share of the motion between both that is done."""
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
     row = np.minimum(np.searchsorted(times, when, side="right") - 1, max(last - 1, 0))

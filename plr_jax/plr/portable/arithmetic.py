@@ -30,7 +30,7 @@ _TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the doma
 
 
 class Operations:
-    """Operations on NumPy values besides arithmetic and comparisons; generators of code override them."""
+    """Operations on NumPy values besides arithmetic and comparisons; code generators override the methods."""
 
     def let(self, name: str, value: Value) -> Value:
         """Return the value; a generator of code assigns the value to a new variable instead."""

@@ -81,7 +81,7 @@ class Lattice:
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
-        """Indices of samples, by shape: the first in each box, and what to add for up to 64 samples of the box."""
+        """For each shape, the index of the first sample of each box, and what to add for up to 64 of its samples."""
         found, row = {}, 1 << self.halvings
         for shape in self.first:
             size = np.array([1 << (self.halvings - along) for along in shape])
