@@ -56,7 +56,7 @@ class TeamTrajectory:
             self.move(i, path[:, i])
 
     def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
-        """Replace robot ``i``'s configurations in some rows of the path, except the first and last of these rows."""
+        """Replace robot ``i``'s path, or only ``rows`` of it, whose first and last configuration must not change."""
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
         x, y, radius = circles_along(q[:, None])
@@ -65,7 +65,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Pair motions ``motion[k]``, in which robot ``i`` stays in circle ``k``, with the robots it may meet."""
+        """Return pairs ``(k, j)``: robot ``i``, in circle ``k`` during step ``motion[k]``, may meet robot ``j``."""
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)
@@ -118,8 +118,8 @@ def motions_apart(
 ) -> Apart:
     """Return whether two robots keep clear of one another in motions ``a0`` to ``a1`` and ``b0`` to ``b1``.
 
-    Shapes ``(..., dof)`` broadcast. An overlap up to ``tolerance`` is allowed. The result is exact if nothing turns,
-    or both robots are round; else a motion within about 1e-7 of a robot's size of a collision may be rejected.
+    Shapes ``(..., dof)`` broadcast. Robots may overlap by up to ``tolerance``. The result is exact, except that a
+    motion may be rejected if a robot that is not round turns within about 1e-7 of its size from a collision.
     """
     require_time(deadline, "all motions were tested")
     motions = a0, a1, b0, b1

@@ -19,10 +19,7 @@ Which = Int[np.ndarray, "m"]
 
 
 def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
-    """Return whether a blocked voxel is nearer to each box than a radius, exact up to rounding.
-
-    With ``lo`` and ``hi`` swapped: whether a single blocked voxel is nearer than the radius to all points of a box.
-    """
+    """Return whether a blocked voxel is nearer than ``radius`` to a box (``lo``, ``hi`` swapped: to all of it)."""
     (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
     within = grid.num_blocked(far_first, far_last) > 0
     doubtful = within.copy()
@@ -209,7 +206,7 @@ class _Traversal:
 def _first_crossed(
     crossed: Bool[np.ndarray, "dim n"], face: Coordinates, q0: Coordinates, q1: Coordinates
 ) -> Bool[np.ndarray, "dim n"]:
-    """Keep only the faces that are crossed first, by rational arithmetic, among faces crossed nearly at once."""
+    """Keep only the faces that motions cross first, among faces crossed nearly at once; use rational arithmetic."""
     first = np.zeros_like(crossed)
     for i in range(crossed.shape[1]):
         axes = np.flatnonzero(crossed[:, i])

@@ -70,8 +70,7 @@ class MotionTest:
     def __call__(self, q0: Configurations, q1: Configurations, deadline: float = math.inf) -> Booleans:
         """Return whether motions between finite configurations are free all along, up to ``workspace.tolerance``.
 
-        Exact for points, discs and motions without turns. A turning robot within about 1e-7 of its size from a wall
-        may be rejected, but never passes a wall. Robots without a heading ignore a third coordinate.
+        A robot that turns within about 1e-7 of its size from a wall may be rejected; otherwise the test is exact.
         """
         free = np.empty(len(q0), dtype=bool)
         for begin in range(0, len(q0), _CHUNK):

@@ -144,7 +144,7 @@ def vertices_near_edges(
 def boxes_near(
     x: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], reach: float
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether the bounding box of each group of points is within ``reach`` of the box around all others."""
+    """Return whether the bounding box of each group of points is within ``reach`` of the box of all ``others``."""
     lo, hi = others.min(axis=(0, 1), initial=np.inf) - reach, others.max(axis=(0, 1), initial=-np.inf) + reach
     return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)
 
@@ -301,7 +301,6 @@ def as_bounds(value: Box | ArrayLike) -> Box:
 
 
 def polygons_of(geometry: Any) -> tuple[Polygon, ...]:
-    """Return the polygons of a Shapely geometry; drop points, lines and polygons without area."""
     parts: Any = shapely.get_parts(geometry)
     return tuple(part for part in parts if isinstance(part, Polygon) and part.area > 0)
 

@@ -31,7 +31,7 @@ class Box:
     Args:
         lo: Lower corner, ``(dim,)``, finite.
         hi: Upper corner, ``(dim,)``, finite and above ``lo`` along every axis.
-        periodic: One bool per axis: whether it is periodic. None: no axis is.
+        periodic: Whether each axis is periodic, one bool per axis. None: no axis is.
     """
 
     lo: Float[np.ndarray, "dim"]

@@ -82,7 +82,7 @@ class FamilySamples:
     def first_turns(
         self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, "corners"]
     ) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance to a goal, and where its path turns: 1 + corner, 0: nowhere, -1: no path."""
+        """Return each sample's distance to a goal, and 1 + the index of its first corner (0: none, -1: no path)."""
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         if len(self.first):
             way = corner_distances[self.corner] + self.length
@@ -147,8 +147,7 @@ def cells_of_goals(
 ) -> CellSources:
     """Return, as cell ``i``, where paths from box ``box[i]`` to goal ``goal_of[i]`` may turn first.
 
-    ``near[i]`` is the index, in the goal's ``sources``, of a point to which shortest paths go first, or of one near
-    it; -1 if unknown. In the result, the sources of the first goal precede those of the second goal, and so on.
+    ``near[i]`` is the index of a likely first turn in the goal's ``sources``, or -1. Sources come goal by goal.
     """
     sight, count = _sight_of_goals(shared.sight, corners, goals), 1 + len(corners.points)
     sources, table = sight.sources, sight.shadows.table

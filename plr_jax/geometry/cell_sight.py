@@ -3,9 +3,6 @@
 The free part of a cell consists of convex *pieces*: the whole cell, or parts of triangles if a wall reaches into it.
 The *sources* of a piece are the goal and the corners to which a path from the piece may go first. When a cell is cut,
 its parts inherit pieces and sources, except sources that no point of the piece sees or at which no path turns.
-
-What a viewpoint sees ends at *shadows*, rays past a corner from the nearer wall that ends there to the wall behind.
-If no shadow crosses a piece, the viewpoint sees all of the piece or nothing of it.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +36,6 @@ from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
 _CHUNK = 1 << 16  # pairs of a piece and a source tested at a time
 _OF_PIECES = "cell", "triangle", "center", "distance", "best"  # fields of `CellSources` with one row per piece
-
 OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
 Indices: TypeAlias = Int[np.ndarray, "pieces"]
 Rows: TypeAlias = Int[np.ndarray, "cells"]
@@ -81,7 +77,8 @@ class Shadows:
         return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
 
     def see(self, view: Indices, pieces: Pieces, center: Vectors) -> tuple[OfPieces, OfPieces]:
-        """Return whether viewpoints see the centers of convex pieces, and whether they surely see all or nothing."""
+        """Return whether viewpoints see centers of pieces, and whether they surely see all or nothing of a piece."""
+        # A viewpoint sees all or nothing of a piece if no shadow crosses the piece.
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
         # 1. Find the range of keys strictly inside each piece, and whether the cut lies in it.
@@ -155,10 +152,7 @@ class Sight:
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
-        """Return whether a shortest path from some point of each convex piece may turn at its source, if visible.
-
-        With ``from_all``, return whether paths from every point of the piece may turn there, without any tolerance.
-        """
+        """Return whether paths from some (``from_all``: all) points of piece ``i`` may turn at ``source[i]``."""
         turn = self.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
@@ -192,7 +186,7 @@ class CellSources:
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
-        """Return boxes as cells, with free convex pieces and the possible first vertices of paths, from ``lists``."""
+        """Return boxes as cells: their free convex pieces, with the sources that ``lists`` has for each triangle."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
@@ -365,7 +359,7 @@ def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return the data for paths to any goal; a corner is listed twice, once for each way to bend around it."""
+    """Return the ``Sight`` for paths to any goal; each corner is two sources, one for each way to bend around it."""
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     shadows = Shadows.of(visibility.table)

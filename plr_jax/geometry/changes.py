@@ -1,8 +1,7 @@
 """Updates of a triangulation and of corner visibility after a local change of free space.
 
-Edges of the old and the new boundary that are equal to the bit are kept. Triangles are kept unless a changed edge
-meets them, and the gap is triangulated. Corners keep what they see unless they may see a changed edge. So the cost
-follows the change, except for a few passes over arrays of all edges.
+Triangles are kept unless a changed edge meets them, and the gap is triangulated. Corners keep what they see unless
+they may see a changed edge. So the cost follows the size of the change, except for a few passes over all edges.
 """
 
 from collections.abc import Sequence
@@ -204,7 +203,7 @@ def may_see_polygons(
 
 
 def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
-    """Join tables of the old or new boundary in one; each comes with viewpoints to take, and their new indices."""
+    """Join visibility tables in one; each table comes with the viewpoints to take from it, and their new indices."""
     num = sum(len(which) for _, which, _ in parts)
     points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
     for table, which, place in parts:

@@ -200,7 +200,7 @@ class TurnRegions:
 
 
 def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]) -> TriangleLists:
-    """List the viewpoints of each triangle, given pairs (viewpoint, triangle) of which some may be equal."""
+    """List the viewpoints of each triangle, given pairs (viewpoint, triangle), which may repeat."""
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
     triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)

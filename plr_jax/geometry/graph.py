@@ -73,8 +73,7 @@ def first_visible(
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
     """Return, for each point, the ``count`` visible candidates of least path length (else -1), and their lengths.
 
-    ``lengths`` are modified in place. NaN means no candidate, ``inf`` a candidate that leads nowhere. The first round
-    tests ``at_once`` candidates of each point, each later one ``2 * at_once`` times more; use 1 for expensive tests.
+    ``lengths`` (NaN: no candidate) are modified in place. The first round tests ``at_once`` candidates of each point.
     """
     found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
     pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
@@ -104,7 +103,7 @@ def first_visible(
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Apply :func:`first_visible` to slices of points, to save memory; ``lengths(rows)`` returns those of a slice."""
+    """Apply :func:`first_visible` to slices of points, to save memory; ``lengths`` gives path lengths of a slice."""
     found, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
     for begin in range(0, n, step):

@@ -115,10 +115,7 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """Return the triangle of each grid point, and 1, 0 or -1 if the point is inside, on or outside each side.
-
-        The exact search starts at ``triangle``, if given. A point outside the region gets a nearby triangle.
-        """
+        """Return each grid point's triangle, or a nearby one, and 1, 0 or -1: inside, on or outside of each side."""
         turn, pending = np.ones((len(x), 3)), np.arange(len(x))
         if triangle is not None:
             triangle = triangle.copy()
@@ -145,10 +142,7 @@ class Triangulation:
         return triangle, turn
 
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
-        """Round points to the grid and locate them; points outside the region move onto the nearest wall.
-
-        Points near a vertex where the region touches itself move there, and count as on all sides of their triangle.
-        """
+        """Round points to the grid and locate them; points outside the region move onto the nearest wall."""
         boundary, given, x = self.boundary, x, self.on_grid(x)
         triangle, turn = self.locate(x)
         outside = np.flatnonzero((turn < 0).any(axis=1))
@@ -167,6 +161,7 @@ class Triangulation:
                 inside = (turns >= 0).all(axis=1)
                 now, rest = outside[rest[inside]], rest[~inside]
                 x[now], triangle[now], turn[now] = place[inside], in_triangle[inside], turns[inside]
+        # Points near a vertex where the region touches itself move there, and are on all sides of their triangle.
         if len(boundary.contacts):
             away = np.linalg.norm(self.triangles[triangle] - given[:, None], axis=2)
             away[~np.isin(self.origin.reshape(-1, 3)[triangle], boundary.contacts)] = np.inf
@@ -177,11 +172,9 @@ class Triangulation:
     def are_joined(
         self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
     ) -> Bool[np.ndarray, "n"]:
-        """Return whether a free path within ``tolerance`` of the segment from each ``a`` to ``b`` joins the two.
-
-        The path may pass a vertex where the region touches itself only if ``squeeze``, or if it begins or ends there.
-        """
-        # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts.
+        """Return whether a free path within ``tolerance`` of the segment from each ``a`` to ``b`` joins the two."""
+        # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts:
+        # without ``squeeze``, only around contacts at which the segment begins or ends.
         lines: Any = shapely.linestrings
         num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), lines(np.stack([a.x, b.x], axis=1))
         contacts = index_of(self.boundary.contacts, self.origin)

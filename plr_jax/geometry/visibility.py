@@ -96,10 +96,8 @@ class _Cones:
 
 
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
-    """Pair viewpoints with the triangles of which they see a part within given directions; some pairs repeat.
-
-    The directions reach from unit vectors ``right`` counterclockwise to ``left``, at most half a turn; all if zero.
-    """
+    """Pair viewpoints with the triangles that they partly see between ``right`` and ``left``; some pairs repeat."""
+    # The directions span at most half a turn; zero vectors stand for all directions.
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
     # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
     wider = np.where(cross_product(right, left) > 4 * triangulation.tolerance / far, triangulation.tolerance, 0.0)
@@ -194,7 +192,7 @@ class VisibilityTable:
         return _BLUR + np.spacing(8.0 * len(self.points))
 
     def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, "n"]:
-        """Return whether viewpoint ``v[i]`` sees point ``x[i]``; if corners are grazed, only the last of them may."""
+        """Return whether viewpoint ``v[i]`` sees point ``x[i]``; corners grazed on both sides hide points behind."""
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
         dx, dy = (x - self.points[v]).T

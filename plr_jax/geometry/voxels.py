@@ -1,9 +1,8 @@
 """Voxels of a box in any dimension: their faces, location of points, and counts of blocked voxels in ranges.
 
-Faces are the floats that ``Box.at`` returns. Coordinates are compared with them without rounding, so statements about
-touching are exact. Voxels are numbered from 1 along each axis, with face ``k`` below voxel ``k``. Number 0 is
-everything below the bounds and the last number everything above, both blocked. Arrays of numbers and coordinates have
-the axis of space first.
+Coordinates are compared with faces without rounding, so statements about touching are exact. Voxels are numbered from
+1 along each axis, with face ``k`` below voxel ``k``. Number 0 is everything below the bounds and the last number
+everything above, both blocked. Arrays of numbers and coordinates have the axis of space first.
 """
 
 from dataclasses import dataclass
@@ -20,7 +19,6 @@ from plr_jax.geometry.box import Box
 
 _AXES = range(1, 5)
 _LEAST_SIDE = 8e3  # rounding errors of coordinates per side of a voxel, as for pixels
-
 Coordinates = Float[np.ndarray, "dim n"]
 Numbers = Int[np.ndarray, "dim n"]
 

@@ -44,12 +44,12 @@ _MANY_EDGES = 1000  # with more edges, a tree finds the nearest one faster than 
 class Workspace:
     """Bounds and polygonal obstacles in the plane.
 
-    Free space is closed: it includes the boundary of obstacles and the bounds. Points up to ``tolerance`` outside of
-    free space count as free, and are treated as the nearest point of free space. A point within ``tolerance`` of a
-    point where obstacles touch is treated as the latter, which lies on both sides of the contact.
+    Obstacles may overlap, touch, and leave the bounds; the interior of their union is blocked. Free space is closed:
+    it includes the boundary of obstacles and the bounds. A point up to ``tolerance`` outside of free space is treated
+    as the nearest point of free space. A point within ``tolerance`` of a contact of obstacles is treated as the
+    contact, and lies on both sides of it.
 
-    Obstacles may overlap, touch, and leave the bounds; the interior of their union is blocked. Coordinates are
-    rounded to a grid of a thousandth of ``tolerance``, so that walls that touch up to rounding do touch. Walls and
+    Coordinates are rounded to a thousandth of ``tolerance``, so walls that touch up to rounding do touch. Walls and
     gaps thinner than a hundredth of ``tolerance`` vanish from ``free_space``, on which all distances and proofs are
     based. Where several meet, any thinner than half of ``tolerance`` may vanish; far from the origin, than twice.
 
@@ -59,11 +59,11 @@ class Workspace:
             allowed), linear rings, multipolygons and collections; or one such Shapely geometry.
         squeeze: Whether a path may pass between two obstacles (or an obstacle and the bounds) that touch in a single
             point. The point itself is free either way.
-        region: For internal use: the free space, if it is known; bounds and obstacles are then not checked.
+        region: For internal use.
 
     Attributes:
-        obstacles: The obstacles as Shapely polygons, in the order given. If free space was given, and after
-            ``inflate``: the connected parts of the bounds that are not free.
+        obstacles: Shapely polygons, in the order given. If free space was given, and after ``inflate``: the connected
+            parts of the bounds that are not free.
         free_space: The free space as a valid, normalized Shapely (Multi)Polygon without collinear vertices.
         boundary: The boundary of free space as vertices and edges, free space on the left of each edge.
 
@@ -106,9 +106,8 @@ class Workspace:
 
         Components are one Shapely polygon, multipolygon or collection of them; or a list of these and of mappings
         ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap and leave the
-        outer ring. Components are united, and parts outside the bounds are cut off; by default, the bounds are their
-        bounding box. ``squeeze`` is as for the class. ``ValueError`` if there is no component, a component or the
-        bounds are invalid, or nothing is free.
+        outer ring. Free space is the union of the components within the bounds, by default their bounding box.
+        ``ValueError`` if there is no component, a component or the bounds are invalid, or nothing is free.
         """
         return cls._from_free_space(*components_region(components, bounds), squeeze)
 
@@ -127,9 +126,9 @@ class Workspace:
         """Build a workspace whose free space is given as pixels; its bounds are the bounding box of free space.
 
         Free pixels are 4-connected and blocked pixels 8-connected: where free pixels touch at a corner only,
-        ``squeeze`` decides whether a path may pass. The outline of the free pixels is traced exactly, then
-        simplified. This preserves connectivity, and passages and walls stay at least a quarter of a pixel wide. A
-        passage narrows by at most twice the tolerance.
+        ``squeeze`` decides whether a path may pass. The outline of the free pixels is simplified so that connectivity
+        is preserved: passages and walls stay at least a quarter of a pixel wide, and a passage narrows by at most
+        twice the tolerance. ``ValueError`` if an argument is invalid or no pixel is free.
 
         Args:
             free: Whether each pixel is free, booleans ``(rows, columns)``. Everything outside is blocked.
@@ -141,9 +140,6 @@ class Workspace:
                 pixel makes inclined walls straight; 0 keeps every corner.
             drop_specks: Blocked components of at most this many pixels become free, then free ones become blocked.
             squeeze: As for the class.
-
-        Raises:
-            ValueError: If ``free`` is not a 2-D boolean array with a free pixel, or another argument is invalid.
         """
         region = placed_region(free, resolution, origin, row0=row0, tolerance=tolerance, drop_specks=drop_specks)
         x0, y0, x1, y1 = region.bounds
@@ -201,8 +197,7 @@ class Workspace:
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Return whether points ``(n, 2)`` lie in closed free space, to ``tolerance``.
 
-        The result is False outside the bounds and for points that are not finite. A 32-bit point that is outside the
-        bounds only by rounding counts as inside, as for PLRs.
+        It is False for points not finite, and outside the bounds; 32-bit points outside only by rounding are inside.
         """
         x = as_points("x", self.bounds.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
@@ -214,8 +209,7 @@ class Workspace:
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
         """Return the signed distance, in workspace units, of points ``(n, 2)`` to the boundary of free space.
 
-        It is positive in free space, zero on walls, negative in obstacles and outside the bounds, NaN for points that
-        are not finite.
+        It is positive in free space, 0 on walls, negative in obstacles and outside the bounds, NaN if not finite.
         """
         x = as_points("x", x, 2)
         finite = np.isfinite(x).all(axis=1)
@@ -234,8 +228,7 @@ class Workspace:
 
         A segment may slide along walls and pass through corners, but not cross a wall, however thin. It may cross a
         point in which two obstacles touch only if ``squeeze`` is set. The result is True if a free path stays within
-        ``tolerance`` of the segment, and False if an end is not finite. The default tolerance is the workspace's; a
-        larger one is for ends known less precisely, such as rounded ones from a file.
+        ``tolerance`` (None: the workspace's) of the segment, and False if an end is not finite.
         """
         a, b = as_points("a", a, 2), as_points("b", b, 2)
         if len(a) != len(b):
@@ -262,10 +255,10 @@ class Workspace:
     def inflate(self, radius: float) -> "Workspace":
         """Return the workspace of a disc's center: obstacles grown, and bounds shrunk, by its radius.
 
-        Sides of grown obstacles are exact; rounded corners become inscribed polygons. So a path around one corner is
-        too short by at most 0.16 % of the arc, or 2e-5 of the longer side of free space if that is more. A straight
-        passage exactly as wide as the disc is closed; one between corners, even a little narrower, may stay open. A
-        radius that is negative or not finite, or that leaves no free space, raises ``ValueError``.
+        Rounded corners become inscribed polygons: a path around one corner is too short by at most 0.16 % of the arc,
+        or 2e-5 of the longer side of free space if that is more. A straight passage exactly as wide as the disc is
+        closed; a passage between corners, even if a little narrower, may stay open. ``ValueError`` if the radius is
+        negative or not finite, or nothing stays free.
         """
         if as_finite("radius", radius) == 0:
             return self
@@ -282,13 +275,9 @@ class Workspace:
         """Return the workspace after obstacles are added and removed.
 
         Added obstacles, given as for the class, are appended to ``obstacles``. Obstacles to remove are given by
-        indices in ``obstacles``, or by rings or Shapely polygons that equal them; parts that others cover stay
-        blocked. The other obstacles keep their indices: an empty polygon, which scene files leave out, takes the
-        place of a removed one.
-
-        Raises:
-            ValueError: If an added obstacle is invalid, a removed one does not exist or is already removed, or
-            nothing is free.
+        indices in ``obstacles``, or by equal rings or Shapely polygons; parts that others cover stay blocked. All
+        obstacles keep their indices: an empty polygon, which scene files leave out, takes the place of a removed one.
+        ``ValueError`` if an added obstacle is invalid, a removed one does not exist (any more), or nothing is free.
         """
         added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
         obstacles = (*(Polygon() if i in gone else each for i, each in enumerate(self.obstacles)), *added)

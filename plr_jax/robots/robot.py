@@ -26,10 +26,10 @@ Moments: TypeAlias = Float[np.ndarray, "n"]
 class Robot:
     """A convex body that moves in the plane: all points within ``rounding`` of its ``core``.
 
-    A new shape is a subclass that sets the three attributes; the library reads only these and the properties that
-    follow from them. Robots of equal shape must be equal and have the same hash, as frozen dataclasses do. The
-    *reference point* is the origin of the core's frame and must lie in the body, since distances measure its path. A
-    configuration holds its position, and the heading by which the body turns about it.
+    The *reference point* is the origin of the core's frame and must lie in the body, since distances measure the path
+    of this point. A configuration has the point's position, and the heading by which the body turns about the point.
+    A new shape is a subclass that sets the three attributes. Robots of equal shape must be equal and have the same
+    hash, as frozen dataclasses do.
 
     Attributes:
         rounding: Radius by which the core is rounded, in workspace units, at least 0.
@@ -98,10 +98,7 @@ def team_dof(robots: Sequence[Robot]) -> int:
 
 
 def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
-    """Return the signed turns, the shorter way, from headings ``theta0`` to ``theta1``; counterclockwise is positive.
-
-    Half a turn, or up to 1e-10 of a full turn more, counts as counterclockwise, whatever the rounding of headings.
-    """
+    """Return the signed shorter turns between headings, positive counterclockwise; half a turn counts as positive."""
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * (turns - np.ceil(turns - _HALF_TURN))
 
@@ -122,7 +119,7 @@ def between(
 
 
 def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return a path's rows before and after given times, and the share of the motion between that is done then."""
+    """Return a path's rows before and after given times, and the share of the motion between both that is done."""
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
     row = np.minimum(np.searchsorted(times, when, side="right") - 1, max(last - 1, 0))
@@ -149,14 +146,13 @@ def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
 class PolygonRobot(Robot):
     """A convex polygon, with configurations ``(x, y, theta)``: position of the reference point, and heading.
 
-    The reference point is the origin of the vertices' frame. The polygon turns about it and must contain it, possibly
-    on its boundary, since distances measure its path. The heading is in radians, counterclockwise, periodic, and 0
-    for the polygon as given.
+    The polygon turns about the reference point, the origin of the vertices' frame. Distances measure the path of this
+    point, so the polygon must contain it, if only on its boundary. The heading is in radians, counterclockwise,
+    periodic, and 0 for the polygon as given.
 
     Args:
-        vertices: Corners ``(n, 2)``, in workspace units, in either order, closed or not. They are stored
-            counterclockwise, the first one first. ``ValueError`` if they are not finite, fewer than 3 or more than
-            1,000, collinear or not convex, or do not enclose the origin.
+        vertices: From 3 to 1,000 corners ``(n, 2)``, in workspace units, in either order, closed or not; stored
+            counterclockwise, the first one first. ``ValueError`` if collinear, not convex, or beside the origin.
     """
 
     vertices: Float[np.ndarray, "n 2"]

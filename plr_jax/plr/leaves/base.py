@@ -33,10 +33,10 @@ UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 class LeafModel(ABC):
     """A kind of leaf, such as planes; immutable and hashable, as it is a key of the cache of compiled queries.
 
-    Leaf data has three forms: *stored*, as in a file, for all leaves together; *coefficients*, which determine a
-    leaf's function in its box (the constant ``inf`` if the first is ``inf``); *parameters*, the numbers that a query
-    reads. If the model ``is_cell_relative``, they begin with the cell's number along each axis: 1 is the domain,
-    ``2 i`` and ``2 i + 1`` halve ``i``.
+    Leaf data has three forms. *Stored* data is that of a file, for all leaves together. *Coefficients* determine a
+    leaf's function in its box: the constant ``inf`` if the first is ``inf``. *Parameters* are the numbers that a
+    query reads. If the model ``is_cell_relative``, the parameters begin with the number of the leaf's cell along each
+    axis: the domain has number 1, and the halves of cell ``i`` have ``2 i`` and ``2 i + 1``.
     """
 
     name: str
@@ -70,11 +70,10 @@ class LeafModel(ABC):
 
     @abstractmethod
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
-        """Return a leaf's value at a point; the order of operations is part of the format (see ``plr/portable``).
+        """Return a leaf's value at a point; the order of operations is part of the file format.
 
-        Arguments are arrays, scalars or generated code. ``parameters`` lacks the cell's number along each axis.
-        ``place`` has the point's coordinates: from 0 to 1 across the leaf's cell if the model ``is_cell_relative``,
-        else relative to the domain's rounded lower corner. ``root`` is the square root.
+        Arguments are arrays, scalars or generated code. ``parameters`` lack the cell's numbers; ``root`` is a square
+        root. ``place`` is from 0 to 1 across the cell if ``is_cell_relative``, else from the domain's lower corner.
         """
 
     @abstractmethod

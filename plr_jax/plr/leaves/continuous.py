@@ -328,17 +328,11 @@ class Continuous(LinearLeafModel):
 
     Args:
         order: 0: continuous values, multilinear in every leaf (``"continuous"``), in at most 6 dimensions. 1:
-            continuous gradients as well, cubic along every axis (``"smooth"``), in 1 or 2 dimensions.
-
-    Raises:
-        ValueError: If the order is neither 0 nor 1.
-
-    References:
-        Order 1 is the rectangular element of Bogner, Fox and Schmit, 1965.
+            continuous gradients as well, cubic along every axis (``"smooth"``), in 1 or 2 dimensions: the rectangular
+            element of Bogner, Fox and Schmit, 1965. Other values raise ``ValueError``.
     """
 
     order: int = 0
-
     is_cell_relative = True
 
     def __post_init__(self):

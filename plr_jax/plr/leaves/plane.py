@@ -21,7 +21,6 @@ from plr_jax.plr.tree import Cells, Tree, tree_of
 
 # The bits in the file are described in ``portable/FORMAT.md``. Half of a plane's rise across its cell along each axis
 # (``half``) shrinks with the cell, so the file has a bit width for each axis and depth.
-
 FLOAT_BITS = 32
 MIN_BITS, MAX_BITS = 4, 20
 _FLOAT_INF = 0x7F800000
@@ -92,14 +91,10 @@ class Plane(LinearLeafModel):
     Args:
         coefficient_bits: Bits of a stored center value: 32 for floats, 4 to 20 for scaled integers. Slopes usually
             take fewer bits. None: 32 without ``max_bytes``; with ``max_bytes``, the number from 8 to 16 with the
-            smallest expected error of fit and rounding.
-
-    Raises:
-        ValueError: If ``coefficient_bits`` has another value.
+            smallest expected error of fit and rounding. Other values raise ``ValueError``.
     """
 
     coefficient_bits: int | None = None
-
     name = "plane"
     num_samples = 192
     least_bytes = 2

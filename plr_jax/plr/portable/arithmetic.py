@@ -30,10 +30,10 @@ _TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the doma
 
 
 class Operations:
-    """Operations on NumPy values besides arithmetic and comparisons; generators of code override them."""
+    """Operations on NumPy values besides arithmetic and comparisons; code generators override the methods."""
 
     def let(self, name: str, value: Value) -> Value:
-        """Return the value; generators of code override this and assign it to a new variable."""
+        """Return the value; a generator of code assigns the value to a new variable instead."""
         return value
 
     def where(self, condition: Value, yes: Value, no: Value) -> Value:
@@ -154,13 +154,11 @@ class Program:
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Evaluate the function of a leaf at ``offsets``, points minus the lower corner of the leaves' domain.
-
-        If the function takes coordinates relative to the leaf's cell, two ``numbers`` for each axis come before the
-        leaf's parameters: how many such cells the domain has along it, and the index of this cell.
-        """
+        """Evaluate the function of a leaf at ``offsets``, points minus the lower corner of the leaves' domain."""
         if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, offsets, do.root)
+        # Before the leaf's parameters come two numbers for each axis: how many cells as long as the leaf's cell the
+        # domain has along the axis, and the index of the leaf's cell.
         in_cell = []
         for axis, along in enumerate(offsets):
             share, start = along * self.frame[Frame.SCALE][axis], self.frame[Frame.START][axis]

@@ -53,7 +53,6 @@ def c_header(program: Program, name: str) -> str:
     rows, row_of_leaf = distinct_rows(program.leaf_parameters)
     tree = CodedTree(program.contents.tree, row_of_leaf)
     has_tree, is_sourced, of_cells = len(tree.children) > 0, isinstance(leaf, Cone), leaf.is_cell_relative
-
     # 1. Description and includes.
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
     table_bytes = 4 * rows.size + tree.code_type.itemsize * tree.children.size
@@ -84,7 +83,6 @@ def c_header(program: Program, name: str) -> str:
         "#endif",
         "",
     ]
-
     # 2. Tables: the tree and the leaf parameters.
     tables, literal = [], CEmitter(name).literal
     if has_tree:
@@ -102,7 +100,6 @@ def c_header(program: Program, name: str) -> str:
         "};",
         "",
     ]
-
     # 3. Descent from fraction bits to the row of the leaf.
     mask = (1 << tree.kind_bits) - 1
     descent = [
@@ -148,7 +145,6 @@ def c_header(program: Program, name: str) -> str:
         do.statements += [f"waypoint[{axis}] = {along};" for axis, along in enumerate(program.waypoint(numbers))]
         functions.append(f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])")
         functions += ["{", *indent(do.used_statements()), "}", ""]
-
     # 5. Floors of the types in use; NaN and numbers too large to have a fraction are returned unchanged.
     helpers = []
     for of_type, whole, digits, one in _FLOORS:

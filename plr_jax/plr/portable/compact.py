@@ -102,7 +102,7 @@ class _CompactWriter:
         self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
     def _write_rows(self, *parts: tuple[Shaped[np.ndarray, "rows _"], int]) -> None:
-        """Append rows of integers; a part has some of their columns, and the width of these in bits."""
+        """Append rows of integers; each part has some columns of the rows, and the width of its columns in bits."""
         widths = np.concatenate([np.full(columns.shape[1], width) for columns, width in parts])
         rows = np.concatenate([columns for columns, _ in parts], axis=1)
         self.body.write(rows.ravel(), np.tile(widths, len(rows)))
@@ -120,10 +120,7 @@ class _CompactWriter:
         self._write_rows(*parts, (np.zeros((len(children), 1), np.int64), -num_bits % 8))
 
     def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, "_"]) -> bytes:
-        """Append ``rows``, and the leaf parameters that differ from ``numbers``, those that a query computes.
-
-        ``rows`` are distinct leaf parameters, to which leaves refer by index. Return all bytes.
-        """
+        """Append ``rows``, and the leaf parameters that differ from the computed ``numbers``; return all bytes."""
         # 1. Choose the leaves that are stored as planes.
         power = self.dim - 1 - np.arange(self.dim)
         order = {"plane": 0, "cone": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
@@ -230,19 +227,12 @@ def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndar
 
 
 class _Middles:
-    """Values in the middles of cell edges that the tree's splits halve, coded by their differences from means.
+    """Values in the middles of cell edges that splits halve, coded by differences from the mean of both ends."""
 
-    The mean is that of the values at both ends of the edge. Values are in steps of the file's quantization.
-
-    Attributes:
-        corners: Values at the corners of the cell of each node, in units of ``2**-fraction_bits`` steps.
-        mark: How the value in the middle of each edge is stored. 0: both halves of the split have the mean. 1: both
-            have the value of ``narrow``. 2: both have the value of ``wide``. 3: each half has its own ``wide``, as
-            at walls.
-        narrow: The value minus the rounded mean, in steps.
-        wide: For each half, twice the value minus the rounded mean, in steps; or, as an odd number, 1 plus twice the
-            value minus the mean, in units of ``2**-fraction_bits`` steps.
-    """
+    # ``mark`` says how an edge's middle is stored. 0: both halves of the split have the mean; 1: both have the value
+    # of ``narrow``; 2: both have the value of ``wide``; 3: each half has its own ``wide``, as at walls. ``narrow`` is
+    # the value minus the rounded mean, in steps of the file. ``wide`` is, for each half, twice this difference; or,
+    # if odd, 1 plus twice the value minus the mean, in units of ``2**-fraction_bits`` steps, as ``corners``.
 
     def __init__(self, contents: DecodedFile, is_smooth: bool) -> None:
         tree, partition = contents.tree, contents.stored.partition
@@ -305,10 +295,7 @@ class _Middles:
         return widths
 
     def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return the integers to store, two for each halved edge, and their widths in bits.
-
-        ``unit`` is the width of ``narrow`` for each split.
-        """
+        """Return two integers to store for each halved edge, and their bits; ``unit`` is the bits of ``narrow``."""
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
@@ -317,10 +304,7 @@ class _Middles:
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Compute the polynomials of smooth leaves, in level order, from values at cell corners, as the C decoder does.
-
-    A coefficient is NaN if the decoder's result depends on the order of its search, or if its search is too long.
-    """
+    """Compute polynomials of smooth leaves as the C decoder does, in level order; NaN where its answer is unknown."""
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
@@ -343,10 +327,7 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """The C decoder's computation of the derivatives at a corner of smooth leaves, from the leaves around it.
-
-    The decoder meets these leaves in any order, so the result is NaN where it depends on the order.
-    """
+    """The C decoder's derivatives at corners of smooth leaves; NaN where the order of the leaves around matters."""
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
         self.child, self.axis = tree.child.tolist(), tree.axis.tolist()
@@ -403,10 +384,8 @@ class _SmoothCorners:
     def _on_edge(
         self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
     ) -> tuple[list[float], int]:
-        """Return value, derivatives and chain at a corner inside an edge of a larger leaf, from the edge's cubic.
-
-        The edge runs along axis ``edge`` from ``start`` for ``size``, and has the values ``ends``.
-        """
+        """Return value, derivatives and chain at a corner inside an edge of a larger leaf, from the edge's cubic."""
+        # The edge runs along axis ``edge`` from ``start`` for ``size``, and has the values ``ends``.
         across, t, scale = 2 >> edge, (point[edge] - start) / size, float((1 << FRACTION_BITS) // size)
         places = [tuple(at if axis == edge else x for axis, x in enumerate(point)) for at in (start, start + size)]
         (p, first), (q, second) = map(self, places, ends)

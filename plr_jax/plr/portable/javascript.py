@@ -100,7 +100,6 @@ def js_module(program: Program) -> str:
         columns = np.column_stack([columns, both])
     rows, row_of_leaf = distinct_rows(columns)
     tree = CodedTree(program.contents.tree, row_of_leaf)
-
     # 1. Description.
     names = f"[{', '.join(f'x{axis}' if dim > 3 else 'xyz'[axis] for axis in range(dim))}]"
     waypoint = f"// waypoint({names}): next waypoint on the way to the goal; NaN outside the domain."

@@ -97,8 +97,7 @@ def point_query(
 ) -> Callable[..., Any]:
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
-    It returns the distance (``inf`` outside the domain, NaN for NaN) or, if ``of_leaf``, the row of the point's leaf
-    (-1 outside and for NaN). It returns None if rounding decides whether the point is inside.
+    The function returns the distance, or the row of the leaf if ``of_leaf``; None if rounding decides what is inside.
     """
     do, domain, tree = PythonEmitter(), program.domain, table.tree
     children, depth = table.children.data, tree.depth.data  # memoryviews, which return Python integers
@@ -160,20 +159,16 @@ def point_query(
 class NumpyPLR:
     """A PLR that is queried without JAX; made by :func:`load_numpy` or :meth:`PLR.numpy`.
 
-    ``f(x)`` is the distance at points ``(..., dim)``, in 32-bit floats. Results equal those of C headers
-    (:meth:`PLR.c_header`) bit for bit, and those of ``plr(x)`` on a CPU except for numbers below 1e-38. Points are
-    rounded to 32 bits; before that, 64-bit points are wrapped and, in a domain far from the origin, shifted.
+    ``f(x)`` is the distance at points ``(..., dim)``. Results equal those of C headers (:meth:`PLR.c_header`) bit for
+    bit, and those of ``plr(x)`` on a CPU except for numbers below 1e-38. Points are rounded to 32 bits; before that,
+    64-bit points are wrapped and, in a domain far from the origin, shifted.
 
-    The distance or waypoint of a single point, as a tuple, list or array, takes a few microseconds, as does each
-    point of an array of at most eight. A larger batch takes up to about 0.1 ms plus tens of nanoseconds per point.
-    Bounds, points around periodic axes, and points outside with ``outside`` other than ``"inf"`` take 50 to 250
-    microseconds per call.
+    A single point, as a tuple, list or array, takes a few microseconds, as does each point of an array of at most
+    eight. A larger batch takes up to about 0.1 ms plus tens of nanoseconds per point. Bounds, points around periodic
+    axes, and points outside with ``outside`` other than ``"inf"`` take 50 to 250 microseconds per call.
 
-    Attributes:
-        dim: Number of axes.
-        domain: Closed box that the PLR covers.
-        num_leaves: Number of leaves.
-        max_error: Proven bound of the largest error, in units of distance; None if nothing is proven.
+    ``dim``, ``domain``, ``num_leaves`` and ``max_error`` are those of the :class:`PLR`. Answers are float32, except
+    that waypoints in a domain far from the origin are float64, and :meth:`which` returns integers.
     """
 
     def __init__(self, data: bytes):
@@ -236,26 +231,17 @@ class NumpyPLR:
         return np.array(answer) if type(answer) is list else answer
 
     def waypoint(self, x: ArrayLike) -> Any:
-        """Return the next waypoint from each point ``(..., dim)``, for PLRs of cones; see :meth:`PLR.waypoint`.
-
-        Results are float32, or float64 in a domain far from the origin.
-        """
+        """Return the next waypoint from each point ``(..., dim)``, for PLRs of cones; see :meth:`PLR.waypoint`."""
         as_sourced(self._program.leaf)
         return self._of_leaves(x, self._waypoint_rows)
 
     def which(self, x: ArrayLike) -> Any:
-        """Return the index of the goal that is nearest to each point ``(..., dim)``; -1 outside and for NaN.
-
-        Only for cones whose file names their goals; see :meth:`PLR.which`.
-        """
+        """Return the index of the goal nearest to each point ``(..., dim)``, -1 outside; see :meth:`PLR.which`."""
         goal = self._of_leaves(x, self._goal_rows)
         return np.where(goal >= 0, goal, -1).astype(np.int64)[()]
 
     def bounds(self, x: ArrayLike) -> tuple[Any, Any]:
-        """Return proven lower and upper bounds of the distance at points ``(..., dim)``; see :meth:`PLR.bounds`.
-
-        Raises ``ValueError`` if nothing is proven of the PLR. Results are float32.
-        """
+        """Return proven lower and upper bounds of the distance at points ``(..., dim)``; see :meth:`PLR.bounds`."""
         if self._band is None:
             raise ValueError("Nothing is proven of this PLR: construct it with certified=True, or call certify.")
         answers = self._evaluate(x, self._bounds)

@@ -28,7 +28,6 @@ class Expression:
     level: int  # precedence of the outermost operator
     type: str  # float, double, uint32_t or, for conditions, int
     language: "Emitter"
-
     __array_ufunc__ = None  # NumPy's scalars leave operators to this class
 
     def __str__(self) -> str:
@@ -146,10 +145,7 @@ class Emitter(Operations, ABC):
 def write_lookup(
     do: Emitter, program: Program, of_type: str, read_leaf: Callable[..., list[Expression]], outside: list[str]
 ) -> tuple[list[Expression], list[Expression]]:
-    """Append code that finds the leaf of ``x``, the argument of a function in C or JavaScript.
-
-    Return expressions of the point minus the domain's lower corner, by axis, and of the leaf's parameters.
-    """
+    """Append code that finds the leaf of ``x``; return ``x`` minus the domain's corner, and the leaf's parameters."""
     x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
     if of_type == "double":
         x = program.wrap_in_double(do, x)

@@ -22,7 +22,6 @@ from plr_jax.plr.leaves.cone.codec import StoredCones
 from plr_jax.plr.tree import Tree
 
 _FINE = 2.0**-24  # rounding of stored sources, in units of the domain's width
-
 Indices = Int[np.ndarray, "pairs"]
 
 
@@ -51,7 +50,7 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Return how much all distances in each leaf changed, NaN if differently, and its apex in ``after`` or -1."""
+        """Return the change of all distances in each leaf (NaN if they differ), and its apex in ``after`` or -1."""
         from scipy.spatial import KDTree  # which no query needs
 
         apart, nearest = KDTree(before.points).query(self.stored.sources.points)
@@ -99,11 +98,7 @@ class ConeLeaves:
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Return leaves, each with a corner (or the goal) to which a shortest path from the leaf may go first.
-
-        ``leaf`` and ``triangle`` are pairs that intersect; leaves marked in ``differ`` are left out. ``pairs`` has
-        the candidates of each triangle. The proven upper bounds of distances have risen by ``grown``.
-        """
+        """Return pairs of a leaf and a corner (or the goal) to which a shortest path from the leaf may go first."""
         first = np.searchsorted(pairs.triangle, np.arange(triangle.max(initial=-1) + 2))  # of each triangle
         rows, met = take_ragged(first, triangle)
         of, is_open = leaf[met], ~differ[leaf[met]]

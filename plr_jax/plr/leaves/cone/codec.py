@@ -84,13 +84,9 @@ def store_sources(
     parents: Int[np.ndarray, "sources"],
     domain: Box,
     is_off: Bool[np.ndarray, "sources fractions"] | None = None,
-    goals: Int[np.ndarray, "goals"] | None = None,
+    goals: Int[np.ndarray, "goals"] | None = None,  # indices of several goals, which are the first sources
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Return sources (obstacle corners, goals) in their file form, without duplicates, and each source's new index.
-
-    The parent of a source is the next source on the shortest path to a goal. ``is_off`` may give the result of
-    :func:`off_lattices`. ``goals``, if any, are the indices of several goals, which are the first sources.
-    """
+    """Return sources (corners and goals) as a file stores them, without duplicates, and each source's new index."""
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(

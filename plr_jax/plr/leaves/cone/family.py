@@ -1,10 +1,7 @@
 """Find the best partitions into cone leaves for many goals of one workspace, from samples that all goals share.
 
-The corners that a sample sees are the same for all goals, so its distance takes one addition for each such corner.
-
 1. Every dyadic box gets the cone ``offset + |x - source|`` of least mean error at its samples (``fit_boxes``).
-2. Dynamic programming finds the tree that minimizes error plus a price per leaf. The price is adjusted until the
-   file fills the limits (``_largest_tree``).
+2. Dynamic programming finds the tree of least error plus a price per leaf that fills the file (``_largest_tree``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``change_sources``).
 """
 
@@ -34,7 +31,6 @@ _MOST_OF_SOURCES = 0.85  # largest share of the file that this estimate leaves t
 _SOME_SAMPLES = 64  # samples of a box in its first error estimate; once it becomes a leaf, all are used
 _MOST_OPTIONS = 4  # candidates for a leaf's new source, besides its own: the most frequent ones at its samples
 _AT_ONCE = 1 << 14  # pairs of a sample and a source whose arrays stay in a core's cache
-
 Shape: TypeAlias = tuple[int, int]
 """Number of halvings of a box along each axis."""
 
@@ -50,7 +46,7 @@ class Lattice:
 
     @cached_property
     def first(self) -> dict[Shape, int]:
-        """For each shape (halvings along each axis), the lowest number of a box."""
+        """For each shape (halvings along each axis), the lowest number of a box of this shape."""
         each = range(self.halvings + 1)
         shapes = [(i, j) for i in each for j in each if abs(i - j) <= MAX_ASPECT_BITS]
         shapes.sort(key=sum)
@@ -85,7 +81,7 @@ class Lattice:
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
-        """Indices of samples, by shape: the first in each box, and what to add for up to 64 samples of the box."""
+        """For each shape, the index of the first sample of each box, and what to add for up to 64 of its samples."""
         found, row = {}, 1 << self.halvings
         for shape in self.first:
             size = np.array([1 << (self.halvings - along) for along in shape])
@@ -111,9 +107,7 @@ class Lattice:
 
 
 class GoalSamples(NamedTuple):
-    """Samples of the distance to one goal."""
-
-    table: Float[np.ndarray, "samples 4"]  # two coordinates, distance, and weight
+    table: Float[np.ndarray, "samples 4"]  # two coordinates, distance to the goal, and weight
     source: Int[np.ndarray, "samples"]  # index in `sources` of each path's first turn; -1 without a path
     sources: Sources
 
@@ -157,8 +151,7 @@ def option_errors(
 ) -> Float[np.ndarray, "3 options"]:
     """Compare distances at samples ``first[i] + offset`` with the way straight to ``source[i]`` and on to the goal.
 
-    Return weighted sums of errors, largest errors, and the weight of samples whose distance is longer by more than
-    ``shortfall``: a wall hides the source from these samples.
+    Return weighted sums and maxima of errors, and the weight of samples whose distance is ``shortfall`` longer.
     """
     result, at_once = np.zeros((3, len(first))), max(1, _AT_ONCE // len(offset))
     for begin in range(0, len(first), at_once):

@@ -28,8 +28,7 @@ _UNDERFLOW = 1.1e-19  # root of the smallest normal 32-bit float; squares of sma
 class Cone(LeafModel):
     """The leaf model ``"cone"``, functions ``offset + |x - source|``, for lengths of shortest paths among polygons.
 
-    The source is the first corner of a shortest path, or the goal; the offset is its distance to the goal. These are
-    the coefficients of a leaf: the offset, then the source.
+    The source is the first corner of shortest paths from a leaf, or the goal; the offset is its distance to the goal.
     """
 
     name = "cone"

@@ -51,11 +51,9 @@ class ConeBoxes(Rows):
 
     @property
     def peak(self) -> Float[np.ndarray, "boxes"]:
-        """The largest error; if ``by_side``, times the side of the box (the root of its share of the domain's area).
-
-        With this factor, boxes along a wall together cost the same however often they are halved, so they are halved
-        until thin. Proven PLRs go without this factor, since they need few leaves of large error.
-        """
+        """The largest error; if ``by_side``, times the box's side (the root of its share of the domain's area)."""
+        # With this factor, boxes along a wall cost the same however often they are halved, so they are halved until
+        # thin. Proven PLRs go without this factor, since they need few leaves of large error.
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
 
     def new_halves(
@@ -190,10 +188,8 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 def prefer_visible_sources(
     boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Return the apex (a corner, or the goal) of each leaf's cone; prefer apexes that all of the leaf sees.
-
-    The largest proven error does not rise. ``fits`` tests whether the file stays within its limits.
-    """
+    """Return the apex (corner or goal) of each leaf's cone: where possible, an apex that all of the leaf sees."""
+    # The largest proven error does not rise.
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
 
@@ -205,10 +201,8 @@ def change_sources(
     most: float,
     fits: Callable[[Int[np.ndarray, "leaves"]], bool],
 ) -> Int[np.ndarray, "leaves"]:
-    """Replace apexes of cones (sources) from which walls hide parts of their leaves, as far as the file ``fits``.
-
-    Proven errors of new cones are at most ``most``; ``total`` is the mean error of all leaves before.
-    """
+    """Replace apexes of cones (sources) from which walls hide parts of their leaves, as far as the file ``fits``."""
+    # Proven errors of new cones are at most ``most``; ``total`` is the mean error of all leaves before.
     leaf, is_own = options.leaf, options.is_own
     if not len(leaf):
         return source
@@ -245,10 +239,7 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
 def best_cones_of_goal(
     visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Callable[..., PricedTree] = run_quietly
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
-    """Find the best cone leaves for one goal; return a tree, its leaves as stored, and their boxes, in tree order.
-
-    ``visible`` has the corners to which shortest paths from the domain may go first.
-    """
+    """Find the best cone leaves for one goal; return a tree, its leaves as stored, and their boxes, in tree order."""
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
     levels = [BoxLevel.of(box, box.cells.hashes())]

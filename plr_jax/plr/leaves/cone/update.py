@@ -157,8 +157,6 @@ class FoundTree:
 
 @dataclass(frozen=True, eq=False)
 class ConeSearch:
-    """A search for the best cone leaves after a change of the map."""
-
     leaves: ConeLeaves
     nodes: NodeCosts  # of the old tree; inf where distances did not change by one number
     oracle: ChangingFn
