@@ -31,7 +31,7 @@ class ValidationReport:
 
     Args:
         valid: Whether the path solves the problem.
-        cost: Recomputed cost, in workspace units. Cost and clearance are NaN for a wrong shape or infinite numbers.
+        cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite or misshapen.
         clearance: Smallest distance of a robot to an obstacle, the bounds or another robot, to within 1e-7 of the
             workspace's extent, or twice its ``tolerance``; in a collision, about minus the first overlap's depth.
         message: Description of the first violation, or of the closest pair if there is none.

@@ -64,8 +64,9 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
         ``plr.lower`` do; each must then be the distance among its robot's own obstacles.
 
     Raises:
-        ValueError: If ``distance_fns`` is empty or holds anything but functions. At a call of the heuristic: if the
-            team has another size, or a function needs more coordinates, or returns a wrong shape or NaN there.
+        ValueError: If ``distance_fns`` is empty or holds anything but functions. When the heuristic is called: if the
+            team has another size, or a function has a ``dim`` above the team's, or returns a wrong shape, or NaN for
+            a finite configuration.
     """
     if callable(distance_fns) or not isinstance(distance_fns, Iterable):
         raise ValueError(f"distance_fns must hold one function per robot, got {shortened(distance_fns)}.")

@@ -94,7 +94,7 @@ class TeamMoves:
     def _add_between_cells(
         self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
-        """Add to ``neighbors`` the collisions of robots ``i`` with ``j`` of shape ``k``, ``cells`` cells apart."""
+        """Add to ``neighbors`` the collisions of robots ``i`` with robots ``j``, which are ``cells`` cells away."""
         known, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
         if new := list({*keys, *back} - known.keys()):
