@@ -14,9 +14,7 @@ print(plr_jax.metrics.error_map(plr, oracle, x))
 plr_jax.save(plr, "field.plr")
 ```
 
-# Guides
-
-Each guide is about one task and has examples that run. Together they show all public names.
+# Guides, with examples that run
 
 - `plr_jax.guides.distance_function`: maps, oracles, leaves, files. `construct`, `certify`, `save`, `load`.
 - `plr_jax.guides.any_two_points`: `construct_pairs`, `construct_grid_pairs`, `construct_many`, `stack`.
@@ -45,8 +43,7 @@ Points are rows `(x, y)` or `(x, y, z)` in every call: queries, starts, goals, a
 Row 0 of a picture is its top: use `Workspace.from_mask(free, row0="top")`, and `values[::-1]` for rasters. The
 transpose `.T` turns a raster into voxels and back.
 
-Names are loaded when they are first used. So a program that only loads and queries a PLR imports neither Shapely nor
-NetworkX nor Matplotlib, nor the slow parts of SciPy.
+Names are loaded when they are first used: to load and query a PLR imports neither Shapely nor Matplotlib.
 """
 
 import lazy_loader

@@ -122,7 +122,6 @@ def require_integer(name: str, value: object, least: int) -> None:
 
 
 def as_number(name: str, value: object, expected: str, in_range: Callable[[float], bool]) -> float:
-    """Check a real number, for which ``in_range`` must hold; ``expected`` describes it in errors."""
     number = math.nan
     if isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool):
         with suppress(OverflowError):

@@ -38,10 +38,8 @@ class Descent:
         status: A :class:`DescentStatus` for each start, ``(n,)``.
         vertices: Vertices of the paths, ``(n, longest, dim)``, from the start to a goal. Copies of the goal fill up
             shorter paths. NaN without a path. Along periodic axes, segments go the shorter way.
-        counts: Number of vertices of each path, without the copies, ``(n,)``: 1 if the start is the goal, 0 without
-            a path.
-        lengths: Length of each path, ``(n,)``, in workspace units or by the space's ``motion_cost``; ``inf`` without
-            a path.
+        counts: Number of vertices of each path, ``(n,)``, without copies: 1 if the start is the goal, 0 if no path.
+        lengths: Length of each path, ``(n,)``, in workspace units or by ``motion_cost``; ``inf`` without a path.
         costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length.
     """
 
@@ -80,22 +78,20 @@ def descend(
 
     The common call is ``descend(plr, workspace, starts, goal).paths``.
 
-    *Lengths in a workspace*: paths go from corner to corner. The field is evaluated once per corner, to rank the
-    edges between corners; every segment is tested for visibility. Each start reaches the goal if that is possible,
-    whatever the field. Even a field of zeros often yields shortest paths, so path lengths say little about a field.
+    *Lengths in a workspace*: paths go from corner to corner of the obstacles. The field only ranks the edges between
+    corners. So each start reaches the goal if that is possible, and path lengths say little about a field.
 
-    *Other costs and spaces*: paths take finite steps of many lengths and directions, to the visible point where the
-    field falls most per cost of the step. Then vertices are skipped or shifted to reduce the cost. A slower search
-    escapes from local minima, and gives up (STUCK) after 1,000 expansions. A step may cross a ridge of the field and
-    pass an obstacle on the longer side. With a cost map, each start takes a few tenths of a second.
+    *Other costs and spaces*: paths take finite steps to the visible point where the field falls most per cost of the
+    step. Then vertices are skipped or shifted to reduce the cost. A slower search escapes from local minima, and
+    gives up (STUCK) after 1,000 expansions. With a cost map, each start takes a few tenths of a second.
 
     Args:
         distance_fn: The field: a function of points ``(n, dim)`` that returns costs-to-go ``(n,)``, NumPy or JAX, in
             units of the motion cost; ``inf`` where unknown. Its points lie in the domain, with periodic axes wrapped.
-        space: Free space. A Workspace is the free space of a point; for a disc, pass the inflated workspace.
+        space: Free space. A Workspace is that of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
-        goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
-            each path ends at the one that is nearest by the field.
+        goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``,
+            of which each path ends at the nearest by the field.
         cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:
@@ -106,8 +102,7 @@ def descend(
         ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
             free, or a returned value is invalid: NaN of the field, or not positive and finite for the cost map.
 
-    References: Putman et al., Section I. Visibility graphs: de Berg et al., Computational Geometry (3rd ed.), chapter
-    15. Semi-Lagrangian steps: Falcone and Ferretti, 2014, chapter 8.
+    References: Putman et al., Section I; de Berg et al., 2008, chapter 15; Falcone and Ferretti, 2014, chapter 8.
     """
     if isinstance(space, Workspace) and cost_map is None:
         vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)
@@ -212,10 +207,7 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Join each of ``corners`` to the ``count`` visible places for which distance plus cost-to-go is least.
-
-    ``field`` holds the cost-to-go of each of ``places``, the goals and then all corners.
-    """
+    """Join each corner to the ``count`` visible places for which distance plus cost-to-go (``field``) is least."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]

@@ -37,7 +37,6 @@ def file_path(path: object) -> Path:
 
 @contextmanager
 def errors_named(path: Path) -> Iterator[None]:
-    """Prefix every ``ValueError`` about the content of a file with the file's name."""
     try:
         yield
     except ValueError as error:
@@ -94,7 +93,6 @@ def _loader() -> Any:
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
-    """Require that a document is of a kind, such as "scene", and has a known version and all keys."""
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
     found = document.get("version")

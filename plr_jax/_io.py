@@ -14,9 +14,8 @@ from plr_jax.plr.container import GRID_MAGIC, holds_pairs, read_bytes
 def save(plr: PLR | PairPLR | GridPairs, path: str | os.PathLike) -> None:
     """Write a PLR, a PairPLR or GridPairs to a file of ``plr.num_bytes`` bytes, completely or not at all.
 
-    For a ``MetricPairs``, save its ``plr``. ``plr/portable/FORMAT.md`` and
-    ``pairs/FORMAT.md`` document the formats. Raises ``ValueError`` for another object or an invalid ``path``, and
-    ``OSError`` if the file cannot be written.
+    For a ``MetricPairs``, save its ``plr``. ``plr/portable/FORMAT.md`` and ``pairs/FORMAT.md`` document the formats.
+    Raises ``ValueError`` for another object or an invalid ``path``, and ``OSError`` if the file cannot be written.
     """
     if not isinstance(plr, PLR | PairPLR | GridPairs):
         raise ValueError(f"Only a PLR, a PairPLR or GridPairs can be saved, got {shortened(plr)}.")

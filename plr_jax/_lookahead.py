@@ -1,10 +1,9 @@
 """Paths by lookahead: finite steps down a cost-to-go, in any space that proves motions free.
 
-Steps are ranked by slope, the fall of the cost-to-go per cost of the step. In theory it is 1 along cheapest paths and
-nowhere larger; a larger slope is an error of the cost-to-go and counts as 1. Among nearly equal slopes, the longest
-step wins, so that small kinks and dents do no harm. The slope must be at least ``_FALL``, so that every path ends. A
-best-first search (Barraquand and Latombe, 1991) escapes from local minima. Finished paths are made cheaper: nodes are
-skipped, or shifted to where their two segments cost least.
+Steps are ranked by slope, the fall of the cost-to-go per cost of the step. It is at most 1, apart from errors of the
+cost-to-go. Among nearly equal slopes, the longest step wins, so that small dents do no harm. A best-first search
+(Barraquand and Latombe, 1991) escapes from local minima. Finished paths are made cheaper: nodes are skipped, or
+shifted to where their two segments cost least.
 """
 
 import heapq
@@ -67,10 +66,7 @@ _NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions of the space, and along each block (group) of axes alone.
-
-    The cost is a sum over blocks, such as position and heading (see :class:`MotionCost`).
-    """
+    """Return motions of cost 1 in many directions, and along each block of axes (position or heading) alone."""
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
@@ -113,10 +109,7 @@ class PathCosts:
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, "n"]:
-        """Integrate costs along straight motions: halve intervals until bounds prove the relative ``tolerance``.
-
-        The error is at most 1/16 of the tolerance larger if the cost map jumps within a motion.
-        """
+        """Integrate costs along straight motions: halve intervals until bounds prove the relative ``tolerance``."""
         if self.cost_map is None:
             return self.space.motion_cost.lengths(q0, q1, self.space.domain)
         domain, motion_cost = self.space.domain, self.space.motion_cost
@@ -196,7 +189,7 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Step down the field; return nodes (0: the goal), the next node of each (-1: stuck), the starts' nodes."""
+        """Step down the field; return nodes (goal first), each node's next node (-1: stuck), the starts' nodes."""
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):

@@ -25,8 +25,6 @@ class Problem:
     Robots may touch walls and one another, up to ``workspace.tolerance``. Points never collide with points.
 
     Args:
-        workspace: The workspace of all robots.
-        robots: The robots, at least one.
         starts: Start configurations, ``(robots, dof)``. Rows are ``(x, y)`` in workspace units if no robot has a
             heading, else ``(x, y, heading)`` with the heading in radians, ignored for points and discs.
         goals: Goal configurations, ``(robots, dof)``.
@@ -110,10 +108,7 @@ def path_cost(problem: Problem, path: ArrayLike) -> float:
 
 
 def makespan(problem: Problem, path: ArrayLike) -> float:
-    """Return the duration of a path ``(steps, robots, dof)`` if each motion's costliest robot has unit speed.
-
-    It is the sum, over motions, of the largest cost of any robot. Another shape raises ``ValueError``.
-    """
+    """Return a path's duration at unit speed: the sum of each motion's largest cost (see :func:`path_cost`)."""
     return float(row_times(problem, path)[-1])
 
 
@@ -220,7 +215,7 @@ def _require_connected(problem: Problem) -> None:
 
 
 def connected_parts(workspace: Workspace) -> tuple[Any, Int[np.ndarray, "parts"]]:
-    """Return the polygons of free space, and a number for each, which polygons that are connected share."""
+    """Return the polygons of free space, and the index of the connected part to which each polygon belongs."""
     parts = shapely.get_parts(workspace.free_space)
     first, second = np.zeros((2, 0), dtype=int)
     if workspace.squeeze:

@@ -18,9 +18,6 @@ DistanceFn: TypeAlias = Callable[[Points], Distances]
 or outside the bounds. An oracle never returns NaN or negative numbers; it returns ``inf`` where a coordinate is NaN.
 A PLR may be slightly negative near the goal, returns ``inf`` outside its domain and NaN where a coordinate is NaN,
 and ignores obstacles. Users of a distance function must handle both.
-
-Optional protocols: :class:`DimensionedFn`, :class:`PiecewiseFunction`, :class:`StackableDistanceFn`,
-:class:`CellwiseFn`, :class:`BoundingFn`, :class:`FreeSpaceFn`, :class:`SymmetricFn`.
 """
 
 
@@ -54,9 +51,8 @@ class PiecewiseFunction(FunctionOfBox, Protocol):
 class Sources:
     """The goal, and the points where shortest paths to it may turn.
 
-    The shortest path from a point starts with a straight segment to one of these points, the *source* of the point.
-    So a point's distance is the length of this segment plus the source's distance to the goal. If there are several
-    goals, they come first, and all distances are those to the nearest goal.
+    The shortest path from any point starts with a straight segment to one of these points, its *source*. If there are
+    several goals, they are the first sources, and all distances are those to the nearest goal.
     """
 
     points: Float[np.ndarray, "sources dim"]
@@ -70,13 +66,10 @@ CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without
 
 @runtime_checkable
 class FamilyFn(Protocol):
-    """A distance function that shares computations with functions for other goals on its map, its *family*.
-
-    :class:`plr_jax.VisibilityGraph`, which implements the methods, documents them.
-    """
+    """A distance function that shares work with functions for other goals on its map, its *family*."""
 
     @property
-    def family(self) -> Any: ...
+    def family(self) -> Any: ...  # see plr_jax.VisibilityGraph, also for the methods below
     @property
     def sources(self) -> Sources: ...
     def shared_samples(self, lo: Any, hi: Any, /) -> Any: ...

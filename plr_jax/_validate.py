@@ -31,10 +31,9 @@ class ValidationReport:
 
     Args:
         valid: Whether the path solves the problem.
-        cost: Recomputed cost of the path, in workspace units; NaN if the path has a wrong shape or is not finite.
+        cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite or misshapen.
         clearance: Smallest distance of a robot to an obstacle, the bounds or another robot, to within 1e-7 of the
-            workspace's extent or twice its ``tolerance``, if larger. For a colliding path, about minus the depth of
-            the first overlap. NaN if the cost is NaN.
+            workspace's extent, or twice its ``tolerance``; in a collision, about minus the first overlap's depth.
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
         when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
@@ -53,17 +52,11 @@ class ValidationReport:
 def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     """Check whether a path, from any planner, solves a problem.
 
-    The path must be finite, begin at the starts and end at the goals exactly; headings of robots that do not turn are
-    ignored. All robots must keep clear of obstacles, the bounds and one another during all motions; touching is
-    allowed. Motions are straight, at constant rates, and turn the shorter way, or for half a turn counterclockwise.
-
-    Args:
-        problem: The problem that the path should solve.
-        path: Joint configurations ``(steps, robots, dof)``, in workspace units and radians. An invalid path is
-            reported and raises nothing.
-
-    Raises:
-        ValueError: If ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
+    The path, joint configurations ``(steps, robots, dof)``, must be finite, begin at the starts and end at the goals
+    exactly; headings of robots that do not turn are ignored. All robots must keep clear of obstacles, the bounds and
+    one another during all motions; touching is allowed. Motions are straight, at constant rates, and turn the shorter
+    way, or for half a turn counterclockwise. An invalid path is reported and raises nothing. ``ValueError`` is raised
+    if ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
     """
     require_problem(problem, path)
     try:

@@ -25,12 +25,9 @@ class ErrorReport:
     ``max``, ``mean`` and ``quantiles`` are in workspace units, over the points where both functions are finite.
 
     Attributes:
-        max: Largest error.
-        mean: Mean error.
         quantiles: For each share 0.5, 0.9, 0.99 and 0.999, the error that this share of the points does not exceed.
         max_at: Point of the largest error, ``(dim,)``.
         max_distance: Largest finite distance ``V``, as a scale for the errors.
-        num_points: Number of points.
         num_unreachable: Points where ``V`` is infinite; the error is undefined there.
         num_unanswered: Points where ``V`` is finite and ``L`` is not.
         num_invented: Points where ``V`` is infinite and ``L`` is finite.

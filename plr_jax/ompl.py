@@ -29,15 +29,14 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
     inequality, it is the largest of the space's own distance, ``lower(s1) - upper(s2)`` and, for costs that are equal
     in both directions, ``lower(s2) - upper(s1)``, with the PLR's bounds of the distance to its goal.
 
-    The heuristic is *admissible* between free states from which the PLR's goal is reachable, which is all that BIT*,
-    BFMT* and SORRT* need, the only planners that use it. It is not *consistent*: bounds jump between leaves by up to
-    ``2 * plr.max_error``, so a graph search must reopen states. A call takes tens of microseconds: it pays off if
-    motion tests take longer.
+    The heuristic is *admissible* between free states from which the PLR's goal is reachable. The only planners that
+    use it, BIT*, BFMT* and SORRT*, need no more. It is not *consistent*: bounds jump between leaves by up to
+    ``2 * plr.max_error``. A call takes tens of microseconds, which pays off if motion tests take longer.
 
     Args:
         space_information: OMPL's ``SpaceInformation``; its space's distance must be the cost of motions.
-        plr: A PLR with proven bounds, such as one built with ``certified=True``, for these costs or lower ones: a PLR
-            for points also serves a body that turns. ``certified="leaves"`` improves the heuristic.
+        plr: A PLR with proven bounds (``certified=True``, or better ``certified="leaves"``) of these costs or lower
+            ones: a PLR for points also serves a body that turns.
         coordinates: Function from a state to its point in the PLR's domain. None: the first coordinates of a
             ``RealVectorStateSpace``; position, and for a PLR of three dimensions heading, of an ``SE2StateSpace``.
 
@@ -49,8 +48,7 @@ def ompl_objective(space_information: Any, plr: PLR, *, coordinates: Coordinates
         ImportError: If OMPL is not installed.
         ValueError: If ``plr`` is not a PLR with proven bounds, or ``coordinates`` must be given.
 
-    References: Gammell et al., "Batch Informed Trees (BIT*)", 2020. The bound (ALT): Goldberg and Harrelson,
-    "Computing the shortest path: A* search meets graph theory", 2005.
+    References: Gammell et al., "Batch Informed Trees (BIT*)", 2020. The bound (ALT): Goldberg and Harrelson, 2005.
     """
     try:
         from ompl import base

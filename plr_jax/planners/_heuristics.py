@@ -19,13 +19,10 @@ _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 
 @dataclass(frozen=True, eq=False)
 class SumOverRobots:
-    """A heuristic of a team, the sum of one term per robot (see :class:`plr_jax._types.HeuristicFn`).
-
-    If ``is_lower_bound`` is true, the sum never exceeds the true cost-to-go.
-    """
+    """A heuristic of a team, the sum of one term per robot (see :class:`plr_jax._types.HeuristicFn`)."""
 
     per_robot: Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # the terms, never NaN
-    is_lower_bound: bool = False
+    is_lower_bound: bool = False  # whether the sum never exceeds the true cost-to-go
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
         """Return estimated costs-to-go of joint configurations, in workspace units; they are never NaN."""
@@ -67,9 +64,9 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
         ``plr.lower`` do; each must then be the distance among its robot's own obstacles.
 
     Raises:
-        ValueError: If ``distance_fns`` is empty or holds something that is not a function. When the heuristic is
-            called: if the team has another size, or a function takes too many coordinates, or returns a wrong shape,
-            or NaN for a finite configuration. Exceptions of a function are passed on.
+        ValueError: If ``distance_fns`` is empty or holds anything but functions. When the heuristic is called: if the
+            team has another size, or a function has a ``dim`` above the team's, or returns a wrong shape, or NaN for
+            a finite configuration.
     """
     if callable(distance_fns) or not isinstance(distance_fns, Iterable):
         raise ValueError(f"distance_fns must hold one function per robot, got {shortened(distance_fns)}.")

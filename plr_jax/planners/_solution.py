@@ -50,8 +50,7 @@ class Stats:
         seconds: Wall-clock seconds of each phase of the planner, by name.
         history: Seconds since the start, and cost, of each new best path.
         found_by: Search that found the best path of :func:`plr_jax.bl_plan`: "lacam", "bl" or "sequential".
-        num_bytes: Estimated memory of the largest lattices that ``bl_plan`` considered, and of its searches. It
-            exceeds the memory limit if that limit ruled out lattices.
+        num_bytes: Estimated memory of ``bl_plan``'s searches and largest lattices, even if the limit ruled them out.
     """
 
     num_nodes: int
@@ -88,8 +87,7 @@ class Solution:
             ``bl_plan``, nodes on the last lattices, of the search (LaCAM or best-first) that has more.
         motions_factor: Proven upper bound of the cost of the path before shortening, over the cost of the cheapest
             path made of the same lattice motions. ``inf`` if nothing is proven.
-        times: Time at which the path reaches each row, ``(steps,)``: nondecreasing, from 0 to the makespan. None if
-            no path was found.
+        times: Time at which the path reaches each row, ``(steps,)``, from 0 to the makespan. None without a path.
     """
 
     path: JointPath | None
@@ -115,20 +113,12 @@ class Solution:
         return self.path is not None
 
     def path_at(self, times: ArrayLike) -> Float[np.ndarray, "*batch robots dof"]:
-        """Return the joint configurations at given times; all robots follow the path by one clock.
+        """Return the joint configurations ``(n, robots, dof)`` at times ``(n,)``, or ``(robots, dof)`` at one time.
 
         Each motion between two rows takes as long as its costliest robot needs at unit speed. The other robots move
-        at a constant rate and arrive at the same time. Headings turn the shorter way.
-
-        Args:
-            times: Times of any shape, such as ``(n,)``. Before 0 the robots are at their starts, after the makespan
-                (or at ``inf``) at their goals.
-
-        Returns:
-            Joint configurations ``(n, robots, dof)``; for one time ``(robots, dof)``. They equal a row at its time.
-
-        Raises:
-            ValueError: If there is no path, or if a time is NaN, masked or not a number.
+        at a constant rate and arrive at the same time. Headings turn the shorter way. At the time of a row, the
+        result equals the row. Before 0 the robots are at their starts, after the makespan (or at ``inf``) at their
+        goals. If there is no path, or a time is NaN, masked or not a number, ``ValueError`` is raised.
         """
         if self.path is None or self.times is None:
             raise ValueError(f"There is no path to follow: the planner ended because {self.status}.")
@@ -185,11 +175,8 @@ class Solution:
             "stats": {"num_nodes", "num_expansions", "num_children_scored", "num_children_valid", "num_bytes": count,
                       "seconds": {phase: seconds, ...}, "history": [[seconds, cost], ...], "found_by": name or ""}
 
-        Every float64 is restored exactly; ``samples`` are empty, since the file omits them.
-
-        Raises:
-            ValueError: If the file is not a solution, is damaged, or was written by a newer version.
-            OSError: If the file cannot be read.
+        Every float64 is restored exactly; ``samples`` are empty, since the file omits them. Raises ``ValueError`` if
+        the file is not a solution, is damaged or of a newer version, and ``OSError`` if it cannot be read.
         """
         path = file_path(path)
         with errors_named(path):
@@ -287,8 +274,7 @@ class BLOptions:
         cost_factor: The search stops at a path whose cost is at most this multiple of the lower bound. Until then, or
             until a limit, it continues with smaller weights and steps; 1 usually means until a limit. A factor that
             is met early ends the search and the shortening, so the path may cost more than without a factor.
-        lower_bound: Known lower bound of all path costs, in workspace units. The planner uses the largest of it, the
-            cost of straight motions, and the heuristic at the starts if that is a lower bound.
+        lower_bound: Known lower bound of all path costs, in workspace units; used if larger than the planner's own.
         time_limit: Seconds, positive or ``inf``. Calls of Shapely, SciPy and the heuristic are not interrupted.
         max_expansions: Largest number of search nodes expanded; deterministic, unlike the time limit.
         max_memory: Largest number of bytes of the lattices and of the search nodes.

@@ -70,30 +70,26 @@ def bl_plan(
         problem: Workspace, robots, starts and goals.
         heuristic: Estimated cost-to-go of joint configurations ``(n, robots, dof)``, as a sum over robots:
             :func:`zero`, :func:`straight_line` or :func:`sum_of_distances`. None, the best choice for a single plan:
-            each robot's cost-to-go along its lattice. ``inf`` prunes nothing, and negative estimates count as 0. If
-            ``is_lower_bound`` is true, the value at the starts is a lower bound of all path costs. A poor heuristic,
-            such as straight lines among walls, may prevent a solution.
+            each robot's cost-to-go along its lattice. ``inf`` prunes nothing, and negative estimates count as 0. A
+            poor heuristic, such as straight lines among walls, may prevent a solution.
         options: How to search, and when to stop.
 
     Returns:
-        The best path found, a lower bound of all path costs, and a status. SOLVED: the cost is at most
-        ``cost_factor`` (default: infinite) times the lower bound. EXHAUSTED: no search is left on the finest lattice
-        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the
-        limit was reached, or best-first search found nothing after it left out children to save memory. Otherwise
-        another limit, or INTERRUPTED after Ctrl-C. Only SOLVED always comes with a path. Results are deterministic
-        unless the time limit ends a search.
+        The best path found, a lower bound of all path costs, and a status. Only SOLVED always comes with a path: its
+        cost is at most ``cost_factor`` (default: infinite) times the lower bound. EXHAUSTED: no search is left on the
+        finest lattice (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. The
+        lower bound is the largest of the option's, the cost of straight motions, and the heuristic at the starts if
+        its ``is_lower_bound`` is true. Results are deterministic unless the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
 
     A few discs among few walls first move one after the other, from corner to corner. Then the team moves on finer
     and finer lattices (grids of configurations, with the exact starts and goals) until LaCAM or best-first search
-    finds a path. Replanning of single robots, shortcuts, and deviations in narrow corridors make the path cheaper.
-    With a ``cost_factor``, small groups are replanned too, and searches go on with finer lattices, smaller weights.
+    finds a path. Replanning of single robots and shortcuts make the path cheaper.
 
-    References: Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section
-    V of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
-    "Anytime multi-agent path finding via large neighborhood search", 2021.
+    References: Section V of the paper; Barraquand and Latombe, "Robot motion planning: a distributed representation
+    approach", 1991. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
     """
     if isinstance(heuristic, BLOptions):
         raise ValueError("heuristic must not be BLOptions(...): call bl_plan(problem, options=BLOptions(...)).")

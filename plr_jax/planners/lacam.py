@@ -3,9 +3,7 @@
 PIBT (priority inheritance with backtracking) finds one step of the whole team. Robots choose in the order of their
 priorities: each takes its best primitive (motion to a neighboring cell, or a stay) that is clear of all chosen ones.
 Robots that can then no longer stay choose next; if one of them finds no motion, the primitive is given up.
-
-References: Okumura et al., "Priority inheritance with backtracking for iterative multi-agent path finding", 2022;
-Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
+References: Okumura et al., Artificial Intelligence 310, 2022 (PIBT); Okumura, AAAI 2023 (LaCAM).
 """
 
 from collections import deque
@@ -96,10 +94,7 @@ class TeamMoves:
     def _add_between_cells(
         self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
-        """Add collisions between robots ``i`` and ``j``, all of shape ``k``, to ``neighbors`` (see :class:`Moves`).
-
-        Row ``n`` of ``cells`` is the offset from robot ``i[n]`` to ``j[n]``, in cells; results are cached by offset.
-        """
+        """Add to ``neighbors`` the collisions of robots ``i`` with robots ``j``, which are ``cells`` cells away."""
         known, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
         if new := list({*keys, *back} - known.keys()):
@@ -235,7 +230,7 @@ class LaCAM:
         self._add(start, None)
 
     def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
-        """Search until ``max_idle`` steps in a row bring no progress; return why, or None if the search may go on."""
+        """Search until ``max_idle`` steps in a row bring no progress; return why, None if the search may go on."""
         self.num_idle = 0
         while self.found is None and self.open and self.num_idle < max_idle:
             if limit := self.budget.exceeded():

@@ -28,7 +28,6 @@ from plr_jax.robots.robot import Robot
 # Primitives besides staying, as offsets (columns, rows, turns) in cells. Robots without a heading do not turn.
 _NEIGHBORS = [(dx, dy, 0) for dx, dy in product((-1, 0, 1), repeat=2) if dx or dy]
 PRIMITIVES = (*_NEIGHBORS, (0, 0, 1), (0, 0, -1))
-
 _GOALS, _NODES = 8, 1 << 19  # most goals, and most nodes times goals, of one Dijkstra call, which has no deadline
 _SECONDS = 3e-7  # estimated time of a Dijkstra call, in seconds per node
 _SAMPLES = 7  # samples per axis in a cell whose center is blocked
@@ -36,7 +35,6 @@ _WIDEST_TURN = np.pi / 4
 _ROUNDING = 1e-9
 _MOST_KEPT = 1 << 18  # motions of a kind of robot up to which they are cached
 _CHUNK = 1 << 12  # cells at a time, between two checks of the clock
-
 Cells: TypeAlias = Int[np.ndarray, "n"]
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
@@ -62,8 +60,7 @@ class Kind:
     Nodes are one free configuration per cell, then starts and goals. The table (``child`` and ``cost``) has a row per
     node and a column per *primitive*, a motion to a neighboring cell; primitive 0 stays in place, and a blocked one
     leads to its own node at infinite cost. No primitive leads to a start or goal. Edges, from nodes ``begin`` to
-    ``end``, are the free motions of the table and each robot's motions into its start and goal; the last is a dummy
-    of infinite cost with index ``num_edges``.
+    ``end``, are the table's free motions, each robot's motions into its start and goal, and a dummy (``num_edges``).
     """
 
     robot: Robot
@@ -91,7 +88,7 @@ class Kind:
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return each primitive's child and cost, from nodes of robot ``row`` or from one node of each robot."""
+        """Return each primitive's end node and cost, from nodes of robot ``row`` or from one node of each robot."""
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
@@ -327,7 +324,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices; a cell is at most ``step`` wide, and a turn to the next moves no point farther."""
+    """Build all robots' lattices; cells are at most ``step`` wide, and turns by a cell move no point farther."""
     each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])

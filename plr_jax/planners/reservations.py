@@ -96,10 +96,7 @@ class ReservationTable:
         return [known[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Move robot ``i`` to its cheapest unblocked path of at most ``max_cost``; return whether there is one.
-
-        The robot's own path must not be reserved.
-        """
+        """Move robot ``i``, its path unreserved, to its cheapest unblocked path up to ``max_cost``; False if none."""
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()

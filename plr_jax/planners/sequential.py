@@ -1,10 +1,8 @@
 """A first path for a few discs among few walls, without a lattice: the robots move one after the other.
 
 Each robot follows a shortest route, straight from corner to corner, in an order in which no robot blocks another. If
-there is none, as for two robots that swap places, one first steps aside into a corner.
-
-References: Buckley, "Fast motion planning for multiple moving robots", 1989. Van den Berg et al., "Centralized path
-planning for multiple robots: optimal decoupling into sequential plans", 2009.
+there is none, as for two robots that swap places, one first steps aside into a corner. References: Buckley, "Fast
+motion planning for multiple moving robots", 1989; van den Berg et al., RSS 2009.
 """
 
 from functools import lru_cache
@@ -104,10 +102,7 @@ def _positions_at(
 
 
 class Routes(NamedTuple):
-    """Costs of a disc's straight motions between its start, its goal and the nodes (corners) of a roadmap.
-
-    The cost of a motion that hits a wall is ``inf``.
-    """
+    """Costs of a disc's straight motions between its start, goal and a roadmap's corners; ``inf`` through walls."""
 
     roadmap: CornerRoadmap
     start: complex

@@ -67,10 +67,7 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
-    """Find robot ``i``'s cheapest path along shortcuts between rows ``begin`` and ``end`` of its path.
-
-    Return the rows that remain, and which robots block shortcuts.
-    """
+    """Return the rows left by robot ``i``'s best shortcuts (``begin`` to ``end``), and the robots that block some."""
     # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
     q, own = trajectory.path[:, i], end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)

@@ -76,14 +76,14 @@ class Timetable:
         return fits
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return the time steps at which robot ``i`` meets others on motion ``q`` or at rest after it, and whom."""
+        """Return when (time steps) robot ``i`` meets others on motion ``q`` or at rest after it, and which robots."""
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, "rows"]:
-        """Return, for each time step, the next one from which ``q`` stays free for ``patience`` steps, or ``inf``."""
+        """Return for each time step the next step from which ``q`` stays free for ``patience`` steps, or ``inf``."""
         # Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)

@@ -54,9 +54,9 @@ def replan(
         solution = replan(problem, solution, time)
 
     Robots keep their routes, but not their times: all must switch to the new path at once. A robot is replanned if
-    its motion does not end at its goal, hits an obstacle, or meets a standing robot. If it finds no path among the
-    others, it moves as if it were alone, and the robots that it meets are replanned in turn. If that fails, or the
-    path costs more than ``cost_factor`` allows, :func:`bl_plan` plans the whole team.
+    its motion does not end at its goal, or hits an obstacle or a standing robot. If it finds no path among the
+    others, robots in its way are replanned too. If that fails, or the path costs more than ``cost_factor`` allows,
+    :func:`bl_plan` plans the whole team.
 
     Args:
         problem: The workspace as it is now, the new goals, and as starts ``solution.path_at(at)``.
@@ -72,10 +72,8 @@ def replan(
         beside standing robots, TIME_LIMIT if the limit was reached, or INTERRUPTED; its path may then be None.
 
     Raises:
-        ValueError: If the solution has no path or other robots, the starts differ from ``solution.path_at(at)`` by
-            more than the workspace's tolerance, or ``at`` or ``standing`` is invalid.
-
-    References: Silver, "Cooperative pathfinding", 2005.
+        ValueError: If the solution has no finite path or other robots, the starts differ from
+            ``solution.path_at(at)`` by more than the workspace's tolerance, or ``at`` or ``standing`` is invalid.
     """
     require_problem_and_options(problem, options)
     began, num_robots = time.perf_counter(), len(problem.robots)
@@ -98,6 +96,8 @@ def replan(
     if solution.path.shape[1:] != problem.starts.shape:
         expected = f"the problem's robots, of shape {problem.starts.shape}"
         raise ValueError(f"solution must be for {expected}, got a path for {solution.path.shape[1:]}.")
+    if not np.isfinite(solution.path).all():
+        raise ValueError("solution must have a finite path, got one with NaN or infinity.")
     as_number("at", at, "a finite time of at least 0", lambda time: 0 <= time < math.inf)
     apart = motion_costs(problem, solution.path_at(at), problem.starts)
     if (apart > problem.workspace.tolerance).any():
@@ -205,12 +205,9 @@ def lifelong(
     """Run a team whose goals keep coming: a robot that arrives gets its next goal, while the others go on.
 
     :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
-    keep their motions. A robot at its goal blocks others only for a short time, since it will leave for its next
-    goal. A robot that finds no path waits near its goal, or where it is, and is replanned later. If that fails, the
-    whole team is planned again.
-
-    Ctrl-C, or a team that cannot be planned, ends the function early; it then returns the run so far. Results are
-    deterministic unless a time limit is reached.
+    keep their motions. A robot that finds no path waits near its goal, or where it is, and is replanned later. If
+    that fails, the whole team is planned again. Ctrl-C, or a team that cannot be planned, ends the function early; it
+    then returns the run so far. Results are deterministic unless a time limit is reached.
 
     Args:
         problem: The robots, their starts, and their first goals.
@@ -224,8 +221,7 @@ def lifelong(
     Raises:
         ValueError: If ``num_goals`` is invalid, or a goal has a wrong shape, is not free, or is cut off by obstacles.
 
-    References: Silver, "Cooperative pathfinding", 2005. Li et al., "Lifelong multi-agent path finding in large-scale
-    warehouses", 2021.
+    Reference: Li et al., "Lifelong multi-agent path finding in large-scale warehouses", 2021.
     """
     require_problem_and_options(problem, options)
     require_integer("num_goals", num_goals, 1)

@@ -2,8 +2,7 @@
 
 Every ``plot_`` function draws on the given axes, or on a new figure, and returns the axes; :func:`save` writes the
 picture. :func:`slices` draws functions of three or more dimensions, :func:`animate` shows a path in motion, and
-:func:`page` makes an interactive web page of a distance function. Figures are made without pyplot, so no global state
-changes. They have a white background, also on dark pages, and colors that color-blind readers can tell apart.
+:func:`page` makes an interactive web page. Figures are made without pyplot, so no global state changes.
 """
 
 from plr_jax.plot._animation import Animation, animate

@@ -144,10 +144,7 @@ class Animation:
         return max(1, round(self.seconds * self.frames_per_second)) + 1
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the animation to a ``.gif`` or ``.html`` file; another ending raises ``ValueError``.
-
-        A GIF loops. An HTML page has a time slider, is sharp at any size, and needs no network.
-        """
+        """Write a looping ``.gif``, or an ``.html`` page with a time slider; another ending raises ``ValueError``."""
         path = file_path(path)
         ending = path.suffix.lower()
         if ending == ".gif":
@@ -170,16 +167,11 @@ class Animation:
 def animate(
     problem: Problem, path: ArrayLike, *, seconds: float | int = 8.0, frames_per_second: float | int = 20.0
 ) -> Animation:
-    """Set a path in motion; ``ValueError`` if the path is invalid or nothing moves.
+    """Set a path ``(steps, robots, dof)`` of a problem in motion, as in :meth:`Solution.path_at`.
 
-    Robots move as in :meth:`Solution.path_at`; steps in which nothing moves are skipped.
-
-    Args:
-        problem: The problem that the path solves.
-        path: Joint configurations, ``(steps, robots, dof)``, finite.
-        seconds: Duration of one playback, positive.
-        frames_per_second: Frame rate of a GIF, above 0 and at most 50, rounded so that frames last whole hundredths
-            of a second. Web pages always play at the screen's rate.
+    Steps in which nothing moves are skipped; one playback takes ``seconds``. A GIF has ``frames_per_second``, above 0
+    and at most 50, rounded so that frames last whole hundredths of a second; web pages play at the screen's rate.
+    ``ValueError`` is raised if a number is out of range, the path is invalid, or nothing moves.
     """
     as_finite("seconds", seconds, positive=True)
     expected = f"above 0 and at most {_LARGEST_RATE:g}"

@@ -115,15 +115,11 @@ class Page:
 def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Page:
     """Return a self-contained web page of a distance function, which needs no server or network.
 
-    It shows the distance as colors and contours, the walls, and optionally the cells. At the pointer it shows the
-    distance, its proven bounds and a path: for cones along the corners that their leaves store, for other leaves down
-    the gradient, outside the walls. A click starts a swarm that flows to the goal. For pairs (distances between any
-    two points), both ends can be dragged. Other files of cones or pairs can be dropped on the page. Its answers equal
-    those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit.
-
-    Args:
-        plr_or_pairs: A PLR or PairPLR in the plane; others raise ``ValueError``.
-        workspace: The Workspace whose walls are drawn. Pairs have their own walls.
+    It shows distances as colors and contours, the walls, and optionally the cells; at the pointer the distance, its
+    proven bounds and a path. A click starts a swarm that flows to the goal. For pairs (distances between any two
+    points), both ends can be dragged. Other files of cones or pairs can be dropped on the page. Its answers equal
+    those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit. The walls are those of ``workspace``; pairs have
+    their own. ``ValueError`` is raised for anything but a PLR or PairPLR in the plane and a Workspace.
     """
     source = plr_or_pairs
     if not isinstance(source, PLR | PairPLR):

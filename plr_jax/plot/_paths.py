@@ -70,7 +70,6 @@ _CORNERS = 72  # corners of the polygon that draws a disc
 _AHEAD = 0.7  # cosine of the largest angle between the heading and the normal of a front side
 _LIGHT = 0.55  # bodies of brighter colors get dark numbers
 _AROUND = [(np.cos(angle), np.sin(angle)) for angle in np.pi / 4 * np.array([1, 3, 5, 7, 0, 2, 4, 6])]
-
 BODY, LABEL = 5.0, 6.0  # z-orders, above obstacles
 
 
@@ -201,10 +200,7 @@ _SAMPLES, _FADED, _LINE = 3.2, 3.4, 4.0
 
 
 def plot_problem(problem: Problem, ax: Axes | None = None) -> Axes:
-    """Draw a problem: solid bodies at the starts, dashed outlines at the goals, numbered by robot.
-
-    A bar near a robot's front shows its heading; a point robot is a dot.
-    """
+    """Draw a problem: numbered bodies at the starts, with a bar for the heading, and dashed outlines at the goals."""
     ax = plot_workspace(problem.workspace, ax)
     for i in range(len(problem.robots)):
         add_body(ax, problem, i, problem.starts[i])
@@ -222,18 +218,11 @@ def plot_path(
     end: float | int = 1.0,
     num_poses: int = 8,
 ) -> Axes:
-    """Draw a path or a part of it, as in Fig. 3 of the paper (Putman et al.).
+    """Draw a path ``(steps, robots, dof)`` or a part of it, as in Fig. 3 of the paper (Putman et al.).
 
-    Each robot leaves a line in its color and faded bodies at equal times. At the end of the part it is solid and
-    numbered. An invalid path or number raises ``ValueError``.
-
-    Args:
-        problem: The problem that the path solves.
-        path: Joint configurations, ``(steps, robots, dof)``, finite.
-        ax: Axes to draw on; a new figure by default.
-        begin: Begin of the part, as a share of the makespan.
-        end: End of the part, as a share of the makespan.
-        num_poses: Number of faded bodies per robot, from the begin on; 0 for none. A waiting robot is drawn once.
+    The part lasts from ``begin`` to ``end``, shares of the makespan. Each robot leaves a line in its color and
+    ``num_poses`` faded bodies at equal times, fewer if it waits. At the end of the part it is solid and numbered. An
+    invalid path or number raises ``ValueError``.
     """
     if not 0 <= begin < end <= 1:
         raise ValueError(f"begin and end must be shares with 0 <= begin < end <= 1, got {begin!r} and {end!r}.")
@@ -257,10 +246,7 @@ def plot_path(
 
 
 def plot_samples(problem: Problem, samples: ArrayLike, ax: Axes | None = None) -> Axes:
-    """Draw a planner's samples, as in Fig. 4 of the paper, with one color per robot and starts and goals on top.
-
-    Samples are joint configurations, ``(n, robots, dof)``, such as a solution's; otherwise ``ValueError`` is raised.
-    """
+    """Draw ``solution.samples`` ``(n, robots, dof)``, as in Fig. 4 of the paper; ``ValueError`` for another shape."""
     shape = f"(n, robots, dof) = (n, {len(problem.robots)}, {problem.dof})"
     samples = as_numbers("Samples", samples, f"numbers of shape {shape}")
     if samples.ndim != 3 or samples.shape[1:] != problem.starts.shape:

@@ -50,9 +50,8 @@ def plot_surface(
 ) -> Axes3D:
     """Draw a 2-D PLR as a surface of separate polygons, one per leaf, as in Fig. 1 of the paper.
 
-    Leaves without a finite value are left out. With a workspace, cells are clipped to its free space, outside which
-    values are meaningless. Other arguments are as for :func:`plot_contours`. ``ValueError`` is raised if the PLR is
-    not 2-D, or no leaf has a finite value.
+    Leaves without a finite value are left out. With a workspace, cells are clipped to its free space. Arguments are
+    as for :func:`plot_contours`. ``ValueError`` is raised if the PLR is not 2-D, or no leaf has a finite value.
     """
     if plr.domain.dim != 2:
         raise ValueError(f"Only a 2-D PLR can be drawn as a surface, got one of {plr.domain.dim} dimensions.")
@@ -226,10 +225,7 @@ def plot_cells(
     at: Mapping[int, float | int] | None = None,
     color: str = _CELL_COLOR,
 ) -> Axes:
-    """Draw the cells of a partition, one rectangle per leaf, with obstacles on top.
-
-    Arguments and errors are as for :func:`plot_contours`.
-    """
+    """Draw the cells of a partition, one rectangle per leaf; arguments and errors as for :func:`plot_contours`."""
     shown = Slice.of(plr.domain, at)
     require_drawable(shown, workspace, None)
     ax = prepare_axes(ax, shown, room_for_colorbar=False)
@@ -259,8 +255,8 @@ def plot_error(
         ax: Axes to draw on; a new figure by default.
         at: The slice that ``metrics.error_grid`` was given, in a space of more than two dimensions.
         unit: The unit of the errors, such as "m".
-        largest: Error at the upper end of the logarithmic color scale, which starts at a thousandth of it. Errors
-            beyond its ends are clipped. By default the 99.9 % quantile. Use the same number in pictures to compare.
+        largest: Error at the upper end of the logarithmic color scale, which starts at a thousandth of it and clips
+            errors beyond its ends. By default the 99.9 % quantile. Use the same number in pictures to compare.
     """
     errors = as_numbers("errors", errors, "numbers of shape (rows, columns), NaN where there is none")
     finite = errors[np.isfinite(errors)]

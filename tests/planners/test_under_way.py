@@ -1,5 +1,6 @@
 """Teams that are under way, from where they are or as goals keep coming: by the independent check."""
 
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -149,6 +150,10 @@ def test_what_is_wrong_is_said():
         replan(scenes.four_rooms(3), solution, 0.0)
     with pytest.raises(ValueError, match="must be a Solution that has a path"):
         replan(problem, cast("Any", solution.path), 0.0)
+    broken = solution.path.copy()
+    broken[1, 0, 0] = np.nan
+    with pytest.raises(ValueError, match="must have a finite path"):
+        replan(problem, replace(solution, path=broken), 0.0)
     with pytest.raises(ValueError, match="its goal must be its start"):
         replan(problem, solution, 0.0, standing=[1])
     with pytest.raises(ValueError, match="indices of the 2 robots"):
