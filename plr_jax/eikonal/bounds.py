@@ -206,7 +206,7 @@ class CostToGoField:
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
-        """Three nodes of ``paths`` for each cell, or -1 where a straight motion from the cell to it is not free."""
+        """For each cell, three nodes ahead on paths to a goal; -1 if not every straight motion there is free."""
         mesh, paths = self.mesh, self.paths
         if self.program.costs.cost_map is not None:
             return np.full((0, len(mesh.state)), -1)
@@ -389,8 +389,7 @@ def _above_voxel_paths(
         last = float(np.linalg.norm(goal - center))
         lengths = np.minimum(lengths, VoxelGraph(space.free, center, bounds=space.domain).lengths + last)
     # 2. Voxels that hold points of each leaf. The motion to the center is at most half a diagonal long, and along it
-    #    the function changes by a share of its change across the leaf. It is evaluated at the point of the leaf that
-    #    is nearest to the center.
+    #    the function changes by a share of its change across the leaf. The leaf's point nearest to the center counts.
     widths = space.domain.width * np.ldexp(1.0, -cells.depth)
     largest = max(float(np.abs(coefficients).max()), float(lengths[np.isfinite(lengths)].max()))
     spare = (1 + ROUNDING) * np.linalg.norm(grid.sides) / 2 + ROUNDING * largest

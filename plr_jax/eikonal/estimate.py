@@ -106,7 +106,6 @@ class GridEstimate:
 def _straight_costs(
     space: ConfigurationSpace, rates: Rates, index: Int[np.ndarray, "n"], change: Points
 ) -> Float[np.ndarray, "n"]:
-    """Return the costs of straight motions, each at the rate of a point, given by its index."""
     factor, pulls = rates
     return factor[index] * space.motion_cost.norm(change) + pulled(None if pulls is None else pulls[:, index], change)
 

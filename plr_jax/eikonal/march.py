@@ -1,9 +1,7 @@
 """Fast marching over a regular grid by scikit-fmm, from exact costs around the goals, without the error at corners.
 
-Stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner.
-
-References: Sethian, "A fast marching level set method for monotonically advancing fronts", 1996. Richardson, "The
-deferred approach to the limit", 1927.
+Stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner. Reference: Sethian, "A
+fast marching level set method for monotonically advancing fronts", 1996.
 """
 
 from typing import Any, cast
@@ -109,7 +107,7 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
 
 
 def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, side: Sides) -> Costs:
-    """Remove the error that is proportional to the step, by Richardson extrapolation from every second node."""
+    """Remove the error proportional to the step, by Richardson extrapolation (1927) from every second node."""
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]
     twice = marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))

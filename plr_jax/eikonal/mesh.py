@@ -84,7 +84,7 @@ class Mesh:
 
     @cached_property
     def _descent(self) -> Int[np.ndarray, "2 nodes"]:
-        """For each tree node, its lower child (itself for leaves), and the bit of a slot that chooses the child."""
+        """For each tree node, its lower child (a leaf's own index), and the coordinate bit that chooses the child."""
         tree, node = self.tree, np.arange(len(self.tree.child))
         bit = self._finest[tree.axis] - tree.cells.depth[node, tree.axis] - 1
         return np.where(tree.child < 0, [node, np.full_like(node, _NO_BIT)], [tree.child, bit])

@@ -4,8 +4,7 @@ Dijkstra's algorithm finds shortest paths over straight edges, up to four cells 
 cells, with exact costs for costs that are constant in each cell. With heights, edges join centers alone and are up to
 six cells long.
 
-References: Sethian, "A fast marching level set method for monotonically advancing fronts", 1996. Mitchell and
-Papadimitriou, "The weighted region problem", 1991: shortest paths among regions of constant costs.
+References: Mitchell and Papadimitriou, "The weighted region problem", 1991. For the march see ``march.py``.
 """
 
 from collections.abc import Callable

@@ -55,7 +55,8 @@ def solve_eikonal(
         plr = plr_jax.solve_eikonal(cost.space(radius=0.3), goal=(5, 1), cost_map=cost, max_bytes=8192)
         plr(points)  # costs-to-go (n,) of points (n, dim); plr.bounds(points) are proven
 
-    ``plr(x)`` is an estimate between the bounds, which hold for every point from which the goal can be reached:
+    Here ``space`` is that of a ball among the unblocked cells. ``plr(x)`` is an estimate between the lower and the
+    upper bounds, which hold for every point from which the goal can be reached:
 
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
       every face that is not proven blocked, and nowhere steeper than a step costs. If costs are lengths and no axis
