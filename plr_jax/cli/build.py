@@ -208,9 +208,9 @@ def _print_errors(
 def _binding_contacts(
     workspace: "Workspace", oracle: "DistanceFn", max_error: float
 ) -> tuple[Float[np.ndarray, "contacts 2"], Float[np.ndarray, "contacts"]]:
-    """Return points where walls touch and the distance jumps by about twice the proven error, and half of each jump.
+    """Return points where walls touch and a jump of the distance explains the proven error, and half of each jump.
 
-    The leaf at such a point covers both sides of the walls, so half of the jump between them is a proven error.
+    The leaf at such a point covers both sides of the walls, so its error is at least half of the jump between them.
     """
     boundary = workspace.boundary
     contacts = boundary.vertices[boundary.contacts]
