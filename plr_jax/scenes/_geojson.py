@@ -23,15 +23,14 @@ from plr_jax.geometry.workspace import Workspace
 def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
     """Read a workspace from a JSON file of free-space polygons; its bounds are their bounding box.
 
-    A ring is a list of points ``[x, y]``. The file has one of these forms; ``"holes"`` is optional, other keys are
-    ignored::
+    The file has one of these forms. A ring is a list of points ``[x, y]``; ``"holes"`` is optional::
 
         {"components": [{"outer": ring, "holes": [ring, ...]}, ...]}
         {"outer": ring, "holes": [ring, ...]}
         {"boundary": ring, "holes": [ring, ...]}        (extremitypathfinder)
 
-    ``squeeze`` says whether a path may pass between two obstacles that touch in one point. An invalid file raises
-    ``ValueError``.
+    Other keys are ignored. ``squeeze`` says whether a path may pass between two obstacles that touch in one point.
+    An invalid file raises ``ValueError``.
     """
     path = Path(path)
     with errors_named(path):

@@ -144,8 +144,7 @@ def single_door() -> Problem:
 def four_rooms(num_robots: int) -> Problem:
     """Discs of radius 0.4 that change rooms through a shared center, with doors 1.25 diameters wide.
 
-    ``num_robots`` is 2, 3 or 4, one to a room, or 8, two to a room; another number raises ``ValueError``. All robots
-    go to the opposite room.
+    ``num_robots`` is 2 to 4, one to a room, or 8, two to a room; else ``ValueError``. All go to the opposite room.
     """
     return _team("four_rooms", num_robots, (2, 3, 4, 8))
 
@@ -153,8 +152,7 @@ def four_rooms(num_robots: int) -> Problem:
 def cross(num_robots: int) -> Problem:
     """Discs of radius 0.4 in two crossing hallways, 1.5 diameters wide: two discs cannot pass each other.
 
-    ``num_robots`` is 2, facing each other in one hallway, or 3, the third in the other hallway. Another number raises
-    ``ValueError``.
+    ``num_robots`` is 2, facing each other in one hallway, or 3, the third in the other one; else ``ValueError``.
     """
     return _team("cross", num_robots, (2, 3))
 
