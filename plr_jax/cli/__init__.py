@@ -1,8 +1,4 @@
-"""The command ``plr-jax``: build, query, inspect and draw piecewise linear regressions, and plan with them.
-
-Heavy libraries are imported inside the commands, so that ``--help`` is fast. ``query`` of a PLR loads JAX only for
-``--gradient``.
-"""
+"""The command ``plr-jax``. Heavy libraries are imported inside its commands, so that ``--help`` is fast."""
 
 import os
 import signal

@@ -38,7 +38,7 @@ _ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _ERROR_POINTS = 20_000
 _NUM_DIRECTIONS = 16  # points around a contact, at which the distance on each side of the walls is measured
 _CONTACT_RADIUS = 1e-5  # radius of these points, as a share of the map's width
-# Shares of the largest proven error. Contacts are reported if half of their jump is between these shares. The proven
+# A contact of walls is reported if half of its jump is between these shares of the largest proven error. The proven
 # error of a cone that fits one side of a contact is the whole jump.
 _BINDING = 0.4, 1.001
 _MOST_NAMED = 3  # largest number of contacts whose coordinates are printed
@@ -208,10 +208,9 @@ def _print_errors(
 def _binding_contacts(
     workspace: "Workspace", oracle: "DistanceFn", max_error: float
 ) -> tuple[Float[np.ndarray, "contacts 2"], Float[np.ndarray, "contacts"]]:
-    """Return the points where walls touch and a jump of the distance explains the proven error; largest jumps first.
+    """Return points where walls touch and a jump of the distance explains the proven error, and half of each jump.
 
-    The leaf at a contact covers both sides of the walls. Its proven error is at least half of the jump between them,
-    which is the second array.
+    The leaf at such a point covers both sides of the walls, so its error is at least half of the jump between them.
     """
     boundary = workspace.boundary
     contacts = boundary.vertices[boundary.contacts]

@@ -43,7 +43,6 @@ def _maze(output: Path) -> None:
     problem = scenes.maze()
     workspace, goal = problem.workspace, problem.goals[0]
     typer.echo(f"A maze of six walls, and the distance from any point to {tuple(goal.tolist())}, to be compressed.")
-
     began = time.perf_counter()
     oracle = VisibilityGraph(workspace, goal)
     plr = construct(oracle, workspace.bounds, max_bytes=DEFAULT_BYTES)
@@ -51,7 +50,6 @@ def _maze(output: Path) -> None:
     save(plr, output / "maze.plr")
     typer.echo(f"  built   {plr.num_leaves} planes in {seconds:.1f} s")
     typer.echo(f"  size    {plr.num_bytes:,} bytes in the file, {plr.resident_bytes:,} in memory")
-
     points = workspace.sample_free(_PLR_POINTS, seed=1)
     report = metrics.error_map(plr, oracle, points[:_ORACLE_POINTS])
     typer.echo(
@@ -66,7 +64,6 @@ def _maze(output: Path) -> None:
     typer.echo(f"          PLR           {plr_rate / 1e6:8.1f} million points per second")
     typer.echo(f"          exact oracle  {oracle_rate / 1e6:8.1f} million points per second")
     typer.echo(f"          PLR / oracle  {plr_rate / oracle_rate:8.0f} times")
-
     _draw(plr, oracle, workspace, goal, output)
     cones = construct(oracle, workspace.bounds, leaf="cone", max_bytes=_CONE_BYTES, certified=True)
     plot.page(cones.with_label("maze"), workspace).save(page := output / "maze.html")

@@ -201,9 +201,8 @@ def read_map_of_file(
 ) -> tuple["Workspace | None", Float[np.ndarray, "goals 2"] | None]:
     """Return the workspace and the goals from which a file of distances was built; None for what is not known.
 
-    The label of the loaded file, ``content``, names its map and goals. The user's ``map_text`` (MAP and options) and
-    ``goal`` override the label. A map is also looked for beside ``file``. If it is not needed and cannot be read, a
-    warning is shown.
+    The file's label names them; the user's ``map_text`` (MAP and options) and ``goal`` override the label. A map is
+    also looked for beside ``file``. If a map that is not needed cannot be read, a warning is shown.
     """
     try:
         labeled = NamedMap.parse(getattr(content, "label", ""))

@@ -21,8 +21,8 @@ def read_points(
 ) -> Iterator[Float[np.ndarray, "n dim"]]:
     """Yield the points of a table block by block: ``dim`` comma-separated numbers per line, after an optional header.
 
-    Blank lines are skipped. Rows that are not points become NaN and are reported on standard error: the first few,
-    then their number. If ``strict``, the first such row raises an error, after the rows before it are yielded.
+    Blank lines are skipped. Rows that are not points become NaN, with warnings. If ``strict``, the first such row
+    raises an error, after the rows before it are yielded.
     """
     expected, num_lines, num_bad, is_empty = f"{dim} comma-separated numbers", 0, 0, True
     may_be_header = True

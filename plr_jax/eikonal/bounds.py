@@ -36,8 +36,7 @@ _PAIRS_AT_ONCE = 1 << 20  # pairs of a leaf and a voxel handled together
 _BOXES_AT_ONCE = 1 << 10  # boxes handled together; beyond five axes each has thousands of points
 # Step of stored values as a share of the mean gap between the bounds; least step as a share of the largest value.
 _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-15
-# A warning says where an estimate is outside of its bounds by more than `_OFF` of the lower bound, or of `_NEAR`
-# times the largest lower bound if that is more.
+# A warning tells if an estimate leaves its bounds by `_OFF` of the lower bound, or of `_NEAR` of the largest one.
 _OFF, _NEAR = 0.1, 0.01
 # Relative margin for the length of a straight line in 32 bits; range of lengths whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
@@ -146,11 +145,11 @@ class CostToGoField:
         return float((self._upper_at_corners - self._lower_at_corners)[known].mean()) if known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Return lower and upper bounds of the cost-to-go minus multilinear functions, over boxes in open cells.
+        """Return bounds of the cost-to-go minus multilinear functions, over boxes in cells that are not blocked.
 
-        Boxes are in local coordinates of their cells. ``corners`` are the functions' values at the boxes' corners.
-        The bounds also hold at points that rounding may place in a box, with the function at the box's nearest point.
-        Upper bounds are ``inf`` if paths are not known from all free points of a box.
+        Boxes are in local coordinates of their cells; ``corners`` are the functions' values at the boxes' corners.
+        The bounds include points just outside that rounding may place in a box. Upper bounds are ``inf`` if paths are
+        not known from all free points of a box.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
@@ -207,7 +206,7 @@ class CostToGoField:
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
-        """Three nodes of ``paths`` for each cell, or -1 where a straight motion from the cell to it is not free."""
+        """For each cell, three nodes ahead on paths to a goal; -1 if not every straight motion there is free."""
         mesh, paths = self.mesh, self.paths
         if self.program.costs.cost_map is not None:
             return np.full((0, len(mesh.state)), -1)
@@ -226,7 +225,7 @@ class CostToGoField:
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
-        """A margin for rounding of values, and the cost of motions into a cell from points that count as in it."""
+        """A margin of bounds for rounding: of values, and of points just outside a cell that count as inside."""
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
         way = costs.motion.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
@@ -290,7 +289,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Build a PLR of an estimate with a partition of its own, and with proven bounds unless ``field`` is None."""
+    """Build a PLR of at most ``max_bytes`` with a partition of its own; with proven bounds if ``field`` is given."""
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     limits = check_limits(
@@ -356,7 +355,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
 
 
 def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
-    """Return goal, rate and margin of a lower bound ``rate * |x - goal| - margin``, None if it is of another form."""
+    """Return goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if it does not apply."""
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
     (_, weight), *others = costs.motion.blocks
@@ -390,8 +389,7 @@ def _above_voxel_paths(
         last = float(np.linalg.norm(goal - center))
         lengths = np.minimum(lengths, VoxelGraph(space.free, center, bounds=space.domain).lengths + last)
     # 2. Voxels that hold points of each leaf. The motion to the center is at most half a diagonal long, and along it
-    #    the function changes by a share of its change across the leaf. It is evaluated at the point of the leaf that
-    #    is nearest to the center.
+    #    the function changes by a share of its change across the leaf. The leaf's point nearest to the center counts.
     widths = space.domain.width * np.ldexp(1.0, -cells.depth)
     largest = max(float(np.abs(coefficients).max()), float(lengths[np.isfinite(lengths)].max()))
     spare = (1 + ROUNDING) * np.linalg.norm(grid.sides) / 2 + ROUNDING * largest

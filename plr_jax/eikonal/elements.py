@@ -1,8 +1,7 @@
 """Finite elements of degree 1 or 2 that are continuous across faces between cells that are not blocked.
 
-A node on a face of a larger cell that has no node there *hangs*: it takes the value of that cell's polynomial. The
-other nodes are degrees of freedom. Bernstein coefficients of the gradient (control vectors) enclose the gradient, so
-a convex condition on all of them holds everywhere in the cell.
+A node on a face of a larger cell that has no node there *hangs*: it takes the value of the larger cell's polynomial.
+The other nodes are degrees of freedom. Bernstein coefficients of the gradient (control vectors) enclose the gradient.
 """
 
 from dataclasses import dataclass

@@ -2,8 +2,7 @@
 
 If motions cost the same in every direction, a front marches over the grid from all goals (``march.py``). If costs
 depend on the direction, or are the sum of norms of several groups of axes (as for a body that turns), the estimate is
-the cost of shortest paths over edges of several steps, which are up to a few percent too long. Walls are moved to the
-nearest nodes: many nodes cost less time than a correction for this would.
+the cost of shortest paths over edges of several steps, up to a few percent too long. Walls move to the nearest nodes.
 """
 
 from dataclasses import dataclass
@@ -36,8 +35,7 @@ from plr_jax.spaces import (
 )
 
 MOST_AXES = 3
-# Default number of nodes, by the number of axes: at the centers of given cells; elsewhere, where nodes take longer to
-# classify; and for shortest paths over a stencil.
+# Default numbers of nodes by the number of axes: at centers of given cells, elsewhere, and for paths over a stencil.
 _CELL_NODES, _NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 160_000, 3: 200_000}
 _STENCIL_NODES = {1: 4_000, 2: 40_000, 3: 200_000}
 # Least number of nodes for each leaf; and most nodes of a grid, each of which takes about 200 bytes of memory.
@@ -108,7 +106,6 @@ class GridEstimate:
 def _straight_costs(
     space: ConfigurationSpace, rates: Rates, index: Int[np.ndarray, "n"], change: Points
 ) -> Float[np.ndarray, "n"]:
-    """Return the costs of straight motions, each at the rate of a point, given by its index."""
     factor, pulls = rates
     return factor[index] * space.motion_cost.norm(change) + pulled(None if pulls is None else pulls[:, index], change)
 
@@ -224,8 +221,8 @@ def _grid(
 ) -> tuple[Box, Shape]:
     """Return a box and its number of cells along each axis; the centers of these cells are the nodes of the grid.
 
-    There are at least ``num_nodes``, up to rounding. Nodes are centers of voxels, or of cells of a raster that fills
-    the domain, or of an odd number of parts of each along each axis. Otherwise the outermost nodes lie on the
+    There are at least ``num_nodes``, up to rounding. Nodes are centers of the space's voxels or the cost map's cells,
+    each divided into an odd number of parts along each axis. Without such cells, the outermost nodes lie on the
     domain's faces, and steps are round decimals if these fit: walls often have round coordinates.
     """
     domain = space.domain
@@ -259,7 +256,7 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return the state of each grid cell, whether paths may pass its center, and whether that touches no wall."""
+    """Return each grid cell's state, whether paths may pass its center, and whether the center is off all walls."""
     domain = space.domain
 
     def classified(lo, hi):
@@ -326,9 +323,9 @@ def _over_stencil(
     goal: GoalIndex,
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    """Return costs of shortest paths over edges of a few steps within a group of axes, and goals of the paths.
+    """Return costs and goals of shortest paths over edges of a few steps, each within one group of axes.
 
-    The last edge of a path is a motion from a node to the goal of index ``goal``, of cost ``straight``.
+    The last edge of a path is a straight motion from a node to a goal, of given cost (``straight``) and index.
     """
     domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs

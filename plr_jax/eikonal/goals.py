@@ -21,10 +21,10 @@ _CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 def nearest_goals(
     goals: Goals, domain: Box, motion: MotionCost, x: Points, count: int = 1
 ) -> tuple[Float[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
-    """Return Euclidean distances to the nearest goals, nearest first, and the indices of these goals.
+    """Return Euclidean distances to the ``count`` nearest goals, nearest first, and the indices of these goals.
 
     Each axis is scaled by its cost per unit of length, so no motion costs less than the returned distance. If there
-    are fewer than ``count`` goals, the other distances are ``inf`` and the other indices are the number of goals.
+    are fewer goals, the remaining distances are ``inf`` and the remaining indices are the number of goals.
     """
     scale = motion.scale
     if len(goals) == 1:
@@ -51,10 +51,10 @@ def carried_goals(
 ) -> GoalIndex:
     """Return the goal to which each node's path leads, -1 without a path, given the goals of some nodes of a grid.
 
-    A node's path divides among its cheapest neighbors along the axes. A neighbor's share is the fall of the cost to
-    it, over the squared step. Bits of goal indices, as numbers 1 and -1, are averaged with these shares; so their
-    signs are the bits of the goal to which more than half of the path leads. Where check bits do not fit, there is no
-    such goal, and the node takes the goal of the neighbor with the largest share.
+    A path divides among the node's cheapest neighbors along the axes, in shares: the fall of the cost over the
+    squared step. Bits of goal indices, as numbers 1 and -1, are averaged with these shares. The averages' signs are
+    the bits of the goal to which more than half of the path leads. If check bits show that there is no such goal, the
+    node takes the goal of the neighbor with the largest share.
     """
     # 1. Shares of neighbors, in the order of costs.
     open_ = np.flatnonzero(np.isfinite(cost))

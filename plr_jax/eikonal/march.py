@@ -1,9 +1,7 @@
 """Fast marching over a regular grid by scikit-fmm, from exact costs around the goals, without the error at corners.
 
-Stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner.
-
-References: Sethian, "A fast marching level set method for monotonically advancing fronts", 1996. Richardson, "The
-deferred approach to the limit", 1927.
+Stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner. Reference: Sethian, "A
+fast marching level set method for monotonically advancing fronts", 1996.
 """
 
 from typing import Any, cast
@@ -37,9 +35,9 @@ def balls(
 ) -> tuple[Costs, float]:
     """Return the cost-to-go of nodes in balls around the goals, ``inf`` elsewhere, and the cost at which to march on.
 
-    Nodes of a ball see its goal, at about the goal's slowness; each goal's cheapest node is in a ball in any case.
-    ``at_goal``, ``sees_nearest`` and ``lengths`` are the slowness at each node's nearest goal, whether the node sees
-    it, and the distance. Motions of cost ``straight`` lead to ``goal``.
+    Nodes of a ball see its goal, and have about the goal's slowness (cost per unit of length). Motions of cost
+    ``straight`` lead from nodes to ``goal``. ``at_goal``, ``sees_nearest`` and ``lengths`` are the slowness at each
+    node's nearest goal, whether the node sees this goal, and the distance to it.
     """
     differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
     stops = is_open & (~sees_nearest | differs | (lengths >= radius))
@@ -60,9 +58,8 @@ def marched(
 ) -> Costs:
     """Return the costs of nodes by marching from the nodes whose known costs, ``start``, are at most ``level``.
 
-    scikit-fmm starts at a surface that cuts edges between nodes. It uses the slowness of the ends of such an edge
-    only to compute their times from their distances to the surface, with a large error. So these nodes get the
-    slowness for which their times are right. Times on the side of the known nodes count as negative.
+    scikit-fmm starts at a surface between nodes, and computes times of nodes beside the surface with a large error.
+    So these nodes get the slowness for which their times are right.
     """
     is_core = start <= level
     known, inverse_square = start.copy(), np.zeros(is_open.shape)
@@ -110,7 +107,7 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
 
 
 def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, side: Sides) -> Costs:
-    """Remove the error that is proportional to the step, by Richardson extrapolation from every second node."""
+    """Remove the error proportional to the step, by Richardson extrapolation (1927) from every second node."""
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]
     twice = marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))

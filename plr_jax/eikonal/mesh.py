@@ -32,9 +32,9 @@ Mask: TypeAlias = Bool[np.ndarray, "cells"]
 class Mesh:
     """The dyadic cells of a domain, in the order of the tree's traversal: each proven free, proven blocked, or mixed.
 
-    Points are given as *fractions* of the domain, or in *local* coordinates of a cell, both from 0 to 1 along each
-    axis. Blocked cells are *flush* if they border on free space. Rounding may place free points in a flush cell, so
-    it answers as the open (not blocked) cells beside it do.
+    Points are *fractions* of the domain, or *local* coordinates of a cell, both from 0 to 1 along each axis. A
+    blocked cell is *flush* if it borders on free space: rounding may place free points in it, so it answers as the
+    open (not blocked) cells beside it do.
     """
 
     domain: Box
@@ -45,8 +45,6 @@ class Mesh:
     @property
     def dim(self) -> int:
         return self.domain.dim
-
-    # Properties of the cells are shared with the meshes of `with_state`.
 
     @cached_property
     def cells(self) -> Cells:
@@ -86,7 +84,7 @@ class Mesh:
 
     @cached_property
     def _descent(self) -> Int[np.ndarray, "2 nodes"]:
-        """For each tree node, its lower child (itself for leaves), and the bit of a slot that chooses the child."""
+        """For each tree node, its lower child (a leaf's own index), and the coordinate bit that chooses the child."""
         tree, node = self.tree, np.arange(len(self.tree.child))
         bit = self._finest[tree.axis] - tree.cells.depth[node, tree.axis] - 1
         return np.where(tree.child < 0, [node, np.full_like(node, _NO_BIT)], [tree.child, bit])
@@ -139,7 +137,7 @@ class Mesh:
 
     @property
     def flush_pairs(self) -> Int[np.ndarray, "2 pairs"]:
-        """Indices of each flush blocked cell (in row 0) and each open cell that touches it (in row 1)."""
+        """Pairs of a flush blocked cell (row 0) and a cell that is not blocked and touches the first (row 1)."""
         flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
         return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
@@ -158,12 +156,12 @@ class Mesh:
         return np.isin(part, part[cells])
 
     def with_state(self, state: States) -> "Mesh":
-        mesh = copy.copy(self)
+        mesh = copy.copy(self)  # shares the cached properties of the cells
         mesh.state = state
         return mesh
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
-        """Return the mesh with cells ``which`` halved, the first ones first, while ``room`` for cells is left."""
+        """Return the mesh with the cells ``which`` halved, in this order, while ``room`` for more cells is left."""
         parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
         while num < len(which) and room >= most:
             batch = which[num : num + room // most]

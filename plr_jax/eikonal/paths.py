@@ -1,10 +1,8 @@
 """Short paths from the nodes of a mesh to the nearest goal, through free cells: upper bounds of the cost-to-go.
 
-Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. These paths zigzag.
-As in Theta*, a node then skips the next node of its path, or takes the next node of a neighbor's path, if the
-straight motion there stays in free cells and costs less.
-
-References: Nash, Daniel, Koenig, Felner, "Theta*: any-angle path planning on grids", 2007.
+Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. Then, as in "Theta*:
+any-angle path planning on grids" (Nash, Daniel, Koenig, Felner 2007), a node skips the next node of its path, or
+takes the next node of a neighbor's path, if the straight motion there stays in free cells and costs less.
 """
 
 from collections.abc import Iterator
@@ -173,7 +171,7 @@ class _FreeGraph:
         return next_, leg
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
-        """Return the neighbors' next node through which each node's path would cost least if no wall were there."""
+        """Return, for each node, the best successor of a neighbor: the path through it costs least, walls ignored."""
         best, bounds = next_.copy(), np.append(self.first, len(self.end))
         counts = np.diff(bounds)
         for some in parts(counts, _EDGES_AT_ONCE):

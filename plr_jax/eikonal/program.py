@@ -1,9 +1,8 @@
 """A convex program for the largest lower bound of the cost-to-go in a finite-element space.
 
 A function is a lower bound if it is at most 0 at the goals, continuous across every face that is not proven blocked,
-and nowhere steeper than a step costs. The Bernstein coefficients of the gradient (control vectors) bound its slope.
-The program maximizes the function's integral, by the alternating direction method of multipliers. The multipliers are
-a flow along cheapest paths. At last a piecewise linear function of the values rescales them until they satisfy the
+and nowhere steeper than a step costs. The alternating direction method of multipliers maximizes the function's
+integral; the multipliers are a flow along cheapest paths. At last the values are rescaled until they satisfy the
 constraints, rounding included. So the bound is proven after any number of iterations.
 
 References: Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and
@@ -118,11 +117,11 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
 def rescaling_of(
     lowest: Numbers, highest: Numbers, factor: Numbers
 ) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-    """Return breakpoints and values of a piecewise linear function, which makes a too steep function a lower bound.
+    """Return breakpoints and values of a piecewise linear function that makes a too steep function a lower bound.
 
     In each cell, the too steep function has values from ``lowest`` to ``highest``, and a slope of ``factor`` times
-    the largest admissible slope. The returned function maps 0 to 0, and its slope from ``lowest`` to ``highest`` is
-    at most ``1 / factor``. So values lose far less than if all were divided by the largest factor.
+    the largest admissible slope. The returned function maps 0 to 0, and its slope between these values is at most
+    ``1 / factor``.
     """
     order = np.argsort(factor, kind="stable")
     order = order[factor[order] > 1]
@@ -149,7 +148,6 @@ class SlopeSets:
     pulls: Float[np.ndarray, "2 dim controls"] | None = None
 
     def lengths(self, g: Vectors) -> list[PerControl]:
-        """Return, for each group of axes, the lengths of the vectors' parts in the group."""
         return [np.sqrt(np.sum(g[list(block)] ** 2, axis=0)) for block in self.blocks]
 
     def project(self, g: Vectors) -> Vectors:
@@ -241,7 +239,6 @@ class SlopeProgram:
         return self.space.mesh.locate(self.at)
 
     def below_goals(self, u: Dofs) -> Dofs:
-        """Return a function minus its largest value at a goal."""
         return u - np.max(self.goal @ u)
 
     @cached_property
@@ -255,7 +252,7 @@ class SlopeProgram:
         return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
     def gradients(self, u: Dofs) -> Vectors:
-        """Return the control vectors of a function, which enclose its gradient."""
+        """Return a function's control vectors: Bernstein coefficients of its gradient, which enclose the gradient."""
         return (self.gradient @ u).reshape(self.dim, -1)
 
     def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:
@@ -326,9 +323,8 @@ class SlopeProgram:
 class _Splitting:
     """The alternating direction method of multipliers for a :class:`SlopeProgram`.
 
-    The unknowns are ``u``. The variables ``z`` are the gradients of ``u``, projected to the admissible sets, and the
-    scaled multipliers are ``y``; so ``penalty * y`` is the flow. Penalties are as large as the flow of the start.
-    Values at several goals are treated like gradients, and must be at most 0.
+    The unknowns are ``u``, the projected gradients ``z``, and the scaled multipliers ``y``; so ``penalty * y`` is the
+    flow. Values at several goals are treated like gradients, and must be at most 0.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):

@@ -1,11 +1,10 @@
 """Cost distance over a raster: a search for shortest paths, proven lower bounds, and a march over large rasters.
 
-Dijkstra's algorithm finds shortest paths over straight edges between the centers and corners of cells. Edges are up
-to four cells long, so lengths hardly depend on the direction; their costs are exact for costs that are constant in
-each cell. If heights give directed costs, edges join centers alone and are up to six cells long.
+Dijkstra's algorithm finds shortest paths over straight edges, up to four cells long, between centers and corners of
+cells, with exact costs for costs that are constant in each cell. With heights, edges join centers alone and are up to
+six cells long.
 
-References: Sethian, "A fast marching level set method for monotonically advancing fronts", 1996. Mitchell and
-Papadimitriou, "The weighted region problem", 1991: shortest paths among regions of constant costs.
+References: Mitchell and Papadimitriou, "The weighted region problem", 1991. For the march see ``march.py``.
 """
 
 from collections.abc import Callable
@@ -84,7 +83,7 @@ class PathTree:
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
-    """Search over ``parts`` of cells per axis: return distances, nearest sources, bounds if asked for, and paths."""
+    """Search over a raster whose cells are divided; return distances, sources, bounds if asked for, and paths."""
     fine, of_part = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1), side / parts[::-1]
     distance, at_corners, nearest, tree = search(fine, of_part, points)
     results = [distance, nearest]
@@ -98,8 +97,8 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     """Return proven lower bounds of distances at the centers of cells, given path costs at centers and corners.
 
     The center divides a cell into four triangles. A function that is linear in each triangle, nowhere steeper than
-    the cost of the cell and at most 0 at the sources, is a lower bound. Projections onto the gradients that are
-    allowed in one triangle make path costs nearly such a function, and :func:`rescaling_of` does the rest.
+    the cost of the cell and at most 0 at the sources, is a lower bound. Path costs are projected to nearly such a
+    function, and :func:`rescaling_of` does the rest.
     """
     # 1. The triangles, one at each side of a cell: the ends of the side, its axis, and the most cost there.
     least = cost.min()  # costs are divided by the least, so that squares neither overflow nor vanish
@@ -282,7 +281,7 @@ def _straight_costs(
     home: Int[np.ndarray, "k 2"],
     near: Int[np.ndarray, "nodes 2"],
 ) -> Float[np.ndarray, "k nodes"]:
-    """Return costs of straight motions from points in cells ``home`` to nodes, ``near`` half cells off centers."""
+    """Return costs of straight motions from points to nodes ``near`` half cells off the centers of their cells."""
     begin = points[:, None, ::-1] / side[::-1]
     change = home[:, None] + 0.5 + near / 2 - begin
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -326,7 +325,7 @@ def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], 
     """Return the mean cost along a straight motion by ``(i, j)`` half cells; ``inf`` if barriers stop the motion.
 
     The motion begins in the center of a cell (``half`` 1) or in its lower corner (0). ``cost_at`` returns the costs
-    of cells that are so many rows and columns away.
+    of the cells at an offset in rows and columns.
     """
     # 1. Cut the motion where it enters another cell.
     ends = {0.0, 1.0}

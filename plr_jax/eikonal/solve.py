@@ -32,8 +32,7 @@ _MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
 _MAX_LEAVES = 2_000
 _LEAVES_PER_BYTE = 2  # no file has more leaves per byte
 _BYTES_A_CELL = 4_000  # least memory that construction takes for each cell
-# Splits along each axis of leaves that are cut off from the goal beside leaves that are not.
-_CUT_OFF_SPLITS = 6
+_CUT_OFF_SPLITS = 6  # splits along each axis of leaves that are cut off from the goal beside leaves that are not
 _LEAF_SAMPLES = 64  # samples in a leaf of an estimate, in which the grid has few nodes
 _LEAST_COST = 1e-30  # least cost that 32 bits resolve
 _BESIDE = 1e-6  # share of the domain's width by which a goal may lie outside: a space may count such goals as free
@@ -52,14 +51,12 @@ def solve_eikonal(
 ) -> PLR:
     """Build a PLR of the cost-to-go of a configuration space, without an oracle or a roadmap.
 
-    With several goals, such as exits, the nearest counts, and ``plr.which(x)`` returns its index.
+        cost = plr_jax.RasterCost(values, ((0, 0), (6, 4)))  # cost per length; row 0 has the lowest y, inf is blocked
+        plr = plr_jax.solve_eikonal(cost.space(radius=0.3), goal=(5, 1), cost_map=cost, max_bytes=8192)
+        plr(points)  # costs-to-go (n,) of points (n, dim); plr.bounds(points) are proven
 
-    With ``certified=False`` the PLR is an estimate, and takes about a second: scikit-fmm marches over a grid of
-    160,000 nodes in the plane or up to a million in space, and continuous leaves compress the result. The mean error
-    is mostly 0.01 to 0.5 %, as on the grid.
-
-    By default the PLR also has proven bounds, which takes longer. ``plr(x)`` is an estimate between
-    ``plr.bounds(x)``, which hold for every point from which the goal can be reached.
+    Here ``space`` is that of a ball among the unblocked cells. ``plr(x)`` is an estimate between the lower and the
+    upper bounds, which hold for every point from which the goal can be reached:
 
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
       every face that is not proven blocked, and nowhere steeper than a step costs. If costs are lengths and no axis
@@ -67,19 +64,22 @@ def solve_eikonal(
     - The upper bound is the cost of paths through cells that are proven free, and in voxel spaces also of paths from
       voxel to voxel. It is ``inf`` where no path was found.
 
+    ``certified=False`` takes about a second and gives the estimate alone: scikit-fmm marches over a grid of 160,000
+    nodes in the plane or up to a million in space. The mean error is mostly 0.01 to 0.5 %.
+
     Args:
-        space: The configuration space: what is free, and what motions cost. If it only tests configurations
-            (:class:`FreeTest`), a cell counts as free or blocked if all its samples do. Then nothing is proven.
-        goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free.
+        space: What is free, and what motions cost. A space that only tests configurations (:class:`FreeTest`) proves
+            nothing: a cell counts as free or blocked if all its samples do.
+        goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free. Of several, such as exits, the nearest
+            counts, and ``plr.which(x)`` returns its index.
         cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
-        max_leaves: Most leaves, at least 1. None: 2,000, or as many as ``max_bytes`` allows, if not certified; else
-            2,000 on a line, 10,000 in the plane, 50,000 in more dimensions. A certified PLR has a leaf for each cell
-            of a mesh; cells are halved where bounds are loose.
-        max_bytes: Most bytes of the file; None: no limit. If a leaf for each cell takes more, a certified PLR has
-            fewer leaves than cells. Each then has the worst bounds of the cells that it meets, and an upper bound of
-            ``inf`` if one of these has none.
-        tolerance: The estimated mean distance of the lower bound to the truth at which no more cells are halved, in
-            units of cost, at least 0. None: 0, so that all of ``max_leaves`` are used. For certified PLRs only.
+        max_leaves: Most leaves. None: 2,000, or as many as ``max_bytes`` allows, if not certified; else 2,000 on a
+            line, 10,000 in the plane, 50,000 in more dimensions.
+        max_bytes: Most bytes of the file. A certified PLR has a leaf for each cell of a mesh, which is refined where
+            bounds are loose. If these leaves take more bytes, it has fewer, larger leaves, with the worst bounds of
+            the cells that each meets.
+        tolerance: For certified PLRs, the estimated mean distance of the lower bound to the truth, in units of cost,
+            at which refinement stops. None: 0, so that all of ``max_leaves`` are used.
         certified: Whether to prove bounds. False is for up to three axes.
         seed: Seed of samples.
 
@@ -95,11 +95,11 @@ def solve_eikonal(
             more than a tenth outside of its bounds, where the nearer bound replaces it.
 
     Raises:
-        ValueError: If ``space`` is no space, a goal is not free, a limit is out of its range, or bounds of the cost
-            map are not positive and finite. If a limit is too small for one leaf, for four cells along each periodic
-            axis, for cells at most 200,000 times as long as wide, or for samples to meet all cells that are not
-            blocked. If ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid
-            sees a goal. If a directional cost map comes with a space whose costs are no lengths.
+        ValueError: If an argument is invalid, a goal is not free, or bounds of the cost map are not positive and
+            finite. If a limit is too small for one leaf, for four cells along each periodic axis, for cells at most
+            200,000 times as long as wide, or for samples to meet all cells that are not blocked. If
+            ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid sees a goal. If
+            a directional cost map comes with a space whose costs are no lengths.
 
     References: Section VII of the paper asks for such a PLR. Finding the largest lower bound is dual to Beckmann's
     problem of a cheapest flow, "A continuous model of transportation", 1952.
@@ -186,9 +186,8 @@ def _require_goals(
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
     """Return each leaf's priority to be split: its error, or more if it is large and cut off from the goal.
 
-    The error is the geometric mean of the largest error and the error's L2 norm over the leaf. Mean errors of the PLR
-    are then smaller than with largest errors alone, and largest errors hardly larger. A leaf without a path to the
-    goal answers the function of an adjacent leaf, but its free points should answer ``inf``: so it must be small.
+    The error is the geometric mean of the largest error and the error's L2 norm over the leaf, for a small mean error
+    of the PLR. A cut-off leaf must be small, because it answers the function of an adjacent leaf instead of ``inf``.
     """
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()
     norm = np.sqrt(np.ldexp(mean_square, -fit.cells.depth.sum(axis=1)))  # the volume is 2**-(sum of halvings)
@@ -254,7 +253,7 @@ _INSET = 1e-9  # distance of points from the faces of a cell, as a share of its 
 
 
 class SlopeSolver:
-    """A solver of the largest lower bound of the cost-to-go, on meshes that it refines where that bound is loose."""
+    """A solver of the largest lower bound of the cost-to-go, on meshes that it refines where the bound is loose."""
 
     def __init__(
         self, space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, max_cells: int, tolerance: float

@@ -1,7 +1,4 @@
-"""Scenes of our experiments, the scene file format, readers of public map formats, and random variants.
-
-All readers raise ``OSError`` if a file cannot be read.
-"""
+"""Scenes of our experiments, the scene file format, and readers of maps, which may raise ``OSError``."""
 
 import lazy_loader
 

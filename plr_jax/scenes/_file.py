@@ -28,8 +28,7 @@ _KEYS = ("workspace", "robots", "starts", "goals")
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     """Write a problem as a scene file, usually ``.json``; an interrupted write leaves no partial file.
 
-    A robot of a shape that the format does not support raises ``ValueError``, a file that cannot be written
-    ``OSError``.
+    A robot's shape that the format does not support raises ``ValueError``, a file that cannot be written ``OSError``.
     """
     weight = problem.rotation_weight
     entries = [_robot_entry(i, robot) for i, robot in enumerate(problem.robots)]
@@ -65,10 +64,8 @@ def load(path: str | os.PathLike[str]) -> Problem:
 
     A ring is a list of points ``[x, y]``. ``"holes"`` are optional. Obstacles may overlap and leave the bounds.
     Version 1 has only points and no ``"rotation_weight"``; version 2 has no polygons. :func:`save` writes the oldest
-    sufficient version, so that older releases can read it, and enough digits to read the same float64 numbers back.
-
-    Raises:
-        ValueError: If the file is not a scene, is damaged, has a newer version, or describes an impossible problem.
+    sufficient version, and enough digits to read the same float64 numbers back. A file that is no scene, is damaged,
+    has a newer version, or describes an impossible problem raises ``ValueError``.
     """
     path = Path(path)
     with errors_named(path):

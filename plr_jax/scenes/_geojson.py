@@ -23,15 +23,14 @@ from plr_jax.geometry.workspace import Workspace
 def read_polygons(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspace:
     """Read a workspace from a JSON file of free-space polygons; its bounds are their bounding box.
 
-    A ring is a list of points ``[x, y]``. The file has one of these forms; ``"holes"`` is optional, other keys are
-    ignored::
+    The file has one of these forms. A ring is a list of points ``[x, y]``; ``"holes"`` is optional::
 
         {"components": [{"outer": ring, "holes": [ring, ...]}, ...]}
         {"outer": ring, "holes": [ring, ...]}
         {"boundary": ring, "holes": [ring, ...]}        (extremitypathfinder)
 
-    ``squeeze`` says whether a path may pass between two obstacles that touch in one point. An invalid file raises
-    ``ValueError``.
+    Other keys are ignored. ``squeeze`` says whether a path may pass between two obstacles that touch in one point.
+    An invalid file raises ``ValueError``.
     """
     path = Path(path)
     with errors_named(path):
@@ -72,14 +71,14 @@ def read_geojson(
 ) -> Workspace:
     """Read the polygons of a GeoJSON file (RFC 7946) as a workspace.
 
-    Coordinates are taken as points of a plane with the same unit along both axes. Degrees of longitude and latitude
-    are not such points: if coordinates look like degrees, a warning says so. Project them first, for example to UTM.
+    Coordinates are points of a plane with one unit for both axes. Project degrees of longitude and latitude first,
+    for example to UTM; a warning tells if coordinates look like degrees.
 
     Args:
         path: A file with a FeatureCollection, a Feature, or a geometry: polygons, multipolygons and collections of
             them. Null and empty geometries are skipped, altitudes are dropped.
         polygons: Whether the polygons are obstacles or free space.
-        bounds: Bounds of the Workspace. None: the file's ``"bbox"``, or else the bounding box of all polygons.
+        bounds: Bounds of the workspace. None: the file's ``"bbox"``, or else the bounding box of all polygons.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
     Raises:
@@ -112,9 +111,9 @@ def read_wkt(
 ) -> Workspace:
     """Read the polygons of a geometry in well-known text as a workspace, such as a walkable area of JuPedSim.
 
-    A ``.wkt`` file has one geometry: a polygon, a multipolygon, or a collection of them. Empty geometries are
-    skipped, altitudes and measures are dropped. Arguments, units and errors are as for :func:`read_geojson`, but
-    polygons are free space by default, and the default bounds are their bounding box.
+    A ``.wkt`` file has one polygon, multipolygon, or collection of them. Empty geometries are skipped, altitudes and
+    measures are dropped. Arguments, units and errors are as for :func:`read_geojson`, but by default polygons are
+    free space, and bounds are their bounding box.
     """
     path = Path(path)
     with errors_named(path):

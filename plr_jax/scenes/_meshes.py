@@ -49,8 +49,8 @@ def read_mesh(path: Path) -> Triangles:
 def triangulated(polygons: Polygons) -> Triangles:
     """Cut plane polygons in space, all with the same number of corners, into triangles, without new corners.
 
-    Polygons may be concave, and outlines may touch themselves, as where a cut joins a hole to the outer ring. If an
-    outline crosses itself, the regions that it encloses are cut; if it encloses none, its triangles have no area.
+    Polygons may be concave, and outlines may touch themselves. If an outline crosses itself, the regions that it
+    encloses are cut into triangles; if it encloses none, its triangles have no area.
     """
     if polygons.shape[1] == 3:
         return polygons

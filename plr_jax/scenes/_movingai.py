@@ -22,9 +22,7 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
     The cell in column ``x`` and row ``y`` of the file is the square ``[x, x + 1] x [y, y + 1]``; so a picture with
     ``y`` up shows the map upside down. Cells are free if they are ``.`` or ``G`` (ground), or ``S`` (swamp, at no
     extra cost). ``squeeze`` says whether a path may pass between two blocked cells that touch in one corner.
-
-    Raises:
-        ValueError: If the file is not a Moving AI map, its rows do not match its header, or no cell is passable.
+    ``ValueError`` is raised if the file is not a Moving AI map, its rows do not match its header, or no cell is free.
 
     References: N. Sturtevant, "Benchmarks for Grid-Based Pathfinding", IEEE TCIAIG 4(2), 2012;
     https://movingai.com/benchmarks/formats.html.
@@ -35,9 +33,9 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
 
 
 def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]:
-    """Read which cells of a Moving AI ``.map`` grid are passable, as :class:`GridGraph` expects them.
+    """Read which cells of a Moving AI ``.map`` grid are free, in the order of the file, for :class:`GridGraph`.
 
-    Rows are in the order of the file; cells and errors are as for :func:`read_map`.
+    Cells and errors are as for :func:`read_map`.
     """
     path = Path(path)
     with errors_named(path):
@@ -73,8 +71,7 @@ class Scenario:
 
     Attributes:
         map_name: Name of the map, as given in the file.
-        starts: Start points, ``(n, 2)``, in the coordinates of :func:`read_map`.
-        goals: Goal points, ``(n, 2)``.
+        starts, goals: Points, ``(n, 2)``, in the coordinates of :func:`read_map`.
         octile_lengths: Published lengths of shortest paths on the 8-connected grid, ``(n,)``, rounded to about six
             digits. Apart from rounding, a Euclidean shortest path is never longer.
     """

@@ -55,8 +55,8 @@ def read_image(
 ) -> Workspace:
     """Read a picture of a map, such as a scanned floor plan, as a workspace whose bounds enclose the free pixels.
 
-    Light pixels are free. Lightness is the mean of a pixel's color channels, 0 for black and 1 for white. Transparent
-    pixels appear on white. The orientation stored in the file is applied. The lowest row has the smallest ``y``.
+    Lightness is the mean of a pixel's color channels, 0 for black and 1 for white. Transparent pixels appear on
+    white. The orientation stored in the file is applied. The lowest row has the smallest ``y``.
 
     Args:
         path: A PNG, PGM, PBM, PPM, BMP, GIF (first frame), JPEG, TIFF or WebP file with 8 or 16 bits per channel. At
@@ -196,16 +196,10 @@ def read_map_server(
     ``origin`` is the pose ``[x, y, yaw]`` of the outer corner of the lower left pixel, about which the map is rotated
     by ``yaw`` radians counterclockwise. The bounds of the workspace are the bounding box of the free pixels.
 
-    Args:
-        path: The ``.yaml`` file. Its ``image`` is relative to its folder. Defaults are ``negate`` 0,
-            ``occupied_thresh`` 0.65, ``free_thresh`` 0.196 and ``mode`` ``trinary``.
-        unknown_is_free: Whether unknown pixels are free; otherwise they are obstacles.
-        tolerance: Tolerance of the outline, in pixels, as for :meth:`Workspace.from_mask`.
-        drop_specks: Components of at most this many pixels are dropped.
-        squeeze: Whether a path may pass between two obstacles that touch in one point.
-
-    Raises:
-        ValueError: If the file is not such a map, its picture is damaged or too large, or nothing is free.
+    The ``.yaml`` file's ``image`` is relative to its folder. Defaults are ``negate`` 0, ``occupied_thresh`` 0.65,
+    ``free_thresh`` 0.196 and ``mode`` ``trinary``. ``unknown_is_free`` says whether unknown pixels are free or
+    obstacles; other arguments are as for :func:`read_image`. ``ValueError`` is raised if the file is not such a map,
+    its picture is damaged or too large, or nothing is free.
 
     References: http://wiki.ros.org/map_server; https://docs.nav2.org/configuration/packages/configuring-map-server.html.
     """
@@ -240,16 +234,12 @@ def read_cost_map(
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
     factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF
-    (OGC standard 1.1, 2019) lies where its tags say, in its own units. In other TIFFs a pixel has side 1, and the
-    outer corner of the lower left pixel (of the file's last row) is at ``(0, 0)``. For pixels of another size, give
-    the array of pixels, its last row first, to ``RasterCost(values, bounds)``.
+    (OGC standard 1.1, 2019) lies where its tags say, in its own units; a warning tells if these are degrees. In other
+    TIFFs a pixel has side 1, and the outer corner of the lower left pixel is at ``(0, 0)``.
 
     Raises:
         ValueError: If the file is not such a map, is rotated, its picture is damaged or too large, all cells are
             blocked, or an option is not for this kind of file.
-
-    Warns:
-        UserWarning: If the coordinates of a GeoTIFF are degrees, so that lengths are in degrees.
     """
     path = Path(path)
     with errors_named(path):

@@ -20,8 +20,8 @@ _ATTEMPTS = 1000
 def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Problem:
     """Return a variant of a problem with its starts and goals moved slightly, all still free.
 
-    Positions move by at most ``distance``, in workspace units. Headings turn by at most the angle that moves the
-    robot's farthest corner that far. An argument out of range, or no free variant, raises ``ValueError``.
+    Positions move by at most ``distance``, in workspace units, and headings by at most ``distance`` over the robot's
+    circumscribed radius. An argument out of range, or no free variant, raises ``ValueError``.
     """
     as_finite("distance", distance, positive=True)
     require_integer("seed", seed, 0)
@@ -59,9 +59,8 @@ _MOST_TRIALS = 1_000_000
 def door(num_robots: int) -> Problem:
     """Discs of radius 0.4 in two halls, 10 x 20 each, that change halls through one door, 1.5 diameters wide.
 
-    The first half of the robots start in the left hall, on points (1 + 1.7 i, 2 + 3.9 j), row by row, the others on
-    the mirror images of these points. All goals are the mirror images of starts, so pairs of robots swap places.
-    ``ValueError`` is raised unless ``num_robots`` is even, from 2 to 50.
+    The first half of the robots start in the left hall, the others at the mirror images of these starts. Each goal
+    is the mirror image of the start. ``ValueError`` is raised unless ``num_robots`` is even, from 2 to 50.
     """
     require_integer("num_robots", num_robots, 2)
     if num_robots % 2 or num_robots > _MOST_AT_A_DOOR:
@@ -132,8 +131,7 @@ def thin_maze() -> Problem:
 def floor_plan() -> Problem:
     """A point robot on a furnished office floor, 24 m x 15 m, from the lounge (23.2, 11.6) to the kitchen (1.2, 1.2).
 
-    There are eleven rooms along a hallway and a lobby, walls 0.16 m thick, doors 0.8 to 1.4 m wide, more than 200
-    corners and several loops.
+    The floor has eleven rooms, walls 0.16 m thick, doors 0.8 to 1.4 m wide, and more than 200 corners.
     """
     return load(_FOLDER / "floor_plan.json")
 
@@ -146,8 +144,7 @@ def single_door() -> Problem:
 def four_rooms(num_robots: int) -> Problem:
     """Discs of radius 0.4 that change rooms through a shared center, with doors 1.25 diameters wide.
 
-    ``num_robots`` is 2, 3 or 4, with one robot to a room, or 8, with two in each room. All go to the opposite room.
-    Another number raises ``ValueError``.
+    ``num_robots`` is 2 to 4, one to a room, or 8, two to a room; else ``ValueError``. All go to the opposite room.
     """
     return _team("four_rooms", num_robots, (2, 3, 4, 8))
 
@@ -155,8 +152,7 @@ def four_rooms(num_robots: int) -> Problem:
 def cross(num_robots: int) -> Problem:
     """Discs of radius 0.4 in two crossing hallways, 1.5 diameters wide: two discs cannot pass each other.
 
-    ``num_robots`` is 2, facing each other in one hallway, or 3, the third in the other hallway. Another number raises
-    ``ValueError``.
+    ``num_robots`` is 2, facing each other in one hallway, or 3, the third in the other one; else ``ValueError``.
     """
     return _team("cross", num_robots, (2, 3))
 
@@ -164,8 +160,7 @@ def cross(num_robots: int) -> Problem:
 def tangle() -> Problem:
     """Two rectangles, 1.8 x 0.5, that swap places in a hallway with a bay on each side.
 
-    They can neither pass each other nor turn in the hallway. Each bay is narrower than a rectangle is long, and too
-    shallow to park in.
+    They can neither pass each other nor turn in the hallway. Each bay is too narrow and too shallow to park in.
     """
     return load(_FOLDER / "tangle.json")
 

@@ -44,14 +44,12 @@ def read_volume(
               ``voxel nx ny nz``; each other line has the indices ``x y z`` of a blocked voxel. At most 32 MiB and
               268,435,456 voxels, but above 16,777,216 voxels at most 256 per byte of the file.
             - ``.stl``, ``.obj``, ``.ply``: a mesh of plane polygons, text or binary; at most 64 MiB and 16,777,216
-              voxels. A voxel is blocked if the surface meets the closed voxel, up to a millionth of a voxel. So a
-              surface in a plane between voxels blocks the voxels on both sides.
+              voxels. A voxel is blocked if the surface meets or touches it, up to a millionth of a voxel.
         pitch: Side of a voxel, in units of the mesh; for meshes only, which need it.
-        bounds: For meshes, the Box that the voxels fill from its lower corner on, or its corners; the last voxels
-            extend beyond it if the pitch does not divide its width. None: the bounding box of the mesh.
+        bounds: For meshes, the box, or its corners, that the voxels fill from the lower corner on; the last voxels
+            may extend beyond it. None: the bounding box of the mesh.
         fill: For meshes, whether to block what the surface encloses as well: all voxels with no path through faces to
-            the border of the grid, such as the rooms of a closed building. A surface with holes wider than a voxel
-            encloses nothing.
+            the border of the grid. A surface with holes wider than a voxel encloses nothing.
 
     Raises:
         ValueError: If the file has another ending, is damaged or too large, no voxel is free, or an argument is
@@ -155,12 +153,12 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
     return reached[part]
 
 
-# Scan conversion: triangles are cut into slabs between planes of the grid, and slabs into rows along a second axis.
-# In each row, a piece of a triangle meets a range of voxels. Pieces are convex, so their outlines give their extent.
-
-
 def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
-    """Mark all voxels that triangles meet or touch as blocked; coordinates are in units of voxels."""
+    """Mark all voxels that triangles meet or touch as blocked; coordinates are in units of voxels.
+
+    Triangles are cut into slabs between planes of the grid, and slabs into rows along a second axis. In each row, a
+    piece of a triangle meets a range of voxels, given by the extent of the piece's outline.
+    """
     if not (np.abs(triangles) <= _FARTHEST).all():
         raise ValueError(f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one farther away.")
     order = np.argsort(blocked.shape, kind="stable")  # ranges of voxels run along the longest axis
