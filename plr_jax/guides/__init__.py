@@ -11,7 +11,7 @@
 - `plr_jax.guides.c_and_javascript`: queries without JAX.
 - `plr_jax.guides.command_line`: the command `plr-jax`.
 
-In Python, `help(plr_jax.guides.teams)` shows a page. Its examples run from top to bottom.
+In Python, `help(plr_jax.guides.teams)` shows a page. On each page, examples run from top to bottom.
 
 # Classes that are called like functions
 

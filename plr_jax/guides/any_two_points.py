@@ -22,15 +22,16 @@ x, y = workspace.sample_free(1000, seed=0), workspace.sample_free(1000, seed=1)
 distance = pairs(x, y)  # (n,); the batches are broadcast
 lower, upper = pairs.bounds(x[:3], y[:3])  # proven
 
-goals = pairs.prepared(y)  # a plr_jax.pairs.PreparedGoals: goals that are queried many times, also inside jit
+goals = pairs.prepared(y)  # goals that are queried many times; also inside jit
 distance = pairs(x, goals)  # large batches take about half the time, a fifth on large maps
 
 plr = pairs.to(y[0])  # the distance to one goal, a PLR with cone leaves
 print(plr(x[:3]), plr_jax.VisibilityGraph(workspace, y[0]).between(x[:3], y[:3]))
 ```
 
-A larger budget makes queries faster, not more exact. The workspace may have at most 8,192 corners. `plr_jax.save` and
-`plr_jax.load` write and read pairs like PLRs.
+`prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget makes queries faster, not more exact. The workspace
+may have at most 8,192 corners. Points closer to a wall than 4e-6 of the map's width may see past the wall's end: see
+`plr_jax.construct_pairs`. `plr_jax.save` and `plr_jax.load` write and read pairs like PLRs.
 
 # On a grid
 
@@ -54,7 +55,8 @@ assert (to_dock(positions) == graph(positions)).all()
 # Another metric
 
 `plr_jax.MetricPairs` is one PLR over pairs of points, in boxes of at most 3 dimensions. It needs only a symmetric
-function of two batches of points, and suits smooth metrics without obstacles.
+function of two batches of points, and suits smooth metrics: among obstacles, its errors are far larger than those of
+`construct_pairs`.
 
 ```python
 def great_circle(a, b):  # angle between two places on a sphere, each a latitude and a longitude
@@ -80,6 +82,6 @@ print(stack([0, 5, 7], x[:3]))  # the distance of x[0] to goal 0, of x[1] to goa
 nearest = stack(np.arange(8)[:, None], x).min(axis=0)  # (n,); this also works inside jit
 ```
 
-A stack is fastest if all its PLRs have one leaf model. If only the nearest goal counts, build a single PLR of a
-`plr_jax.NearestGoal`: see `plr_jax.guides.distance_function`.
+A stack is fastest if all its PLRs have one leaf model. If only the nearest goal counts, a single PLR of a
+`plr_jax.NearestGoal` is enough: see `plr_jax.guides.distance_function`. All classes of pairs are in `plr_jax.pairs`.
 """

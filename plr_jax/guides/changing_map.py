@@ -1,7 +1,7 @@
 """Guide: keep a distance function up to date while obstacles of the map come and go.
 
 After a change, make three calls: for the map, for the oracle, and for the PLR. Each call reuses what the change does
-not affect, and returns a new object; the old object stays valid.
+not affect, and returns a new object. The old objects stay valid for the old map.
 
 ```python
 import plr_jax
@@ -32,7 +32,8 @@ index: an empty polygon replaces a removed obstacle. Points that another obstacl
 # The oracle
 
 `oracle.with_workspace(workspace)` of a `plr_jax.VisibilityGraph` recomputes only the visibility that the change
-affects. For another goal on an unchanged map, use `oracle.with_goal(goal)`.
+affects. Its distances equal those of a new oracle, up to rounding. For another goal on an unchanged map, use
+`oracle.with_goal(goal)`.
 
 # The PLR
 
@@ -40,10 +41,11 @@ affects. For another goal on an unchanged map, use `oracle.with_goal(goal)`.
 
 - The PLR has leaves `"cone"` and a proof: it was built with `certified=True` or `certified="leaves"`.
 - Both oracles are visibility graphs of the same goal.
-- The PLR knows the oracle it was built from. For a PLR from a file, call `plr.updated(new_oracle, old_oracle)`.
+- The PLR still knows the oracle it was built from. A PLR from a file does not: call
+  `plr.updated(new_oracle, old_oracle)`.
 
 The new PLR keeps the byte budget, unless `max_bytes` sets another one, and has its own proof. Its errors are about as
-large as those of a PLR that is built for the new map.
+large as those of a PLR that is built for the new map. The first update of a PLR takes longest.
 
 ```python
 plr_jax.save(plr, "maze.plr")
@@ -54,7 +56,8 @@ print(same.num_bytes, same.max_error)
 
 # For other changes
 
-- Goals change, the map does not: `plr_jax.guides.any_two_points`.
-- The map changes at every step, or inside `jit`: `plr_jax.guides.inside_jit`.
-- Robots of a team are under way when the map changes: `plr_jax.guides.teams`.
+- Goals change, the map does not: `plr_jax.construct_pairs` or `plr_jax.construct_many`, in
+  `plr_jax.guides.any_two_points`.
+- The map changes at every step, or inside `jit`: `plr_jax.grid_distance`, in `plr_jax.guides.inside_jit`.
+- Robots of a team are under way when the map changes: `plr_jax.replan`, in `plr_jax.guides.teams`.
 """

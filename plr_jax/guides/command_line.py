@@ -21,17 +21,18 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
 
 - `build MAP` computes the exact distance to a goal and compresses it. `MAP` is one of the scenes `maze`, `thin_maze`
   and `floor_plan`, or a file: a picture, YAML of `map_server`, GeoJSON, WKT, a Moving AI grid, polygons or a scene in
-  JSON. A file needs `--goal X,Y`; several of them give the distance to the nearest. The output has proven bounds;
-  `--leaf-bounds` proves tighter ones for each leaf. For a small largest error, give `--tolerance`, not `--max-bytes`.
+  JSON. A file needs `--goal X,Y`; several of them give the distance to the nearest, for example to exits. The output
+  has proven bounds; `--leaf-bounds` proves tighter ones for each leaf. `--leaf best`, the default, chooses a leaf
+  model. `--max-bytes` limits the file; for a small largest error, give `--tolerance` instead.
 - `info FILE` prints what is in a file: size, leaves, domain, proven error.
 - `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` is standard input. A point outside the
   domain gets `inf`. `--bounds` adds proven bounds, `--gradient` the gradient, and `--which` the index of the nearest
   goal, if leaves are cones of several goals. For pairs, lines are `x,y,x,y`.
-- `plot FILE` draws a picture, `view FILE` writes a page for a browser. A map's options are part of its text:
-  `--map "scan.png --resolution=0.05"` of `plot`, or the argument MAP of `view`.
+- `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network. Options that the map was
+  read with are part of its text: `--map "scan.png --resolution=0.05"` of `plot`, or the argument MAP of `view`.
 - `export FILE` writes C99 (`--c`) or JavaScript (`--js`): see `plr_jax.guides.c_and_javascript`.
 - `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found. `SCENE`
-  is a name, or a file that `plr_jax.scenes.save(problem, "rooms.json")` writes.
+  is a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes.
 - `demo --output FOLDER` builds a maze, compares it with the exact distance, plans for four rooms, and draws both.
 
 # From a picture to C
@@ -44,8 +45,10 @@ A scanned plan has a scale and noise. These options of `build` describe it:
 - `--threshold` is the lightness above which a pixel is free.
 - `--radius` is the radius of a round robot; distances are then distances of its center.
 
-The proven error is the error on the resulting map, not on the picture: polygons replace pixels, which may move
-outlines by half a pixel, and the arcs that `--radius` makes. The domain is the part of the picture with free space.
+Two approximations precede the proof. Polygons replace the pixels, which may move outlines by half a pixel. With
+`--radius`, obstacles grow, and polygons inscribed in their round corners replace the arcs. The proven error is the
+error on the resulting map, not on the picture. The domain of the file is the part of the picture that contains free
+space.
 
 ```python
 import numpy as np

@@ -17,12 +17,16 @@ print(result.distance[50, 70], result.nearest[50, 70])  # minutes to the nearest
 ```
 
 The result is a `plr_jax.CostDistance`. Its arrays have the shape of the raster. Where no source can be reached,
-`distance` is `inf` and `nearest` is -1. The sources may also be a boolean mask of the raster's shape, such as the
-cells of a road. Rasters of more than 2 million cells have larger errors, and no paths.
+`distance` is `inf` and `nearest` is -1.
+
+- The sources may also be a boolean mask of the raster's shape, such as the cells of a road.
+- Rasters of up to 2 million cells take about 2 kB of memory a cell. Larger rasters take 100 bytes a cell, and have
+  the errors of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
 
 # A least-cost path
 
 `result.path` returns a path from the center of a point's cell to the nearest source. Its cost is the distance there.
+Results for rasters of more than 2 million cells have no paths: follow a PLR instead, as below.
 
 ```python
 village = (70.5 * 30, 50.5 * 30)  # the center of cell [50, 70]
@@ -32,7 +36,8 @@ print(result.path(village))  # vertices (n, 2)
 # How good is it?
 
 `bounds=True` adds `result.lower` and `result.upper`, which are proven for costs that are constant in each cell.
-`upper` is the distance, rounded up. In our experiments, the bounds are on average 2 to 4 % of the distance apart.
+`upper` is the distance, rounded up, so only `lower` adds information. The bounds are on average 2 to 4 % of the
+distance apart in our experiments, and up to 100 % near sources and beside much cheaper cells.
 
 ```python
 result = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)
@@ -53,7 +58,8 @@ error = np.abs(result.plr(centers) - result.distance)[reached]
 print(error.mean(), error.max())
 ```
 
-`plr_jax.descend` follows the PLR to a source, among the same cells as a `plr_jax.RasterCost`. Paths are approximate.
+`plr_jax.descend` follows the PLR to a source, among the same cells as a `plr_jax.RasterCost`. Its paths are
+approximate, and some cost clearly more than the distance.
 
 ```python
 raster = plr_jax.RasterCost(minutes_a_meter, ((0, 0), (80 * 30, 60 * 30)), "nearest")
@@ -78,8 +84,9 @@ raster = plr_jax.RasterCost(costs, interpolation="nearest")  # for descend, in t
 
 # Uphill and downhill
 
-With heights, costs are factors without a unit, times a function of the slope along the path, rise over run. The
-default is Tobler's hiking function, in seconds a meter of horizontal distance; `slope_cost` gives another one.
+With heights, costs depend on the slope along the path. The default is Tobler's hiking function, in seconds a meter
+of horizontal distance; `slope_cost` may be any other function of slopes, rise over run. The costs are then factors
+without a unit, such as 1 in fields and 2.5 in forest.
 
 ```python
 heights = np.fromfunction(lambda row, column: 5.0 * column, (60, 80))  # rises by 5 m every 30 m eastward

@@ -1,8 +1,8 @@
 """Guide: build a cost-to-go from costs, voxels, bodies and arms, without an oracle.
 
 `plr_jax.solve_eikonal` needs only a *configuration space*, which says what is free, and a goal. With a *cost map*,
-costs differ from place to place. The result is a `plr_jax.PLR`. For a raster of costs-to-go, use
-`plr_jax.cost_distance`.
+costs differ from place to place. The result is a `plr_jax.PLR`. From a raster to a file with bounds, use
+`solve_eikonal`; from a raster to a raster, use `plr_jax.cost_distance`.
 
 ```python
 import numpy as np
@@ -25,15 +25,17 @@ print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, a
 - `certified=False` gives an estimate, in about a second, in up to three dimensions.
 - `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Lower bounds are loose near
   the goal. Upper bounds are `inf` where no proven path was found, mostly beside obstacles; more leaves help.
-- Files do not store `which`, and it cannot be called under `jit`.
+- Several goals are rows. Files do not store `which`, and it cannot be called under `jit`.
+- Limits are `max_bytes`, `max_leaves` and, for certified PLRs, `tolerance`.
 
 # Costs
 
 A `plr_jax.CostMap` is a positive factor of the length of motions through `q`. For travel times, give `1 / speed`.
 
 - `plr_jax.RasterCost`: a raster of factors. `interpolation="bilinear"`, the default, suits samples of a smooth cost;
-  `"nearest"` suits cells of classes, such as road and river. `from_costmap` and `from_occupancy_grid` read ROS,
-  `inflated` adds costs around obstacles like Nav2, and `plr_jax.scenes.read_cost_map` reads files.
+  `"nearest"` suits cells of classes, such as road and river. The two are different costs, with different true
+  distances. `from_costmap` and `from_occupancy_grid` read ROS, `inflated` adds costs around obstacles like Nav2, and
+  `plr_jax.scenes.read_cost_map` reads files.
 - `plr_jax.LipschitzCost`: a function, and a limit of how fast it changes. Proofs rely on this limit.
 - `plr_jax.DirectionalCost`: costs that depend on the direction, such as a current; its docstring has examples.
 - `plr_jax.MotionCost`: how a space measures the length of a motion, for example with a weight for turns.
@@ -113,5 +115,6 @@ print(walk((9, 0)), walk((9, 3)))
 ```
 
 Proofs need a `plr_jax.ConfigurationSpace`: `classify(lo, hi)` returns a `plr_jax.CellState` for each box, and
-`are_free(q0, q1)` tests motions. With `sees_boxes`, a `plr_jax.SeesBoxes`, upper bounds are finite beside walls too.
+`are_free(q0, q1)` tests motions. Answer FREE or BLOCKED only if this is proven; MIXED is always allowed. With
+`sees_boxes`, a `plr_jax.SeesBoxes`, upper bounds are finite beside walls too, except at a few points by their ends.
 """

@@ -71,14 +71,17 @@ the largest error in a cell. Leaves:
 If the oracle is a `VisibilityGraph`, `certified=True` proves the largest error, `plr.max_error`, with any leaf.
 `certified="leaves"` stores proven bounds of each leaf, in 2 bytes a leaf. `plr_jax.certify` proves bounds of an
 existing PLR. Where walls touch only at a point, no error below half of the jump between their sides can be proven:
-thicken the wall there. `plr.lower` is never above the true distance, so A* with this heuristic stays optimal, but it
-must reopen nodes. Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` warning.
+thicken the wall there. `plr.lower` is a distance function that is never above the true distance, so A* with this
+heuristic stays optimal. It jumps between leaves, so it is not consistent: A* must reopen nodes.
+
+Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` warning.
 
 # Files and queries
 
 `plr(x)` is `plr_jax.evaluate(plr, x)`. It takes NumPy or JAX arrays `(..., dim)`, also under `jit`, `vmap` and
-`grad`. A PLR does not store walls, so a point in a wall may get a number. Far from the origin, as in UTM coordinates,
-32-bit points are too coarse: give NumPy's 64-bit points, outside `jit`.
+`grad`. A PLR does not store walls, so a point in a wall may get a number. `outside="clamp"` extends a PLR beyond
+its domain. Far from the origin, as in UTM coordinates, 32-bit points are too coarse: give NumPy's 64-bit points,
+outside `jit`.
 
 ```python
 import jax
@@ -92,9 +95,10 @@ plr_jax.plot.plot_contours(plr, workspace=workspace, goal=(9, 1))
 
 # Several exits
 
-If the oracles of a `plr_jax.NearestGoal` are `VisibilityGraph`s of one workspace, its PLRs of cones can be certified,
-and their files store the index of the nearest goal. A wide door is a row of goals: the error is at most half of their
-spacing. For routes see `plr_jax.guides.follow_the_field`.
+`plr_jax.NearestGoal` is the distance to the nearest of several goals; `which(x)` is the index of that goal. If its
+oracles are `VisibilityGraph`s of one workspace, its PLRs of cones can be certified, and their files store the index.
+Other files do not. A wide door is a row of goals: the error is at most half of their spacing. For routes see
+`plr_jax.guides.follow_the_field`, for a PLR of each goal `plr_jax.guides.any_two_points`.
 
 ```python
 exits = plr_jax.NearestGoal([oracle, oracle.with_goal((1, 5))])
@@ -107,7 +111,7 @@ print(plr_jax.load("exits.plr").which(x[:3]), exits.which(x[:3]), exits.shortest
 `plr_jax.BuildOptions` replaces the rules of the paper's Algorithm 1. A rule is a function of a `plr_jax.CellFit`, the
 samples of a batch of cells. Fitting: `plr_jax.least_squares`. Which cell to split: `plr_jax.largest_error`,
 `plr_jax.center_error`, `plr_jax.maximum_depth`. Along which axis: `plr_jax.best_axis`, `plr_jax.cyclic_axis`.
-File formats and leaf classes are in `plr_jax.plr`.
+`executor` and `checkpoint` are for oracles that take minutes. File formats and leaf classes are in `plr_jax.plr`.
 
 ```python
 options = plr_jax.BuildOptions(should_split=plr_jax.maximum_depth, split=plr_jax.cyclic_axis)

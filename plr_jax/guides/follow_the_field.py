@@ -12,7 +12,7 @@
 # Descend
 
 `plr_jax.descend` takes any field: a PLR, an oracle, or your own function. In a `plr_jax.Workspace`, it reaches the
-goal from every start from which a path exists, even by a poor field.
+goal from every start from which a path exists, even by a poor field: the field only decides which way to go.
 
 ```python
 import jax
@@ -32,7 +32,8 @@ assert all(status is plr_jax.DescentStatus.REACHED for status in descent.status)
 ```
 
 The result is a `plr_jax.Descent`; each `plr_jax.DescentStatus` says how one descent ended. In a configuration space,
-or with a `cost_map`, `descend` takes finite steps instead, and can get stuck.
+or with a `cost_map`, `descend` takes finite steps instead, and can get stuck. With a cost map, each start takes a few
+tenths of a second.
 
 ```python
 space = plr_jax.PlaneSpace(workspace)
@@ -45,7 +46,8 @@ print(descent.costs, costs(starts[:2]))
 # Trace
 
 A PLR of cones stores, for each corner, the next corner on the shortest path. So `plr_jax.trace` reads whole paths
-from the file. The result is a `plr_jax.Traces`, with a `plr_jax.TraceStatus` for each path.
+from the file. Give it the workspace, if you have it, so that no path cuts a corner. The result is a `plr_jax.Traces`,
+with a `plr_jax.TraceStatus` for each path.
 
 ```python
 cones = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, certified=True)
@@ -68,7 +70,8 @@ routes = [path[:count] for path, count in zip(traces.paths, traces.counts, stric
 print(traces.arrived.mean(), cones.which(starts[:3]))
 ```
 
-To check routes with your own Shapely polygon, allow for rounding. Plots are on axes of Matplotlib.
+A workspace rounds vertices to a fine grid, and a file of cones rounds points by up to 1e-8 of the map's width. To
+check routes with your own Shapely polygon, allow for this. Plots are on axes of Matplotlib, which also draw routes.
 
 ```python
 import shapely
@@ -80,12 +83,15 @@ ax.plot(*routes[0].T)
 ```
 
 Agents with a radius follow a field of the inset area, `area.buffer(-radius, join_style="mitre")`. Other agents may
-push them nearer to a wall, so test their routes in the full area: see `notebooks/6_pedestrians.ipynb`.
+push them nearer to a wall, so test their routes in the full area: see `notebooks/6_pedestrians.ipynb`, with JuPedSim,
+which refuses targets on walls.
 
 # Gradient
 
-The gradient of a PLR points away from the goal. Shortest paths touch corners, so steps along the raw gradient end in
-walls at corners. Keep a distance from walls, for example with `workspace.inflate(radius)`, or use `descend`.
+The gradient of a PLR points away from the goal. It has length 1 in leaves that are cones, and about 1 in other
+leaves. Shortest paths touch corners, so steps along the raw gradient end in walls at corners. Keep a distance from
+walls, for example with `workspace.inflate(radius)`, or use `descend`. `oracle.directions(x)` returns exact
+directions.
 
 ```python
 toward_goal = -jax.vmap(jax.grad(cones))(starts)

@@ -7,7 +7,8 @@ Choose by what is known before `jit` compiles:
   `reset` of the environment, store `goals = pairs.prepared(goal)`; in `step`, call `pairs(x, goals)`.
 - The map is drawn inside `jit`: call `plr_jax.grid_distance` inside `jit`.
 
-PLRs, stacks and pairs are pytrees: a jitted function may close over them or take them as arguments.
+A PLR, a stack of PLRs and pairs are pytrees of arrays. A jitted function may close over them or take them as
+arguments.
 
 # A fixed map
 
@@ -83,11 +84,13 @@ print(max_corners)
 # In an environment
 
 In `reset`, compute the field and store it in the environment's state. If the agent stands on cell centers, store
-`field.cells` instead, and index `cells[row, column]`, which is faster than `field(x)`. If the agent moves between
-neighboring cells, use `moves=4` or `moves=8`: a reset on 11 x 11 cells is then 86 or 6.5 times faster.
+`field.cells` instead, and index `cells[row, column]`. With any-angle paths, a step is then much faster than with
+`field(x)`. If the agent moves between neighboring cells, use `moves=4` or `moves=8`: the distance is the number
+(length) of steps, and a reset on 11 x 11 cells is 86 or 6.5 times faster than with any-angle paths.
 
 If `step` resets the environment, `vmap` turns `lax.cond` into both of its branches, so every step computes a field.
-So draw a pool of states before, and let a reset pick one of them.
+So draw a pool of states before, and let a reset pick one of them. If resets need new maps, compute a few new states
+in each step outside of `vmap`, and replace some of the pool.
 
 ```python
 def reset(key):
@@ -112,5 +115,6 @@ state, reward, is_done = jax.jit(jax.vmap(step))(state, jnp.zeros(64, int), keys
 ```
 
 Let the motion rule forbid what the distance forbids: blocked cells, and steps between two blocked cells that share
-only a corner. Otherwise rewards are `inf` or NaN. Oracles run on the host, not inside `jit`.
+only a corner. Otherwise rewards are `inf` or NaN. `plr_jax.VisibilityGraph` and other oracles run on the host, not
+inside `jit`.
 """

@@ -22,10 +22,12 @@ plr_jax.scenes.save(problem, "rooms.json")  # plr_jax.scenes.load reads it; so d
 A `plr_jax.Problem` has a row of `starts` and of `goals` for each robot: `(x, y)`, or `(x, y, heading)`, in radians,
 if any robot can turn. In such a team, give robots without a heading rows `(x, y, 0)`. A `plr_jax.Robot` is convex:
 `plr_jax.PointRobot` and `plr_jax.DiscRobot` do not turn, `plr_jax.RectangleRobot` and `plr_jax.PolygonRobot` do.
-`plr_jax.scenes` has ready-made problems.
+`plr_jax.scenes` has ready-made problems. Obstacles have an area: for a wall with corners `(0, 3), (4, 3), (4, 5)`,
+pass `shapely.LineString([(0, 3), (4, 3), (4, 5)]).buffer(0.1, cap_style="flat")`.
 
 Paths may touch obstacles and other robots. For a margin of 0.05, plan with discs whose radius is larger by 0.05, and
-check the path with the real robots: `plr_jax.validate(problem, solution.path).clearance` is then about 0.05 or more.
+check the path with the real robots: `plr_jax.validate(problem, solution.path).clearance` is at least 0.05, up to
+rounding.
 
 The cost of a path is the sum of what the robots travel, plus `rotation_weight` for each radian of turning:
 `plr_jax.path_cost`. All robots move from one row of the path to the next at the same time. `plr_jax.makespan` is the
@@ -34,8 +36,9 @@ time that this takes, at unit speed.
 # The planner
 
 `plr_jax.bl_plan` searches finer and finer lattices with two alternating searches, LaCAM and best-first search (BL).
-It stops after the first search that succeeds, and shortens the path. If it finds no path, one may still exist. A
-`plr_jax.Solution` has a `plr_jax.Status`, which says why the search ended, and `plr_jax.Stats`.
+It stops after the first search that succeeds, and shortens the path. If it finds no path, one may still exist. Robots
+change speed and direction at once. A `plr_jax.Solution` has a `plr_jax.Status`, which says why the search ended, and
+`plr_jax.Stats`.
 
 `plr_jax.validate` shares no geometry with the planner. Its `plr_jax.ValidationReport` says whether a path is valid,
 how close robots come to obstacles and to one another, and what the first violation is.
@@ -43,7 +46,8 @@ how close robots come to obstacles and to one another, and what the first violat
 # Heuristics, bounds and better paths
 
 Without a heuristic, the planner uses each robot's cost-to-go along its lattice, which is best for most problems. The
-sum of the robots' exact distances is a better lower bound than `solution.lower_bound`, the length of straight lines:
+lower bound, `solution.lower_bound`, is then the length of straight lines. The sum of the robots' exact distances is a
+better lower bound, also for a path that you already have:
 
 ```python
 exact = plr_jax.robot_distance_fns(problem)  # one VisibilityGraph for each robot, obstacles grown by its radius
@@ -59,7 +63,8 @@ print(better.stats.num_nodes, plr_jax.zero()(starts), plr_jax.straight_line(prob
 ```
 
 With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the path until the cost is at most 1.05 times the
-lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. Distances of
+lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. A factor that is met early
+ends the search and the shortening, so the path may cost more than without a factor. Distances of
 `robot_distance_fns` leave out the cost of turns, so robots that turn may never reach a small factor.
 
 In place of the cost-to-go along lattices, `bl_plan` accepts a `plr_jax.HeuristicFn`: `plr_jax.zero`,
