@@ -64,9 +64,8 @@ def bl_plan(
 ) -> Solution:
     """Plan collision-free paths for all robots of a problem, from their starts to their goals.
 
-    The common call is ``solution = bl_plan(problem)``. Then ``solution.path`` is an array ``(steps, robots, dof)``, or
-    None if no path was found, and ``solution.status`` says why the planner ended. With
-    ``options=BLOptions(time_limit=10)`` it takes at most 10 s.
+    The common call is ``solution = bl_plan(problem)``. Then ``solution.path`` is an array ``(steps, robots, dof)`` or
+    None, and ``solution.status`` says why the planner ended. ``options=BLOptions(time_limit=10)`` limits the seconds.
 
     Args:
         problem: Workspace, robots, starts and goals.
