@@ -8,7 +8,7 @@ robots = [plr_jax.DiscRobot(0.4), plr_jax.DiscRobot(0.4)]
 problem = plr_jax.Problem(workspace, robots, starts=[(2, 2), (8, 2)], goals=[(8, 2), (2, 2)])
 solution = plr_jax.bl_plan(problem)
 
-print(solution.status, solution.cost, solution.factor)  # factor: a proven limit of cost / optimal cost
+print(solution.status, solution.cost, solution.factor)  # cost / optimal cost <= factor, by straight lines
 report = plr_jax.validate(problem, solution.path)
 assert report.valid, report.message
 print(solution.path.shape, solution.path_at(1.5))  # (steps, robots, dof); positions of all robots at time 1.5
@@ -25,9 +25,9 @@ if any robot can turn. In such a team, give robots without a heading rows `(x, y
 `plr_jax.scenes` has ready-made problems. Obstacles have an area: for a wall with corners `(0, 3), (4, 3), (4, 5)`,
 pass `shapely.LineString([(0, 3), (4, 3), (4, 5)]).buffer(0.1, cap_style="flat")`.
 
-Paths may touch obstacles and other robots. For a margin of 0.05, plan with discs whose radius is larger by 0.05, and
-check the path with the real robots: `plr_jax.validate(problem, solution.path).clearance` is at least 0.05, up to
-rounding.
+Paths may touch obstacles and other robots. For a margin of 0.05, plan with robots that are larger by 0.05 on every
+side, and with the `rotation_weight` of the real robots, so that costs are equal. Check the path with the real robots:
+`plr_jax.validate(problem, solution.path).clearance` is at least 0.05, up to rounding. Robots stay 0.1 apart.
 
 The cost of a path is the sum of what the robots travel, plus `rotation_weight` for each radian of turning:
 `plr_jax.path_cost`. All robots move from one row of the path to the next at the same time. `plr_jax.makespan` is the
