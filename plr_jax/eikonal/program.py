@@ -252,7 +252,7 @@ class SlopeProgram:
         return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
     def gradients(self, u: Dofs) -> Vectors:
-        """Return a function's control vectors: Bernstein coefficients of its gradient, which enclose the gradient."""
+        """Return Bernstein coefficients of a gradient, each axis divided by its weight in the cost of motions."""
         return (self.gradient @ u).reshape(self.dim, -1)
 
     def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:

@@ -73,8 +73,9 @@ def solve_eikonal(
         goal: The goal, ``(dim,)``, or several goals, ``(k, dim)``, all free. Of several, such as exits, the nearest
             counts, and ``plr.which(x)`` returns its index.
         cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
-        max_leaves: Most leaves. None: 2,000, or as many as ``max_bytes`` allows, if not certified; else 2,000 on a
-            line, 10,000 in the plane, 50,000 in more dimensions.
+        max_leaves: Most leaves, and most cells of the mesh on which bounds are computed. More cells give tighter
+            bounds, also in a file of equal ``max_bytes``, and take longer. None: 2,000, or as many as ``max_bytes``
+            allows, if not certified; else 2,000 on a line, 10,000 in the plane, 50,000 in more dimensions.
         max_bytes: Most bytes of the file. A certified PLR has a leaf for each cell of a mesh, which is refined where
             bounds are loose. If these leaves take more bytes, it has fewer, larger leaves, with the worst bounds of
             the cells that each meets.

@@ -41,7 +41,7 @@ distance apart in our experiments, and up to 100 % near sources and beside much 
 
 ```python
 result = plr_jax.cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)
-reached = result.nearest >= 0
+reached = (result.nearest >= 0) & (result.distance > 0)
 gap = result.upper[reached] - result.lower[reached]
 print((gap / result.distance[reached]).mean())
 ```

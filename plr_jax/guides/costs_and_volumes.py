@@ -26,7 +26,7 @@ print(exits([[3, 2]]), exits.which([[3, 2]]))  # the cost to the nearest exit, a
 - `certified=True`, the default, also proves bounds, `plr.bounds(x)`, and takes longer. Lower bounds are loose near
   the goal. Upper bounds are `inf` where no proven path was found, mostly beside obstacles; more leaves help.
 - Several goals are rows. Files do not store `which`, and it cannot be called under `jit`.
-- Limits are `max_bytes`, `max_leaves` and, for certified PLRs, `tolerance`.
+- `max_bytes` limits the file. If bounds are too loose, raise `max_leaves` above 10,000: the file may stay as small.
 
 # Costs
 
