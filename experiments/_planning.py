@@ -96,14 +96,14 @@ def plan_and_check(
 ) -> tuple[Solution, float, bool | None]:
     """A plan, and whether its first path and its last one are valid; None if there is none."""
     first: list[Float[np.ndarray, "steps robots dof"]] = []
-    offer = Run.offer
+    record = Run.record
 
     def kept(self: Run, path: Float[np.ndarray, "steps robots dof"], found_by: str, factor: float) -> None:
         if not first:
             first.append(path)
-        offer(self, path, found_by, factor)
+        record(self, path, found_by, factor)
 
-    with mock.patch.object(Run, "offer", kept):
+    with mock.patch.object(Run, "record", kept):
         solution, seconds = plan(problem, heuristic, options)
     checks = [validate(problem, path).valid for path in first] + [is_valid(problem, solution)]
     return solution, seconds, None if solution.path is None else all(checks)

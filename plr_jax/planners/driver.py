@@ -76,21 +76,32 @@ def bl_plan(
         options: How to search, and when to stop.
 
     Returns:
-        The best path found, a lower bound of all path costs, and a status. Only SOLVED always comes with a path: its
-        cost is at most ``cost_factor`` (default: infinite) times the lower bound. EXHAUSTED: no search is left on the
-        finest lattice (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. The
-        lower bound is the largest of the option's, the cost of straight motions, and the heuristic at the starts if
-        its ``is_lower_bound`` is true. Results are deterministic unless the time limit ends a search.
+        The best path found, a lower bound of all path costs, and a status. SOLVED: the cost is at most
+        ``cost_factor`` (default: infinite) times the lower bound. EXHAUSTED: no search is left on the finest lattice
+        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the
+        limit was reached, or best-first search found nothing after it left out children to save memory. Otherwise
+        another limit, or INTERRUPTED after Ctrl-C. Only SOLVED always comes with a path. The lower bound is the
+        largest of the option's, the cost of straight motions, and the heuristic at the starts if its
+        ``is_lower_bound`` is true. Results are deterministic unless the time limit ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
 
-    A few discs among few walls first move one after the other, from corner to corner. Then the team moves on finer
-    and finer lattices (grids of configurations, with the exact starts and goals) until LaCAM or best-first search
-    finds a path. Replanning of single robots and shortcuts make the path cheaper.
+    How it works:
 
-    References: Section V of the paper; Barraquand and Latombe, "Robot motion planning: a distributed representation
-    approach", 1991. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023.
+    1. A few discs among few walls move one after the other, from corner to corner. This path is kept if no cheaper
+       one is found.
+    2. Robots move on finer and finer lattices (grids of configurations that include the exact starts and goals) until
+       one of two searches succeeds. LaCAM moves the whole team one step at a time: each robot takes its best free
+       motion and pushes others out of its way (PIBT). Best-first search finds coordinated maneuvers, such as a swap.
+    3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
+       and deviations within narrow corridors, shorten the path.
+    4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
+       smaller weights.
+
+    References: Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section
+    V of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
+    "Anytime multi-agent path finding via large neighborhood search", 2021.
     """
     if isinstance(heuristic, BLOptions):
         raise ValueError("heuristic must not be BLOptions(...): call bl_plan(problem, options=BLOptions(...)).")
