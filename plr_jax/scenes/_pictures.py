@@ -235,7 +235,7 @@ def read_cost_map(
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
     factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF
     (OGC standard 1.1, 2019) lies where its tags say, in its own units; a warning tells if these are degrees. In other
-    TIFFs a pixel has side 1, and the outer corner of the lower left pixel is at ``(0, 0)``: the first row of the file has
+    TIFFs a pixel has side 1, and the outer corner of the lower left pixel is at ``(0, 0)``: the file's first row has
     the highest y.
 
     Raises:
