@@ -31,7 +31,7 @@ _BITS_BITS, _WIDTH_BITS = 6, 6
 class StoredPlanes:
     """Planes ``offset + step * (center + half . u)``, ``u`` from -1 to 1 across a leaf, in integers as in a file."""
 
-    bits: int
+    bits: int  # of ``center``; 32: ``center`` and ``half`` are bit patterns of floats
     offset: float
     step: float
     center: Int[np.ndarray, "leaves"]
