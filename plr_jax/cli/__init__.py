@@ -39,7 +39,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _resend_lost_signal(lost: "sys.UnraisableHookArgs") -> None:
-    """Resend a signal if its exception was lost in a callback of the garbage collector, such as JAX's."""
+    """Resend SIGINT or SIGTERM if the exception of its handler was lost in a callback of the garbage collector."""
     number = {KeyboardInterrupt: signal.SIGINT, SystemExit: signal.SIGTERM}.get(lost.exc_type)
     if number is None:
         sys.__unraisablehook__(lost)

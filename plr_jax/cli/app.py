@@ -146,7 +146,7 @@ def finish_or_stop(function: Callable[..., Any], *args: Any, **kwargs: Any) -> t
 
 
 def numbers_of(line: str) -> list[float]:
-    """Return the comma-separated numbers of a line, ``nan`` and ``inf`` included; none if a field is no number."""
+    """Return the comma-separated numbers of a line, also nan and inf; an empty list if a field is no number."""
     texts = line.split(",")
     return [float(text) for text in texts] if all(map(_NUMBER.fullmatch, texts)) else []
 

@@ -208,7 +208,7 @@ def _print_errors(
 def _binding_contacts(
     workspace: "Workspace", oracle: "DistanceFn", max_error: float
 ) -> tuple[Float[np.ndarray, "contacts 2"], Float[np.ndarray, "contacts"]]:
-    """Return points where walls touch and a jump of the distance explains the proven error, and half of each jump.
+    """Return points where walls touch, and half of the jump of the distance there, if it explains ``max_error``.
 
     The leaf at such a point covers both sides of the walls, so its error is at least half of the jump between them.
     """

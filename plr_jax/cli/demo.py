@@ -72,7 +72,7 @@ def _maze(output: Path) -> None:
 
 
 def _rate(function: Callable[[ArrayLike], ArrayLike], points: ArrayLike, repeats: int) -> float:
-    """Return points per second: the median of several calls, after one call that compiles."""
+    """Return how many points a second ``function`` evaluates: the median of calls, after one that compiles."""
     jax.block_until_ready(function(points))
     seconds = []
     for _ in range(repeats):

@@ -112,7 +112,7 @@ def option_of(key: str) -> str:
 
 @dataclass(frozen=True)
 class NamedMap:
-    """A map and its options (None: defaults), as on the command line; as text, the label of files built from it."""
+    """A map, goal and options (None: defaults), as on the command line; as text, the label of files built from it."""
 
     name: str
     goal: str | None = None
@@ -152,7 +152,7 @@ class NamedMap:
         return free_pixels(Path(self.name), *([] if self.threshold is None else [self.threshold]))
 
     def read(self) -> tuple["Workspace", Float[np.ndarray, "goals 2"] | None]:
-        """Return the workspace, inflated by the radius, and the goals, or None if there is none."""
+        """Return the map's workspace, inflated by the option ``radius``, and the goals, or None without goals."""
         from plr_jax import scenes
 
         if Path(self.name).suffix.lower() in _VOLUMES:

@@ -230,7 +230,7 @@ def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "
 
 
 def _as_array(value: ArrayLike) -> Array | np.ndarray:
-    """Return an array; NumPy converts booleans and floats, for which JAX would compile a program."""
+    # NumPy converts booleans and floats, for which JAX would compile a program.
     if not isinstance(value, jax.Array):
         # A list of traced numbers is no NumPy array, nor is a ragged one.
         with suppress(jax.errors.TracerArrayConversionError, ValueError), np.errstate(over="ignore"):

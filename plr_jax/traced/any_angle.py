@@ -1,9 +1,8 @@
-"""Any-angle shortest paths on a traced grid; they bend only at convex corners of blocked cells.
+"""Any-angle shortest paths on a grid that JAX may trace; they bend only at convex corners of blocked cells.
 
-Segments run between points inside free cells, at a :func:`margin` from the cells' sides, and also cross the cells to
-which they come closer than a fourth of this margin. A segment that grazes a corner may thus count as blocked; the
-path through that corner is as long. Cells are bits of words, so a whole grid row is tested at once. Distances from
-corner to corner follow by relaxation.
+Segments run between points inside free cells, at a :func:`margin` from the cells' sides. A segment also crosses all
+cells to which it comes closer than a fourth of this margin. A segment that grazes a corner may thus count as blocked;
+the path through that corner is as long. Cells are bits of words, so a whole grid row is tested at once.
 """
 
 from collections.abc import Iterator
@@ -27,12 +26,12 @@ MAX_LATTICE = 2**8  # tables have room for all corners of cells if there are at 
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """Return the distance that points moved inside a cell keep from its sides: 32 rounding errors of coordinates."""
+    """Return the distance to keep from a cell's sides for points moved into it: 32 rounding errors of coordinates."""
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
 
 def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"]]:
-    """Move points into the first and last free cell of up to four around each; also return whether any is free."""
+    # Each point, moved into the first and the last free cell of up to four around it; and whether any is free.
     (rows, columns), is_inside = containing_cells(free.shape, x)
     is_free, cells = free[rows, columns], jnp.stack([columns, rows], axis=-1)
     which = jnp.stack([is_free.argmax(axis=0), 3 - is_free[::-1].argmax(axis=0)])
@@ -42,7 +41,7 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
 
 
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
-    """Return whether segments between points that lie inside free cells cross no blocked cell (packed bits)."""
+    """Return whether segments between points inside free cells cross none of the ``blocked`` cells (packed bits)."""
     hit, every = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
     for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
         first, last = first.astype(jnp.int32), last.astype(jnp.int32)
@@ -59,7 +58,7 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield, row by row, the first and last column that segments cross, and whether they cross the row."""
+    """Yield, for each row of cells, the first and last column that segments cross, and whether they cross the row."""
     h, w = shape
     (x0, y0), (x1, y1) = (xp.moveaxis(point, -1, 0) for point in (a, b))
     dx, dy = x1 - x0, y1 - y0
@@ -100,7 +99,8 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
     """Return the cells, as bits, that segments cross from each cell corner (or cell center) to each cell corner.
 
     A segment through a corner crosses all four cells there: if one is blocked, a path through the corner is as long.
-    A segment along a grid line runs on its left: two corners see each other if one of both directions is free.
+    A segment along a grid line runs on its left: two corners see each other if the segment in one of both directions
+    is free.
     """
     a, b = (cell_centers(shape) if from_centers else lattice(shape))[:, None], lattice(shape)[None]
     along = b - a
@@ -134,7 +134,7 @@ class Corners:
 
     @property
     def _is_lattice(self) -> bool:
-        """Whether ``index`` has every point of :func:`lattice`, few enough for tables (:func:`crossed_cells`)."""
+        # ``index`` lists all inner cell corners of the grid, few enough for the tables of ``crossed_cells``.
         return len(self.index) == len(lattice(self.free.shape)) <= MAX_LATTICE
 
     def points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
@@ -142,7 +142,7 @@ class Corners:
         return corners if self._is_lattice else corners[self.index]
 
     def _inset_points(self, dtype: jnp.dtype) -> Float[Array, "corners 2"]:
-        """Return points near the corners, inside the cells opposite to the blocked ones."""
+        """Return, for each corner, a point close to it in the cell opposite to the blocked one."""
         blocked = (~self.free).astype(dtype)
         to_right, to_upper = blocked[:, :-1] - blocked[:, 1:], blocked[:-1] - blocked[1:]
         away = to_right[:-1] + to_right[1:], to_upper[:, :-1] + to_upper[:, 1:]
@@ -200,7 +200,7 @@ def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
 
 @jax.custom_jvp
 def relax_from_seen(lengths: Float[Array, "corners corners"], seen: Lengths) -> Lengths:
-    """Return each corner's distance to the goal, given edge lengths and distances of corners that see the goal."""
+    """Return each corner's distance to the goal, from lengths between corners and straight to the goal (``seen``)."""
 
     def relaxed(state):
         old, _ = state
@@ -289,7 +289,7 @@ def _length(seen: Bool[Array, "*batch"], a: Broadcast, b: Broadcast) -> Float[Ar
 
 @jax.custom_jvp
 def _shortest(first: Float[Array, "*#batch k"], onward: Float[Array, "*#batch k"]) -> Float[Array, "*batch"]:
-    """Return the minimum of ``first + onward`` over the last axis, with the gradient of a single minimizer."""
+    """Return the minimum of ``first + onward`` over the last axis; its gradient is the gradient of one minimizer."""
     return jnp.min(first + onward, axis=-1)
 
 

@@ -1,4 +1,4 @@
-"""Distances on a traced grid by steps between cells, to 4 or 8 neighbors."""
+"""Distances on a grid that JAX may trace, along steps from each cell to its 4 or 8 neighbors."""
 
 from dataclasses import dataclass
 from functools import reduce
@@ -41,7 +41,7 @@ def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -
 
 
 def neighbors_of(words: Grids) -> Grids:
-    """Return packed grids of the cells that share a side with a cell set in the given packed grids."""
+    """Return the cells that share a side with a given cell; grids are packed, 32 cells of a row in each word."""
     in_row = (words << 1) | (words >> 1)
     if words.shape[1] > 1:
         none = jnp.zeros_like(words[:, :1])
@@ -52,7 +52,7 @@ def neighbors_of(words: Grids) -> Grids:
 
 
 def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batch"]]:
-    """Return the rows and columns of the closed cells that contain each point, and whether the grid does."""
+    """Return rows and columns of the up to four cells that contain each point, and whether the grid contains it."""
     size = jnp.broadcast_to(jnp.array(shape[::-1], x.dtype), x.shape)
     clipped = jnp.clip(x, 0, size)
     upper = jnp.minimum(jnp.floor(clipped), size - 1).astype(jnp.int32)
@@ -65,7 +65,7 @@ def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batc
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Path lengths from all cells to the goal's cell; a point between cells gets the shortest of theirs."""
+    """Path lengths from all cells to the goal's cell; a point between cells has the least length of its cells."""
 
     table: Float[Array, "*maps h w"]
 
@@ -105,7 +105,7 @@ class StepPairs:
 
 
 def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
-    """Return the path length from each cell to the nearest ``start`` cell; ``inf`` if none is reachable."""
+    """Return the path length from each cell to the nearest ``start`` cell (packed bits), or ``inf``."""
     w, start = free.shape[1], start & pack(free)
     if moves == 8:
         return _octile_distances(free, unpack(start, w) == 1)
@@ -116,7 +116,7 @@ def distances(free: Mask, start: Words, moves: Literal[4, 8]) -> Distances:
 
 @custom_vmap
 def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[Array, "digits h words *grids"]]:
-    """Return the reachable cells, and their numbers of steps from ``start`` as one packed grid per binary digit."""
+    # The reachable cells, and their numbers of steps from ``start`` as one packed grid per binary digit.
     h, words = passable.shape[:2]
     powers = jnp.arange((h * words * WORD // 4).bit_length(), dtype=jnp.uint32).reshape(-1, *[1] * passable.ndim)
 

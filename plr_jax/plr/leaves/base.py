@@ -1,4 +1,4 @@
-"""The interface of leaf models, such as planes: how functions of leaves are fitted, stored, evaluated and bounded."""
+"""The interface of leaf models: how functions in leaves of a PLR, such as planes, are fitted, stored and bounded."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -31,12 +31,13 @@ UNIT = 2.0**-24  # largest relative error of rounding to 32-bit floats
 
 
 class LeafModel(ABC):
-    """A kind of leaf, such as planes; immutable and hashable, as it is a key of the cache of compiled queries.
+    """A kind of function that leaves of a PLR hold, such as planes; hashable, as compiled queries are cached by it.
 
-    Leaf data has three forms. *Stored* data is that of a file, for all leaves together. *Coefficients* determine a
-    leaf's function in its box: the constant ``inf`` if the first is ``inf``. *Parameters* are the numbers that a
-    query reads. If the model ``is_cell_relative``, the parameters begin with the number of the leaf's cell along each
-    axis: the domain has number 1, and the halves of cell ``i`` have ``2 i`` and ``2 i + 1``.
+    Leaf data has three forms. *Stored* data is what a file holds, one object for all leaves. *Coefficients*, one row
+    per leaf, determine the function in the leaf's box; it is the constant ``inf`` if the first one is ``inf``.
+    *Parameters*, one row per leaf, are the numbers that a query reads. If the model ``is_cell_relative``, each row
+    begins with the number of the leaf's cell along each axis: the domain has number 1, and the halves of cell ``i``
+    have ``2 i`` and ``2 i + 1``.
     """
 
     name: str
@@ -47,8 +48,7 @@ class LeafModel(ABC):
     has_exact_cone_bounds: bool = False  # whether cone_minus_leaf_bounds are the least and largest difference
 
     @abstractmethod
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]:
-        """Grow a partition; return its tree, and the stored form of its leaves in the tree's order."""
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]: ...
 
     @abstractmethod
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None: ...
@@ -57,34 +57,38 @@ class LeafModel(ABC):
     def read(self, body: BitReader, domain: Box, cells: Cells) -> Any: ...
 
     @abstractmethod
-    def coefficients(self, cells: Cells, stored: Any) -> Coefficients:
-        """Return the coefficients of all leaves; ``inf`` and zeros for leaves that are stored as unreachable."""
+    def coefficients(self, cells: Cells, stored: Any) -> Coefficients: ...
 
     @abstractmethod
     def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
-        """Return the value of each leaf's function at one point, for finite coefficients."""
+        """Return the value at the point ``x[i]`` of each leaf ``i``, the box from ``lo[i]`` to ``hi[i]``."""
 
     @abstractmethod
     def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
-        """Return the numbers that a query reads for each leaf, for coordinates relative to ``corner``."""
+        """Return the numbers that a query reads, one row per leaf; coordinates in them are relative to ``corner``."""
 
     @abstractmethod
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
-        """Return a leaf's value at a point; the order of operations is part of the file format.
+        """Return a leaf's value at a point, by operations whose order is part of the file format.
 
-        Arguments are arrays, scalars or generated code. ``parameters`` lack the cell's numbers; ``root`` is a square
-        root. ``place`` is from 0 to 1 across the cell if ``is_cell_relative``, else from the domain's lower corner.
+        All numbers are arrays, scalars or expressions of generated code; ``root`` computes their square root.
+        ``parameters`` are the numbers of the leaf that a query reads, without the numbers of its cell. ``place`` is
+        the point's coordinates: from 0 to 1 across the cell if ``is_cell_relative``, else measured from the domain's
+        lower corner.
         """
 
     @abstractmethod
     def cone_minus_leaf_bounds(
         self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
     ) -> tuple[Distances, Distances]:
-        """Return lower and upper bounds of ``(offset + |x - apex|) - leaf function`` over convex pieces of leaves."""
+        """Return lower and upper bounds of a cone minus a leaf's function, over a convex polygon in the leaf.
+
+        Pair ``i`` is the leaf from ``lo[i]`` to ``hi[i]``, and the cone ``offset[i] + |x - apex[i]|``.
+        """
 
     @abstractmethod
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
-        """Bound the difference between a 32-bit query at a point of any precision and each leaf's exact function."""
+        """Bound, for each leaf, the error of a query in 32-bit floats, compared with the leaf's exact function."""
 
     def num_leaf_parameters(self, dim: int) -> int:
         return 1 + dim
@@ -96,11 +100,11 @@ class LeafModel(ABC):
         return self.num_leaf_parameters(dim)
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
-        """Return the file size, in bytes, that bounds the depth of cells if ``num_leaves`` is the only limit."""
+        # The file size from which the largest depth of leaves follows, if ``num_leaves`` is the only limit.
         return int(2 * self.least_bytes * num_leaves)
 
     def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
-        """Return the value at each leaf's center, and half of the rise between opposite face centers."""
+        """Approximate each leaf by a plane: its value at the center, and half of its rise along each axis."""
         center, half = (lo + hi) / 2, np.empty_like(lo)
         for axis in range(lo.shape[1]):
             step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
@@ -117,7 +121,7 @@ class LinearLeafModel(LeafModel):
 
     @abstractmethod
     def coefficients_of_planes(self, center: Distances, half: Points) -> Coefficients:
-        """Return coefficients of planes, given by their center values and half of their rise along each axis."""
+        """Return coefficients of planes, given by values at leaf centers and half of the rise along each axis."""
 
     def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:
         return np.sum(self.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
@@ -138,7 +142,7 @@ def check_limits(
     proof: Proof,
     frame_bytes: int,
 ) -> Limits:
-    """Check the limits given to :func:`construct`, and replace every None by its default."""
+    """Check the limits that :func:`construct` was given, and replace each None by its default; sizes are in bytes."""
     for name, value, least in (
         ("max_depth", max_depth, 0),
         ("max_leaves", max_leaves, 1),
@@ -174,5 +178,5 @@ def check_limits(
 
 
 def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
-    """Return the largest coordinates in a domain, relative to its lower corner if it is far from the origin."""
+    """Return each axis's largest absolute coordinate, relative to the domain's lower corner if that is far from 0."""
     return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)

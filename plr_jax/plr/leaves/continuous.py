@@ -1,8 +1,8 @@
 """The leaf models ``"continuous"`` and ``"smooth"``: functions that only jump across faces of leaves within walls.
 
 The unknowns are values at the corners of all leaves; leaves on both sides of a *free* face, which paths can cross,
-share them. In each round the worst leaves are split, and one sparse least-squares problem fits all values again. A
-file stores each value as an integer, relative to a prediction from the values of coarser cells.
+share them. Each round of the construction splits the leaves of largest error; then one sparse least-squares problem
+fits all values again. A file stores each value as an integer, relative to a prediction from values of coarser cells.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,7 +44,7 @@ _RESIDUAL, _MOST_STEPS = 1e-10, 200
 
 
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
-    """Solve normal equations with a sparse symmetric positive definite matrix."""
+    """Solve ``normal @ x = moments`` for a sparse symmetric positive definite matrix, in a domain of ``dim`` axes."""
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
 
@@ -60,7 +60,6 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int)
 
 
 def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
-    """Solve a symmetric positive definite system; return None if ``_MOST_STEPS`` steps do not suffice."""
     # SciPy's ``cg`` calls BLAS, whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
     values, residual, direction = np.zeros_like(right), right, right
     square = first = np.einsum("i,i", right, right)
@@ -82,7 +81,7 @@ _INSET = 0.998  # test points fill this share of the face, since its ends belong
 
 
 class FaceTests:
-    """A cached test whether faces are free: the goal can be reached from both sides of one of the test points."""
+    """A cached test which faces of leaves are free: distances are finite on both sides of a point of the face."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn = distance_fn
@@ -113,7 +112,7 @@ class FaceTests:
 
 
 def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
-    """Evaluate a polynomial of ``powers`` powers per axis at ``t`` by Horner's rule; the last axis varies fastest."""
+    """Evaluate a polynomial in ``t``; coefficients are in row-major order of the exponents, all below ``powers``."""
     if not t:
         return coefficients[0]
     stride = len(coefficients) // powers
@@ -126,7 +125,7 @@ def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> An
 
 @dataclass(frozen=True, eq=False)
 class TiedPartition:
-    """A partition with functions that are continuous across ``tied`` faces, which lie between reachable leaves."""
+    """Leaves whose functions agree on their ``tied`` faces: shared faces of reachable leaves that paths can cross."""
 
     tree: Tree
     unreachable: Bool[np.ndarray, "leaves"]
@@ -138,13 +137,12 @@ class TiedPartition:
         return nodal_space(self.tree, self.faces[self.tied], self.unreachable)
 
     def may_be_tied(self) -> Bool[np.ndarray, "faces"]:
-        """Return whether each face lies between two reachable leaves, whose values may be made equal there (tied)."""
         return ~(self.unreachable[self.faces.lower] | self.unreachable[self.faces.upper])
 
 
 @dataclass(frozen=True, eq=False)
 class StoredValues:
-    """Values of the free degrees of freedom as a file stores them: ``offset + step * code``."""
+    """Free degrees of freedom, such as values at leaf corners, as in a file: ``offset + step * code``."""
 
     partition: TiedPartition
     offset: float
@@ -162,7 +160,7 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        """Round values >= 0 at leaf corners to values >= 0; ignore corners inside another leaf's face (hanging)."""
+        # Values >= 0 stay >= 0. Corners inside another leaf's face (hanging) are ignored.
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
@@ -206,8 +204,6 @@ _UNPREDICTED = 1e-3  # share of _PREDICTION_WEIGHT that pulls the corners of the
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
-    """A partition with its fitted function, whose residuals are in ``fit``; ``len`` is the number of leaves."""
-
     fit: CellFit
     stored: StoredValues
     num_bytes: int
@@ -218,7 +214,7 @@ class _FittedPartition:
 
 
 class _Rounds:
-    """A construction in rounds, each of which splits up to ``_most`` leaves and fits all leaves again."""
+    """A construction in rounds: each splits the leaves of largest error, then fits all leaves again."""
 
     def __init__(self, order: int, sampler: Sampler, rules: Rules, limits: Limits) -> None:
         self._order, self._sampler, self._rules, self._limits = order, sampler, rules, limits
@@ -226,7 +222,7 @@ class _Rounds:
         self._most = limits.max_leaves
 
     def next(self, now: _FittedPartition) -> _FittedPartition | None:
-        """Split some leaves and fit again; return None if no more leaves fit into the limits."""
+        # None if no more leaves fit into the limits.
         while True:
             leaf, axis = self._next_splits(now)
             if len(leaf) == 0:
@@ -269,7 +265,7 @@ class _Rounds:
         return leaf, axis
 
     def fit_leaves(self, fit: CellFit) -> _FittedPartition:
-        """Fit the continuous function of least squared error to the samples of the given leaves, in any order."""
+        """Fit a function, continuous except across walls, to samples of leaves in any order, by least squares."""
         tree = tree_of(fit.cells)
         fit = fit[tree.order]
         faces = shared_faces(tree, self._sampler.domain.periodic)
@@ -299,7 +295,7 @@ class _Rounds:
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
 ) -> tuple[Float[np.ndarray, "free_dofs"], Float[np.ndarray, "leaves k"]]:
-    """Fit the free degrees of freedom to the samples of all leaves; return values and residuals."""
+    """Fit a finite-element function to samples of leaves; return its degrees of freedom, and all residuals."""
     from scipy.sparse import bsr_array, diags_array
 
     coefficients = coefficient_matrix(order, space)

@@ -1,4 +1,4 @@
-"""The leaf model ``"plane"`` of the paper: every leaf has a plane that is fitted to its own samples."""
+"""The leaf model ``"plane"``: every leaf has a plane that is fitted to the samples in this leaf alone."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,9 +29,9 @@ _BITS_BITS, _WIDTH_BITS = 6, 6
 
 @dataclass(frozen=True, eq=False)
 class StoredPlanes:
-    """Planes ``offset + step * (center + half . u)``, ``u`` from -1 to 1, in integers, or bit patterns of floats."""
+    """Planes ``offset + step * (center + half . u)``, ``u`` from -1 to 1 across a leaf, in integers as in a file."""
 
-    bits: int
+    bits: int  # of ``center``; 32: ``center`` and ``half`` are bit patterns of floats
     offset: float
     step: float
     center: Int[np.ndarray, "leaves"]
@@ -42,7 +42,7 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
-        """Return, for each axis, the bits of one integer of ``half`` in cells of each depth along this axis."""
+        # For each axis, the bits of one integer of ``half`` in cells of each depth along this axis.
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)

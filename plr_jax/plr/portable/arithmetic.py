@@ -1,7 +1,7 @@
 """The arithmetic of a query (``FORMAT.md``), written once for NumPy and for programs in other languages.
 
-The operations ``do`` decide what a value is: a NumPy array or scalar for :class:`Operations`, an expression of
-another language for an emitter of code (``writers.py``).
+Functions take the operations as an argument ``do``: :class:`Operations` computes with NumPy arrays and scalars; an
+emitter (``writers.py``) returns expressions of another language.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ _TOLERANCE = 2.0**-44  # tolerance of wrapping, relative to the ends of the doma
 
 
 class Operations:
-    """Operations on NumPy values besides arithmetic and comparisons; code generators override the methods."""
+    """Operations of a query on NumPy values, besides arithmetic and comparisons; code generators override them."""
 
     def let(self, name: str, value: Value) -> Value:
         """Return the value; a generator of code assigns the value to a new variable instead."""
@@ -57,7 +57,7 @@ ARRAYS = Operations()
 
 
 def wrap(do: Operations, x: Value, lo: Value, hi: Value, scale: Value, tolerance: Value) -> Value:
-    """Move a finite coordinate by whole periods into ``[lo, hi]``; return ``lo`` within ``tolerance`` of ``hi``."""
+    """Move ``x`` by whole periods (1 / ``scale``) into ``[lo, hi]``; return ``lo`` within ``tolerance`` of ``hi``."""
     turns = do.floor((x - lo) * scale)
     moved = clamp(do, do.let("moved", x - turns * (hi - lo)), lo, hi)
     from_end = x - hi
@@ -70,7 +70,7 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Return ``offset``, from the lower end of one axis of the domain, in units of ``2**-23`` of its length."""
+    """Convert a coordinate minus the domain's lower end to an integer multiple of ``2**-23`` of the width."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
@@ -117,7 +117,7 @@ class Program:
         return reduce(and_, tests)
 
     def wrap_in_double(self, do: Operations, x: Point) -> Point:
-        """Move 64-bit points, finite along periodic axes, by whole periods into the domain."""
+        """Move 64-bit points by whole periods into the domain; coordinates along periodic axes must be finite."""
         x = list(x)
         for axis, period in self.double_periods.items():
             x[axis] = wrap(do, x[axis], *period)
@@ -131,7 +131,7 @@ class Program:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
     def offsets(self, do: Operations, x: Point) -> Point:
-        """Mirror and wrap points from :meth:`relative`; return them minus the lower corner of the leaves' domain."""
+        # Mirror and wrap points from ``relative``; return them minus the lower corner of the leaves' domain.
         x = list(x)
         if self.folding_arrays is not None:
             (center, rest), ends, axes, mirrors = self.folding_arrays
@@ -154,7 +154,7 @@ class Program:
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Evaluate the function of a leaf at ``offsets``, points minus the lower corner of the leaves' domain."""
+        """Evaluate the leaf with parameters ``numbers`` at points minus the lower corner of the leaves' domain."""
         if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, offsets, do.root)
         # Before the leaf's parameters come two numbers for each axis: how many cells as long as the leaf's cell the

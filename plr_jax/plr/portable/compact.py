@@ -50,7 +50,7 @@ def compact_bytes(program: Program) -> bytes:
 
 
 class _CompactWriter:
-    """A writer of a PLR for the C decoder; methods ``with_...`` encode the leaves in one way, and end the bytes."""
+    """A writer of one PLR's bytes for the C decoder; each method ``with_...`` encodes the leaves in one way."""
 
     def __init__(self, program: Program) -> None:
         self.program, self.dim = program, program.dim
@@ -102,13 +102,13 @@ class _CompactWriter:
         self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
     def _write_rows(self, *parts: tuple[Shaped[np.ndarray, "rows _"], int]) -> None:
-        """Append rows of integers; each part has some columns of the rows, and the width of its columns in bits."""
+        """Append rows of integers; each of ``parts`` is some columns of the rows, and the bits of each number."""
         widths = np.concatenate([np.full(columns.shape[1], width) for columns, width in parts])
         rows = np.concatenate([columns for columns, _ in parts], axis=1)
         self.body.write(rows.ravel(), np.tile(widths, len(rows)))
 
     def _write_tree(self, marks: Sequence[tuple[Any, int]] = (), places: Sequence[tuple[Any, int]] = ()) -> None:
-        """Append a row for every 16 splits of the tree, whose first and last columns are ``marks`` and ``places``."""
+        # One row for every 16 splits of the tree; its first and last columns are ``marks`` and ``places``.
         splits = np.flatnonzero(self.tree.child >= 0)
         is_split = self.tree.child[self.tree.child[splits][:, None] + np.arange(2)] >= 0
         children = _by_record(is_split.astype(np.int64))
@@ -120,7 +120,7 @@ class _CompactWriter:
         self._write_rows(*parts, (np.zeros((len(children), 1), np.int64), -num_bits % 8))
 
     def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, "_"]) -> bytes:
-        """Append ``rows``, and the leaf parameters that differ from the computed ``numbers``; return all bytes."""
+        # Appends ``rows``, and the leaf parameters that differ from the computed ``numbers``; returns all bytes.
         # 1. Choose the leaves that are stored as planes.
         power = self.dim - 1 - np.arange(self.dim)
         order = {"plane": 0, "cone": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
@@ -227,7 +227,7 @@ def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndar
 
 
 class _Middles:
-    """Values in the middles of cell edges that splits halve, coded by differences from the mean of both ends."""
+    """Values at midpoints of cell edges that splits halve, coded by differences from the mean of the edge's ends."""
 
     # ``mark`` says how an edge's middle is stored. 0: both halves of the split have the mean; 1: both have the value
     # of ``narrow``; 2: both have the value of ``wide``; 3: each half has its own ``wide``, as at walls. ``narrow`` is
@@ -282,7 +282,7 @@ class _Middles:
                 self.corners[halves], self.corners[halves + 1] = lower, upper
 
     def best_widths(self) -> Int[np.ndarray, "records"]:
-        """Return the width of ``narrow`` for every 16 splits that takes the fewest bits; correct ``mark`` for it."""
+        # The width of ``narrow`` for every 16 splits that takes the fewest bits; correct ``mark`` for it.
         narrow = 1 + np.frexp(np.abs(self.narrow))[1]
         wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
         sizes = []
@@ -295,7 +295,7 @@ class _Middles:
         return widths
 
     def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
-        """Return two integers to store for each halved edge, and their bits; ``unit`` is the bits of ``narrow``."""
+        # Two integers to store for each halved edge, and their bits; ``unit`` is the bits of ``narrow``.
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
@@ -304,7 +304,7 @@ class _Middles:
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    """Compute polynomials of smooth leaves as the C decoder does, in level order; NaN where its answer is unknown."""
+    # Polynomials of smooth leaves as the C decoder computes them, in level order; NaN where its answer is unknown.
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
@@ -327,7 +327,7 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """The C decoder's derivatives at corners of smooth leaves; NaN where the order of the leaves around matters."""
+    """Derivatives at corners of smooth leaves as the C decoder computes them; NaN where its result is unknown."""
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
         self.child, self.axis = tree.child.tolist(), tree.axis.tolist()
@@ -336,10 +336,8 @@ class _SmoothCorners:
         self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return value and derivatives at a corner where leaves have ``value``, and the length of a chain of corners.
-
-        The chain counts corners inside edges of larger leaves, each computed from the ends of its edge.
-        """
+        # Value and derivatives at a corner where leaves have ``value``, and the length of a chain: it counts corners
+        # inside edges of larger leaves, each computed from the ends of its edge.
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)
             self.known[point, value] = numbers if chain <= _LONGEST_CHAIN else [np.nan] * 4, chain
@@ -384,7 +382,7 @@ class _SmoothCorners:
     def _on_edge(
         self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
     ) -> tuple[list[float], int]:
-        """Return value, derivatives and chain at a corner inside an edge of a larger leaf, from the edge's cubic."""
+        # Value, derivatives and chain at a corner inside an edge of a larger leaf, from the edge's cubic.
         # The edge runs along axis ``edge`` from ``start`` for ``size``, and has the values ``ends``.
         across, t, scale = 2 >> edge, (point[edge] - start) / size, float((1 << FRACTION_BITS) // size)
         places = [tuple(at if axis == edge else x for axis, x in enumerate(point)) for at in (start, start + size)]

@@ -80,7 +80,7 @@ def js_file_reader() -> str:
 
 
 def js_cone_reader() -> str:
-    """Return the JavaScript function ``coneReader``, which makes query functions from tables of ``readCones``."""
+    """Return the JavaScript function ``coneReader``, which makes queries from what ``readCones`` (file.js) reads."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program, rows = _ConesFromTables(), np.zeros((2, 5), np.float32)
     tree = CodedTree(program.contents.tree, np.zeros(2, int))
@@ -137,7 +137,7 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    """Generate the query functions; if ``is_proven``, error bounds are the last two of a leaf's ``width`` numbers."""
+    # If ``is_proven``, error bounds are the last two of a leaf's ``width`` numbers.
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
@@ -183,7 +183,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the function that finds a point's leaf and, if ``of_cells``, the leaf's cell."""
+    """Generate the JavaScript function that finds a point's leaf and, if ``of_cells``, the leaf's cell."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),

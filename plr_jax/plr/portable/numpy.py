@@ -68,7 +68,7 @@ class LeafTable:
         self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind == tree.dim).all())
 
     def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
-        """Return the row of leaf parameters for points given, by axis, in ``2**-23`` of the domain's width."""
+        """Return the index of each point's leaf; coordinates are in units of ``2**-23`` of the domain's width."""
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
@@ -79,7 +79,7 @@ class LeafTable:
     def _descend(
         self, code: Integer[np.ndarray, "n"], fractions: list[Integer[np.ndarray, "n"]], bits: Int[np.ndarray, "dim"]
     ) -> None:
-        """Replace nodes, in place, by their descendants that contain points: leaves, or nodes of depth ``bits``."""
+        # Replace nodes, in place, by their descendants that contain points: leaves, or nodes of depth ``bits``.
         moving = np.flatnonzero(code & self.kind != self.tree.dim)
         while len(moving):
             node = code[moving] >> self.tree.kind_bits
@@ -97,7 +97,8 @@ def point_query(
 ) -> Callable[..., Any]:
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
-    The function returns the distance, or the row of the leaf if ``of_leaf``; None if rounding decides what is inside.
+    The function returns the distance, or the leaf's index if ``of_leaf``. It returns None if only exact rounding
+    decides whether the point is inside the domain.
     """
     do, domain, tree = PythonEmitter(), program.domain, table.tree
     children, depth = table.children.data, tree.depth.data  # memoryviews, which return Python integers
@@ -201,7 +202,7 @@ class NumpyPLR:
         return NumpyPLR, (self._data,)
 
     def to_bytes(self) -> bytes:
-        """Return the bytes of the file."""
+        """Return the PLR as the bytes of a file."""
         return self._data
 
     def c_header(self, name: str, compact: bool = False) -> str:
@@ -265,12 +266,12 @@ class NumpyPLR:
         return np.append(goal_of_leaves(self._program.leaf, self._program.contents.stored), np.nan)
 
     def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, "leaves_and_outside *row"]) -> Any:
-        """Return the row of each point's leaf, or the last row, of NaN, for NaN and outside the domain."""
+        # The row of each point's leaf; the last row, of NaN, for NaN and outside the domain.
         leaf = self._at_few_points(x, self._leaf_query)
         return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)
 
     def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
-        """Answer one point, or each of at most 8; return None for other input, or where ``query`` returns None."""
+        # One point, or each of at most 8; None for other input, or where ``query`` returns None.
         if type(x) is np.ndarray:
             if x.ndim == 2 and 0 < len(x) <= _FEW:
                 answers = [self._at_few_points(point, query) for point in x.tolist()]
@@ -288,7 +289,7 @@ class NumpyPLR:
             return None
 
     def _evaluate(self, x: ArrayLike, answer: Callable[..., Any], outside: Outside = "inf") -> Any:
-        """Call ``answer`` for all points in chunks, with points minus the domain's lower corner, and their leaves."""
+        # Calls ``answer`` for points in chunks, with points minus the domain's lower corner, and their leaves.
         x, program = as_queries(x, self.dim), self._program
         flat, parts = x.reshape(-1, self.dim), []
         with np.errstate(all="ignore"):

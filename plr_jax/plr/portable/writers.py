@@ -1,4 +1,4 @@
-"""Emitters: operations that generate source code instead of computing results.
+"""Emitters: operations for ``arithmetic.py`` that generate source code instead of computing results.
 
 Values are expressions of the target language; :meth:`Emitter.let` appends a statement that names an expression.
 """
@@ -81,7 +81,7 @@ class Expression:
 
 
 class Emitter(Operations, ABC):
-    """A base of generators of source code; subclasses define templates of their language, as attributes."""
+    """A base class of code generators; subclasses define templates of their language, as attributes."""
 
     conjunction, conditional = "&&", "({} ? {} : {})"
     root_of: str  # square root of a float, rounded to 32 bits; a 64-bit root that is then rounded is the same
@@ -129,8 +129,7 @@ class Emitter(Operations, ABC):
     def floor(self, x: Expression) -> Expression: ...
 
     @abstractmethod
-    def fraction(self, x: Expression) -> Expression:
-        """Return the 23 mantissa bits of a value in [1, 2): an integer in Python, else the highest bits of 32."""
+    def fraction(self, x: Expression) -> Expression: ...  # an integer in Python, else the highest bits of 32
 
     def used_statements(self) -> list[str]:
         """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
@@ -145,7 +144,7 @@ class Emitter(Operations, ABC):
 def write_lookup(
     do: Emitter, program: Program, of_type: str, read_leaf: Callable[..., list[Expression]], outside: list[str]
 ) -> tuple[list[Expression], list[Expression]]:
-    """Append code that finds the leaf of ``x``; return ``x`` minus the domain's corner, and the leaf's parameters."""
+    # Appends code that finds the leaf of x; returns x minus the domain's corner, and the leaf's parameters.
     x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
     if of_type == "double":
         x = program.wrap_in_double(do, x)

@@ -27,7 +27,7 @@ Indices = Int[np.ndarray, "pairs"]
 
 @dataclass(frozen=True, eq=False)
 class ConeLeaves:
-    """A tree of cone leaves, functions ``offset + |x - apex|``."""
+    """A tree whose leaves hold the functions ``offset + |x - apex|``, with proven bounds of their errors."""
 
     domain: Box
     tree: Tree
@@ -50,7 +50,7 @@ class ConeLeaves:
     def distance_changes(
         self, changed: ChangedDistances, before: Sources, after: Sources
     ) -> tuple[Float[np.ndarray, "leaves"], Int[np.ndarray, "leaves"]]:
-        """Return the change of all distances in each leaf (NaN if they differ), and its apex in ``after`` or -1."""
+        # The change of all distances in each leaf (NaN if they differ), and its apex in ``after`` or -1.
         from scipy.spatial import KDTree  # which no query needs
 
         apart, nearest = KDTree(before.points).query(self.stored.sources.points)
@@ -98,7 +98,7 @@ class ConeLeaves:
         sources: Sources,
         grown: Float[np.ndarray, "leaves"],
     ) -> tuple[Int[np.ndarray, "low"], TriangleSources]:
-        """Return pairs of a leaf and a corner (or the goal) to which a shortest path from the leaf may go first."""
+        # Pairs of a leaf and a corner (or the goal) to which a shortest path from the leaf may go first.
         first = np.searchsorted(pairs.triangle, np.arange(triangle.max(initial=-1) + 2))  # of each triangle
         rows, met = take_ragged(first, triangle)
         of, is_open = leaf[met], ~differ[leaf[met]]
@@ -127,7 +127,7 @@ class ConeLeaves:
     def _leaves_meeting(
         self, triangles: Float[np.ndarray, "n 3 2"], which: Int[np.ndarray, "some"]
     ) -> tuple[Indices, Indices]:
-        """Return all pairs of a leaf and one of the triangles ``which`` that intersect."""
+        """Return all pairs of indices of a leaf and a triangle that intersect; ``which`` selects the triangles."""
         tree, (lo, hi) = self.tree, self.tree.cells.grown_boxes(self.domain)
         sides = np.roll(triangles, -1, axis=1) - triangles
         normal = np.stack([-sides[..., 1], sides[..., 0]], axis=-1)

@@ -32,7 +32,7 @@ _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Apexes of cones (corners and goals) as a file stores them, in two groups, each sorted by coordinates."""
+    """Apexes of cones (obstacle corners and goals) as a file stores them, in two groups sorted by coordinates."""
 
     num_fine: int  # size of the first group: sources that are not on the map's lattice
     exponent: int  # coordinates in the first group are multiples of 2**exponent
@@ -86,7 +86,7 @@ def store_sources(
     is_off: Bool[np.ndarray, "sources fractions"] | None = None,
     goals: Int[np.ndarray, "goals"] | None = None,  # indices of several goals, which are the first sources
 ) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
-    """Return sources (corners and goals) as a file stores them, without duplicates, and each source's new index."""
+    # Sources without duplicates, and each given source's new index.
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
@@ -117,7 +117,7 @@ def store_sources(
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
-    """Return which lattices (multiples of ``1 / n``, for each ``n`` of a list) do not contain each point."""
+    """Return whether each point has a coordinate that is no multiple of ``1 / n``, for each ``n`` of a fixed list."""
     # The tolerance is a little more than the rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     is_off = np.zeros((len(points), len(_LATTICES)), bool)
@@ -128,7 +128,7 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
 
 
 def _lattice(is_off: Bool[np.ndarray, "sources fractions"], exponent: int) -> tuple[int, Bool[np.ndarray, "sources"]]:
-    """Return ``n`` for which multiples of ``1 / n`` take the fewest bits, and which sources are no such multiples."""
+    # The n for which multiples of 1 / n take the fewest bits, and which sources are no such multiples.
     fractions = _LATTICES[2.0**-exponent > _LATTICES]
     if not len(fractions):  # in a very wide domain, integers are too fine
         return 1, np.ones(len(is_off), bool)
@@ -165,7 +165,7 @@ def write_goals(body: BitWriter, goals: Int[np.ndarray, "roots"]) -> BitWriter:
 
 
 def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"]) -> None:
-    """Append the rank of each leaf's source (apex) in a move-to-front list: 0 for the source of the leaf before."""
+    # Each leaf's source as its rank in a move-to-front list: 0 for the source of the leaf before.
     rank = np.zeros(len(source), np.int64)
     changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
     # Only used sources need lists, by time of use and sorted; unused ones follow in their order.
@@ -254,7 +254,7 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
 
 
 class ConeFiles:
-    """An encoder of leaves with cones of given ``sources``; it caches tables, as trees often use the same sources."""
+    """An encoder of cone leaves that computes file sizes; apexes are ``sources``, obstacle corners and goals."""
 
     def __init__(self, sources: Sources, domain: Box) -> None:
         self._sources, self._domain = sources, domain
@@ -262,14 +262,14 @@ class ConeFiles:
         self._cache: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
 
     def of_goal(self, sources: Sources) -> "ConeFiles":
-        """Return the encoder for another goal: its ``sources`` are the goal, then the same corners in their order."""
+        """Return an encoder for another goal: ``sources`` must list it, then the corners in this encoder's order."""
         files = copy(self)
         files._sources, files._cache, files._is_off = sources, {}, self._is_off.copy()
         files._is_off[:1] = off_lattices(sources.points[:1], self._domain)
         return files
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """Encode leaves by the index of each leaf's source; -1 (no path) becomes the source of an adjacent leaf."""
+        """Encode leaves by the index of each leaf's apex; leaves without a path, -1, get the apex of another leaf."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:

@@ -37,7 +37,7 @@ Shape: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class Lattice:
-    """The boxes that result from halving a domain up to ``halvings`` times by axis, with aspect ratios of at most 4.
+    """The boxes that come from halving a domain up to ``halvings`` times along each axis, unless they are narrow.
 
     Boxes are numbered from large to small, and row by row if their shapes are equal. Each smallest box has a sample.
     """
@@ -46,7 +46,7 @@ class Lattice:
 
     @cached_property
     def first(self) -> dict[Shape, int]:
-        """For each shape (halvings along each axis), the lowest number of a box of this shape."""
+        # For each shape, the lowest number of a box of this shape.
         each = range(self.halvings + 1)
         shapes = [(i, j) for i in each for j in each if abs(i - j) <= MAX_ASPECT_BITS]
         shapes.sort(key=sum)
@@ -57,12 +57,12 @@ class Lattice:
         return sum(1 << sum(shape) for shape in self.first)
 
     def of_shape(self, values: Any, shape: Shape) -> Any:
-        """Return the ``values`` of all boxes of one shape, as a view with the axes of the domain."""
+        # The values of all boxes of one shape, as a view with the axes of the domain.
         begin = self.first[shape]
         return values[begin : begin + (1 << sum(shape))].reshape(1 << shape[0], 1 << shape[1])
 
     def halves(self, values: Any, shape: Shape, axis: int) -> Any:
-        """Return the values of the lower and upper halves of all boxes of one shape; None if these are too narrow."""
+        # The values of the lower and upper halves of all boxes of one shape; None if these are too narrow.
         half = shape[0] + (axis == 0), shape[1] + (axis == 1)
         if half not in self.first:
             return None
@@ -71,7 +71,7 @@ class Lattice:
 
     @cached_property
     def child(self) -> Int[np.ndarray, "2 boxes 2"]:
-        """The lower and upper half of each box along each axis; -1 if the lattice does not have them."""
+        # The lower and upper half of each box along each axis; -1 if the lattice does not have them.
         found, number = np.full((2, self.num_boxes, 2), -1, np.int32), np.arange(self.num_boxes, dtype=np.int32)
         for shape, axis in product(self.first, range(2)):
             if halves := self.halves(number, shape, axis):
@@ -81,7 +81,7 @@ class Lattice:
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
-        """For each shape, the index of the first sample of each box, and what to add for up to 64 of its samples."""
+        # For each shape: the index of the first sample of each box, and what to add for up to 64 of its samples.
         found, row = {}, 1 << self.halvings
         for shape in self.first:
             size = np.array([1 << (self.halvings - along) for along in shape])
@@ -121,7 +121,7 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
 
 @dataclass(frozen=True, eq=False)
 class BoxFits:
-    """The best cone (path length by way of one source) for every box of a lattice, and the cone's errors."""
+    """For every box of a lattice, the cone ``distance of source + |x - source|`` of least error at samples."""
 
     goal: GoalSamples
     negligible: float  # largest error up to which a box counts as exact
@@ -132,7 +132,7 @@ class BoxFits:
     is_estimated: Bool[np.ndarray, "boxes"]  # whether errors come from only some of the samples of a box
 
     def evaluate(self, lattice: Lattice, box: Int[np.ndarray, "some"]) -> None:
-        """Replace estimated errors of boxes by the errors at all samples."""
+        # Replace estimated errors of boxes by the errors at all samples.
         for shape, place, first, offset in lattice.by_shape(box):
             boxes = box[place]
             total, largest, _ = option_errors(self.goal, first, offset, self.source[boxes])
@@ -149,10 +149,8 @@ def option_errors(
     source: Int[np.ndarray, "options"],
     shortfall: float = np.inf,
 ) -> Float[np.ndarray, "3 options"]:
-    """Compare distances at samples ``first[i] + offset`` with the way straight to ``source[i]`` and on to the goal.
-
-    Return weighted sums and maxima of errors, and the weight of samples whose distance is ``shortfall`` longer.
-    """
+    # Compare distances at samples ``first[i] + offset`` with the way straight to ``source[i]`` and on to the goal.
+    # Rows: weighted sums and maxima of errors, and the weight of samples whose distance is ``shortfall`` longer.
     result, at_once = np.zeros((3, len(first))), max(1, _AT_ONCE // len(offset))
     for begin in range(0, len(first), at_once):
         some = slice(begin, begin + at_once)
@@ -168,7 +166,7 @@ def option_errors(
 
 
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
-    """Find each box's cone (path length by way of one source) of least error, among the best cones of its halves."""
+    """Find each box's best cone ``distance of source + |x - source|`` among the best cones of its halves."""
     num = lattice.num_boxes
     source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
     integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)
@@ -202,14 +200,14 @@ def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits
 
 
 class SampledTree(NamedTuple):
-    """A tree: the split axes of its nodes by level (-1 for a leaf), and the boxes of its leaves in tree order."""
+    """A tree of boxes: its split axes by level (-1 for a leaf), and the box number of each leaf in tree order."""
 
     axes: list[Int[np.ndarray, "_"]]
     box: Int[np.ndarray, "leaves"]
 
 
 def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float, max_depth: int) -> SampledTree:
-    """Return the tree whose leaves have the least total cost plus ``price`` per leaf, by dynamic programming."""
+    """Return the tree of boxes whose leaves have the least sum of ``costs`` (one per box) plus ``price`` per leaf."""
     total, choice = costs + price, np.full(len(costs), -1, np.int8)
     for shape in list(lattice.first)[::-1]:
         if sum(shape) < max_depth:
@@ -238,7 +236,7 @@ _BEYOND, _LARGEST_STEP = 0.1, 8.0  # an extrapolated price aims beyond the limit
 def _largest_tree(
     lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float
 ) -> SampledTree:
-    """Return the largest tree within the limits that has the least cost plus price per leaf, for some price."""
+    # Search the price per leaf at which the tree of least cost plus prices fills the limits.
     least_share = (LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN) / num_leaves
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     limits.require_room(files.num_bytes(fits.source[:1], limits))
@@ -273,7 +271,7 @@ def _largest_tree(
 
 
 def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], shortfall: float) -> LeafOptions:
-    """Collect candidates for each leaf's source: the sources of most of its samples, and its present source."""
+    # Candidates for each leaf's source: the sources of most of its samples, and its present source.
     goal, options, mixed = fits.goal, [], np.flatnonzero(fits.is_mixed[box])
     count = len(goal.sources.points)
     for shape, place, first, offset in lattice.by_shape(box[mixed]):
@@ -294,7 +292,7 @@ def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], sh
 
 @dataclass(frozen=True, eq=False)
 class FamilyTask:
-    """A function that builds the cone leaves of oracles of one family (goals of one workspace)."""
+    """A function that builds a tree of cone leaves for the distance to one of many goals in one workspace."""
 
     shared: Any
     lattice: Lattice
@@ -304,7 +302,7 @@ class FamilyTask:
     num_leaves: float
 
     def __call__(self, oracle: FamilyFn) -> tuple[Tree, StoredCones, Int[np.ndarray, "leaves"]] | None:
-        """Return the largest tree within the limits, its leaves as stored, and their apexes; None without a path."""
+        # The largest tree within the limits, its leaves as stored, and their apexes; None without a path.
         goal = goal_samples(oracle, self.shared)
         if (goal.source < 0).all():
             return None
@@ -320,7 +318,7 @@ class FamilyTask:
 
 
 def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:
-    """Return a builder for all goals in the workspace of ``first``; None if the limits allow too many leaves."""
+    """Return a builder of cone leaves for goals in ``first``'s workspace; None if limits allow too many leaves."""
     # Estimate the number of leaves that the limits allow.
     bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
     of_sources = min(_BITS_A_SOURCE * len(first.sources.points), _MOST_OF_SOURCES * bits)

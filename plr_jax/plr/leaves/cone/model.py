@@ -98,7 +98,7 @@ class Cone(LeafModel):
         return offset + root(square)
 
     def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
-        """Return all sources (corners and the goal) with their distances to the goal, and each leaf's source."""
+        """Return the apexes of all cones (obstacle corners and goals), and the index of each leaf's apex."""
         sources = stored.sources
         return Sources(sources.points, sources.offsets, sources.parent), stored.source
 

@@ -32,7 +32,7 @@ _MOST_TRIED = 4
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes, each with the best of a few cones ``distance of source + |x - source|``."""
+    """Boxes, each with the cone ``distance of source + |x - source|`` of least error among a few sources."""
 
     domain: Box
     negligible: float  # error up to which a box counts as exact
@@ -51,7 +51,7 @@ class ConeBoxes(Rows):
 
     @property
     def peak(self) -> Float[np.ndarray, "boxes"]:
-        """The largest error; if ``by_side``, times the box's side (the root of its share of the domain's area)."""
+        """The largest error of each cone; if ``by_side``, times the root of the box's share of the domain's area."""
         # With this factor, boxes along a wall cost the same however often they are halved, so they are halved until
         # thin. Proven PLRs go without this factor, since they need few leaves of large error.
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
@@ -63,7 +63,7 @@ class ConeBoxes(Rows):
         is_upper: Bool[np.ndarray, "halves"],
         known: UInt64[np.ndarray, "known"],
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
-        """Halve boxes; return the halves that are not ``known``, their hashes, and the hashes of all halves."""
+        # Returns the halves that are not known, their hashes, and the hashes of all halves.
         cells = self.cells[parent].halves(axis, is_upper)
         lo, hi = cells.grown_boxes(self.domain)
         key = cells.hashes()
@@ -74,12 +74,12 @@ class ConeBoxes(Rows):
 
 
 def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
-    """Return the smallest error that a 32-bit query resolves at the largest finite distance."""
+    """Return half of the rounding error of a 32-bit float that is as large as the largest finite distance."""
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
 
 def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources, by_side: bool = False) -> ConeBoxes:
-    """Find for each box the cone (path length by way of one source) with the least integral of its proven error."""
+    """Find each box's cone ``distance of source + |x - source|`` with the least integral of its proven error."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
@@ -114,7 +114,7 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
 def option_errors(
     visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
 ) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
-    """Bound the largest error, and its integral, if all paths from ``box[i]`` go first to ``source[i]``."""
+    # Bounds of the largest error, and of its integral, if all paths from ``box[i]`` go first to ``source[i]``.
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
@@ -137,7 +137,7 @@ _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visib
 
 
 class LeafOptions(NamedTuple):
-    """Candidates for apexes (corners, or the goal) of leaves' cones, if walls hide the best apex from some points."""
+    """Candidates for apexes (corners, or the goal) of cones whose best apex is hidden by walls from some points."""
 
     leaf: Int[np.ndarray, "options"]
     source: Int[np.ndarray, "options"]
@@ -151,7 +151,7 @@ class LeafOptions(NamedTuple):
 
 
 def boxes_of_levels(levels: list[BoxLevel], number: Int[np.ndarray, "some"]) -> ConeBoxes:
-    """Return boxes by their numbers, which count boxes of the first level, then of the second, and so on."""
+    # Numbers count the boxes of the first level, then of the second, and so on.
     first = np.cumsum([0, *(len(level.key) for level in levels)])
     depth = np.searchsorted(first, number, side="right") - 1
     parts = [level.boxes[number[depth == each] - first[each]] for each, level in enumerate(levels)]
@@ -188,7 +188,7 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 def prefer_visible_sources(
     boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
 ) -> Int[np.ndarray, "leaves"]:
-    """Return the apex (corner or goal) of each leaf's cone: where possible, an apex that all of the leaf sees."""
+    # The apex (corner or goal) of each leaf's cone: where possible, an apex that all of the leaf sees.
     # The largest proven error does not rise.
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
@@ -201,8 +201,8 @@ def change_sources(
     most: float,
     fits: Callable[[Int[np.ndarray, "leaves"]], bool],
 ) -> Int[np.ndarray, "leaves"]:
-    """Replace apexes of cones (sources) from which walls hide parts of their leaves, as far as the file ``fits``."""
-    # Proven errors of new cones are at most ``most``; ``total`` is the mean error of all leaves before.
+    # Walls hide parts of some leaves from their source, so other sources are tried, as far as the file fits. Proven
+    # errors of new cones are at most ``most``; ``total`` is the mean error of all leaves before.
     leaf, is_own = options.leaf, options.is_own
     if not len(leaf):
         return source
@@ -230,7 +230,7 @@ _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
 
 def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None]) -> PricedTree:
-    """Repeat a step until it returns None, without a progress bar; interrupts (Ctrl-C) pass through."""
+    """Apply ``step`` to a tree again and again; return the last tree when ``step`` returns None."""
     while (larger := step(tree)) is not None:
         tree = larger
     return tree
@@ -239,7 +239,7 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
 def best_cones_of_goal(
     visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Callable[..., PricedTree] = run_quietly
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
-    """Find the best cone leaves for one goal; return a tree, its leaves as stored, and their boxes, in tree order."""
+    """Find the best cone leaves for one goal; return a tree, its leaves as in a file, and the leaves' boxes."""
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
     levels = [BoxLevel.of(box, box.cells.hashes())]

@@ -46,7 +46,7 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 @dataclass(frozen=True, eq=False)
 class NodeCosts(Rows):
-    """The apex of the best cone ``offset + |x - apex|`` for each node of a tree as a leaf, and the cone's errors."""
+    """For each node of a tree: the cone ``offset + |x - apex|`` of least error if it were a leaf, and the errors."""
 
     integral: Float[np.ndarray, "nodes"]  # of the error over the node; inf if unknown
     peak: Float[np.ndarray, "nodes"]  # largest error
@@ -58,7 +58,7 @@ class NodeCosts(Rows):
 
 
 def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -> NodeCosts:
-    """Compute the errors that nodes would have as leaves, and a penalty per leaf at which few leaves would merge."""
+    """Compute the errors that each node of a tree would have as a leaf, for the distance function ``oracle``."""
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
     levels = sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain)
@@ -100,7 +100,11 @@ def updated_cones(
     before: ChangingFn,
     limits: Limits,
 ) -> UpdatedCones:
-    """Keep leaves in which all distances changed by the same amount, and find the best leaves for the rest."""
+    """Keep cone leaves in which all distances changed by one number, and search the best leaves elsewhere.
+
+    ``before`` and ``oracle`` are the distance functions of the map before and after the change, and ``changed``
+    describes how their distances differ.
+    """
     pattern = sample_pattern(2, LeafModel.num_samples, 0, 0)  # for choosing visible sources
     _require_proof_of(before, leaves)
     node_costs = node_costs or compute_node_costs(leaves, before, limits)
@@ -146,12 +150,12 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The tree of least error plus price per leaf; nodes and leaves are indices in ``ConeSearch.all_nodes``."""
+    """The tree with the least sum of errors and ``price`` per leaf, found by :meth:`ConeSearch.best`."""
 
     price: float
     axes: list[Int[np.ndarray, "_"]]  # split axis of each node, level by level; -1 for a leaf
-    nodes: Int[np.ndarray, "nodes"]  # level by level
-    leaves: Int[np.ndarray, "leaves"]  # in tree order
+    nodes: Int[np.ndarray, "nodes"]  # indices in ConeSearch.all_nodes, level by level
+    leaves: Int[np.ndarray, "leaves"]  # indices in ConeSearch.all_nodes, in tree order
     share: float  # share of the limits that the tree uses
 
 
@@ -216,7 +220,7 @@ class ConeSearch:
         return old.visible.append(new.visible).of_cells(np.argsort(np.argsort(number >= 0, kind="stable")))
 
     def reopen_worst_leaves(self, count: int, price: float) -> None:
-        """Add up to ``count`` kept leaves to the search: the leaves with the largest errors above ``price``."""
+        # Add up to ``count`` kept leaves to the search: the leaves with the largest errors above ``price``.
         tree, integral = self.leaves.tree, self.nodes.integral
         cost = self.nodes.costs(self.peak_share)[tree.node_of_leaf]
         cost[self.is_reopened | np.isinf(cost)] = 0.0
@@ -261,7 +265,7 @@ class ConeSearch:
         return FoundTree(price, walked, node, leaf, share)
 
     def prefer_visible_sources(self, found: FoundTree, pattern: Pattern) -> Int[np.ndarray, "leaves"]:
-        """Return each leaf's source (a corner or the goal); new leaves get one that they see, where possible."""
+        # Each leaf's source (a corner or the goal); new leaves get one that they see, where possible.
         number, source = found.leaves - len(self.leaves.tree.child), self.all_nodes.source[found.leaves]
         place = np.flatnonzero(number >= 0)
 
@@ -277,12 +281,12 @@ class ConeSearch:
 
     @property
     def all_nodes(self) -> NodeCosts:
-        """The nodes of the tree before the update, followed by the boxes of all levels."""
+        # The nodes of the tree before the update, followed by the boxes of all levels.
         return self.nodes.append(*(level.boxes for level in self.levels))
 
 
 def _best_tree_within_limits(search: ConeSearch) -> FoundTree | None:
-    """Return the largest tree found within the limits; None if all leaves should rather be rebuilt."""
+    # The largest tree found within the limits; None if all leaves should rather be rebuilt.
     price, now = search.nodes.price, search.best(_NO_PRICE)
     num_leaves = len(search.is_reopened)
     share = now.share * num_leaves / len(now.leaves)  # estimated for the tree before
