@@ -44,7 +44,7 @@ _Sums = Int[np.ndarray, "rows_plus_one columns_plus_one"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class IllegalSteps:
-    """Tables of a grid: which cells are free, and prefix sums that count blocked steps between two cells."""
+    """Tables of a grid: which cells are free, and prefix sums by which :func:`sees` tests pairs of cells."""
 
     sums: Integer[Array, "sums"]  # flattened tables, each with a row and a column of zeros in front
     free: UInt32[Array, "words"]  # one bit for each cell in row-major order, lowest bit of a word first

@@ -1,8 +1,9 @@
 """Fast tests of whether obstacles hide points from each other: walls between leaves and corners, and occluders.
 
-Few walls can hide a corner from a leaf that lists it. They are found for runs of neighbor leaves first, then for ever
-shorter runs: a wall that is not between a large box and a corner is not between a part of the box and the corner.
-Occluders are long chords inside obstacles: a few dozen replace most tests of walls.
+A leaf of the partition lists the corners where paths from it may turn first. Few walls can hide such a corner from
+the leaf. They are found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a
+large box and a corner is not between a part of the box and the corner. Occluders are long chords inside obstacles: a
+few dozen replace most tests of walls.
 """
 
 from collections.abc import Callable

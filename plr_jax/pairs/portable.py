@@ -1,4 +1,4 @@
-"""Queries of pairs in NumPy, by the arithmetic of ``FORMAT.md``, which other languages reproduce bit for bit."""
+"""Distances of pairs of points in NumPy, as ``FORMAT.md`` defines them; other languages give equal bits."""
 
 from base64 import b64encode
 from collections.abc import Callable
