@@ -66,7 +66,7 @@ _NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return many motions of cost 1, along all axes, and along each block of axes (position or heading) alone."""
+    """Return motions of cost 1 in many directions of all axes, and of each block of axes (position, heading)."""
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
