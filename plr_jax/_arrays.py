@@ -162,7 +162,7 @@ def as_bool(name: str, value: object) -> bool:
 
 
 def ragged_indices(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int[np.ndarray, "items"]]:
-    """Return the run of each item, and its index in that run, for consecutive runs of lengths ``counts``."""
+    """Return, for consecutive runs of ``counts`` items, the run of each item, and the item's index in this run."""
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
 
@@ -190,7 +190,7 @@ def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wan
 def take_ragged(
     first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
-    """Return the items of the runs ``which``, and each item's index into ``which``; run i starts at ``first[i]``."""
+    """Return the indices of items in the runs ``which``, and their place in ``which``; runs begin at ``first``."""
     run, place = ragged_indices(first[which + 1] - first[which])
     return first[which][run] + place, run
 

@@ -207,7 +207,7 @@ def _edges(
     corners: Int[np.ndarray, "corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
-    """Join each corner to the ``count`` visible places for which distance plus cost-to-go (``field``) is least."""
+    """Join each corner to ``count`` visible corners or goals with the least sum of distance and cost-to-go."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
         here = corners[rows]

@@ -35,9 +35,9 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"], num_goals: int = 1
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Follow paths from each start to its node ``first``, and from node to node by ``onward``, to a goal.
+    """Return the vertices of paths from starts to nodes ``first``, and from each node to ``onward[node]``, to a goal.
 
-    The first ``num_goals`` nodes are the goals. Return the paths' vertices and their number, 0 if ``first`` is -1.
+    The first ``num_goals`` nodes are the goals. Also return the number of each path's vertices, 0 if ``first`` is -1.
     """
     chain = [first]
     while (chain[-1] >= num_goals).any():
@@ -66,7 +66,7 @@ _NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions, and along each block of axes (position or heading) alone."""
+    """Return motions of cost 1 in many directions of all axes, and of each block of axes (position, heading)."""
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
@@ -96,7 +96,7 @@ class PathCosts:
     cost_map: CostMap | None  # factor of the motion cost; None means 1
 
     def estimates(self, q0: Points, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
-        """Estimate the cost of ``k`` motions from each configuration, from a few samples of each motion."""
+        """Estimate the costs of ``k`` motions, ``changes``, from each configuration, by a few samples each."""
         n, k, dof = changes.shape
         motion, domain = self.space.motion_cost, self.space.domain
         if self.cost_map is None:
@@ -109,7 +109,7 @@ class PathCosts:
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, "n"]:
-        """Integrate costs along straight motions: halve intervals until bounds prove the relative ``tolerance``."""
+        """Integrate costs along straight motions, to a relative error of at most about ``tolerance``."""
         if self.cost_map is None:
             return self.space.motion_cost.lengths(q0, q1, self.space.domain)
         domain, motion_cost = self.space.domain, self.space.motion_cost
@@ -189,7 +189,7 @@ class _Lookahead:
         return np.maximum(values, 0.0)
 
     def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
-        """Step down the field; return nodes (goal first), each node's next node (-1: stuck), the starts' nodes."""
+        # Return nodes (goal first), each node's next node (-1: stuck), and the starts' nodes.
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
         while len(x):
@@ -214,7 +214,7 @@ class _Lookahead:
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
     def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
-        """Return the end of each configuration's best step, and 1 if it is the goal, -1 without a step, else 0."""
+        # Return the end of each best step, and 1 if it is the goal, -1 without a step, else 0.
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
 
@@ -261,7 +261,7 @@ class _Lookahead:
         return chain
 
     def _search_below(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Search best first, with one node per cell, for a path from ``x`` to a cost-to-go less than ``below``."""
+        """Search best first, with a node per grid cell, for a path to a cost-to-go less than ``below``."""
         found, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
@@ -295,7 +295,7 @@ class _Lookahead:
 
 
 def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
-    """Return each node's next node, after skipping nodes that a free and cheaper straight motion passes by."""
+    """Return each node's next node on its path, after skipping nodes where a straight motion is free and cheaper."""
     stuck = onward < 0
     onward = np.where(stuck, np.arange(len(nodes)), onward)
     leg = costs.integrals(nodes, nodes[onward], _STEP_TOLERANCE)

@@ -225,7 +225,7 @@ def connected_parts(workspace: Workspace) -> tuple[Any, Int[np.ndarray, "parts"]
 
 
 def separation(a: Any, b: Any) -> float:
-    """Return the distance of Shapely geometries; if they overlap, a negative depth (approximate for areas)."""
+    """Return the distance between Shapely geometries; if they overlap, minus a depth (approximate for areas)."""
     distance = shapely.distance(a, b)
     if distance > 0 or a.geom_type == b.geom_type == "Point":
         return distance

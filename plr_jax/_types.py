@@ -66,7 +66,7 @@ CellSources: TypeAlias = Any  # plr_jax.geometry.cell_sight.CellSources, without
 
 @runtime_checkable
 class FamilyFn(Protocol):
-    """A distance function that shares work with functions for other goals on its map, its *family*."""
+    """A distance function that shares work with its *family*, functions to other goals on the same map."""
 
     @property
     def family(self) -> Any: ...  # see plr_jax.VisibilityGraph, also for the methods below
@@ -111,7 +111,7 @@ class ChangingFn(CellwiseFn, Protocol):
 
 @runtime_checkable
 class FreeSpaceFn(Protocol):
-    """A distance function with a test ``is_free``: not every point of distance ``inf`` is in an obstacle."""
+    """A distance function with a test of free points, because some free points cannot reach the goal."""
 
     def is_free(self, x: ArrayLike, /) -> Bool[np.ndarray, "n"]: ...
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...

@@ -87,7 +87,7 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
 
 @dataclass(frozen=True, eq=False)
 class _Encounter:
-    """A robot with its path, and what it may hit: the blocked region, or another robot with its path."""
+    """A robot with its path, and what it may hit: all that is not free space, or another robot with its path."""
 
     who: tuple[int, ...]
     robot: Robot
@@ -111,7 +111,7 @@ class _Encounter:
         return distance - self.reach
 
     def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Return the smallest clearance during each of the given motions without turns, by swept convex hulls."""
+        # Without turns, the robot sweeps the convex hull of both its ends.
         start, others = _corners(self.robot, self.path[motion]), np.full(len(motion), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, self.other_path[motion])
@@ -146,7 +146,7 @@ class _Encounter:
 
     @cached_property
     def smallest(self) -> Float[np.ndarray, "motions"]:
-        """Upper bounds of the smallest clearance in each motion; the least of all is accurate to the tolerance."""
+        """Upper bounds of the least clearance in each motion; the least of all is accurate to ``tolerance``."""
         at_rows, turns = self.clearances(np.arange(len(self.path), dtype=float)), self.rim_speeds > 0
         smallest, straight = np.minimum(at_rows[:-1], at_rows[1:]), np.flatnonzero(~turns)
         smallest[straight] = self.swept(straight)
@@ -195,7 +195,7 @@ class _Encounter:
 
 
 def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> list[_Encounter]:
-    """Pair each robot with the blocked region, and with all robots near enough to collide or to be the closest."""
+    """Pair each robot with all that is not free space, and with robots near enough to collide or to be closest."""
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
     if len(path) == 1:
@@ -224,7 +224,7 @@ def _tolerance(workspace: Workspace) -> float:
 def _least_clearances(
     robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]
 ) -> list[tuple[float, int, int]]:
-    """Return lower bounds of the clearances of all pairs of robots, sorted, with the indices of the robots."""
+    """Return lower bounds of the clearances between robots, ascending, each with the indices of both robots."""
     radius = np.array([robot.circumscribed_radius for robot in robots])
     found = []
     for j in range(1, len(robots)):
@@ -291,11 +291,9 @@ def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"])
 def _changes_of_side(
     boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
 ) -> list[int]:
-    """Return the motions at whose ends a point has changed sides at ``vertex``, where obstacles touch.
-
-    There are none if ``motion`` misses the vertex. Sides are the sectors of free space at the vertex. Within half the
-    length of its shortest edge they meet only there, so the path in a disc of this radius decides.
-    """
+    # Return the motions at whose ends a point has changed sides at `vertex`, where obstacles touch. There are none if
+    # `motion` misses the vertex. Sides are the sectors of free space at the vertex. Within half the length of its
+    # shortest edge they meet only there, so the path in a disc of this radius decides.
     sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
     ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])
     radius = np.linalg.norm(boundary.vertices[ends] - boundary.vertices[vertex], axis=1).min() / 2
@@ -321,7 +319,7 @@ def _changes_of_side(
 def _is_in_sector(
     boundary: Boundary, edge: np.integer, offsets: Float[np.ndarray, "n 2"], tolerance: float
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether offsets from the first vertex of ``edge`` lie in the sector of free space beside this edge."""
+    # Offsets are from the first vertex of `edge`, where its sector of free space begins.
     vertex = boundary.vertices[boundary.edges[edge, 0]]
     start = boundary.vertices[boundary.edges[edge, 1]] - vertex
     end = boundary.vertices[boundary.sector_end[edge]] - vertex

@@ -26,7 +26,7 @@ _MIRRORED = str.maketrans("LR", "RL")
 
 
 class Word(NamedTuple):
-    """Paths to many poses with the same letters; lengths are negative where the car reverses, NaN for no path."""
+    """Paths to many poses by one sequence of turns; lengths are negative where the car reverses, NaN for no path."""
 
     letters: str  # L and R for turns, S for straight
     segments: tuple[Any, ...]  # lengths, each an array with one number per pose, or one number for all
@@ -91,7 +91,7 @@ class _Car(ABC):
     @staticmethod
     @abstractmethod
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
-        """Yield the words from the pose (0, 0), heading along x, to given headings that start with a left turn.
+        """Yield possible shortest paths from the pose (0, 0, 0) that start with a left turn, by final heading.
 
         ``to_left`` and ``to_right`` lead, in turning radii, from the centers of the left and right turning circles at
         the start, (0, 1) and (0, -1), to those at the end.
@@ -115,7 +115,7 @@ class _Car(ABC):
                 yield Word(letters if side > 0 else letters.translate(_MIRRORED), segments)
 
     def _reflection(self, direction: float) -> Symmetry:
-        """Return the reflection of poses in the line through the goal in a direction, an angle to the x axis."""
+        """Return the reflection of poses in the line through the goal at an angle, ``direction``, to the x axis."""
         cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
         return Symmetry.about(self.goal, np.array([[cosine, sine, 0], [sine, -cosine, 0], [0, 0, -1]]))
 
@@ -151,7 +151,7 @@ class ReedsShepp(_Car):
 
 
 def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    """Yield words that end at ``heading``, from a left to a left turn with centers ``(x, y)`` turning radii apart."""
+    # Paths from a left to a left turn, whose centers are `(x, y)` turning radii apart.
     q, square = _QUARTER, x * x + y * y
     distance = np.sqrt(square)
     angle = np.where(distance > _ROUNDING * np.abs(heading), np.arctan2(y, x), 0.0)  # any angle for equal circles
@@ -170,7 +170,7 @@ def _words_to_left(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
 
 
 def _words_to_right(x: Batch, y: Batch, heading: Batch) -> Iterator[Word]:
-    """Yield words that end at ``heading``, from a left to a right turn with centers ``(x, y - 2)`` radii apart."""
+    # Paths from a left to a right turn, whose centers are `(x, y - 2)` turning radii apart.
     q, square = _QUARTER, x * x + y * (y - 4)
     # Set differences to 0 that are within the rounding error of their terms.
     square = np.where(np.abs(square) < _ROUNDING * (x * x + y * y + 4 * np.abs(y)), 0.0, square)
@@ -240,7 +240,7 @@ class Dubins(_Car):
 
 
 def _lsl_segments(angle: Batch, distance: Batch, turn: Batch) -> tuple[Batch, Batch, Batch]:
-    """Return the three lengths of an LSL path whose turns sum to ``turn``; nearly a full circle counts as none."""
+    # Turns sum to `turn`. A turn by nearly a full circle counts as none.
     slack = _SLACK / np.maximum(distance, _SLACK)
     first = _forward_turn(angle, slack)
     first = np.where(first <= turn + slack, np.minimum(first, turn), first)

@@ -26,7 +26,7 @@ _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the short
 
 
 class _CellGraph(ABC):
-    """A graph of the free cells of a grid, numbered in the grid with one layer of blocked cells around it."""
+    """The free cells of a grid, with steps between neighbors; indices count a border of blocked cells around it."""
 
     goal: Float[np.ndarray, "dim"] | None
     dim: ClassVar[int]
@@ -209,7 +209,7 @@ class VoxelGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, "voxels"]]:
-        """Changes of a voxel's three indices, one per step; and for each voxel a bit per step, set if it is free."""
+        # Changes of a voxel's three indices, one per step; and for each voxel a bit per step, set if it is free.
         steps = np.array(list(product((-1, 0, 1), repeat=3)))
         num_axes = np.count_nonzero(steps, axis=1)
         steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]
@@ -337,11 +337,9 @@ class GridField:
 
     @cached_property
     def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:
-        """Distances with NaN, and with 0, for cells without a value; 1 for cells with a value, else 0; and a mask.
-
-        The mask, or None, marks boxes between neighboring centers in which cells with a value touch only at an edge
-        or corner: no distances are interpolated there. The other arrays have a layer of copied cells around them.
-        """
+        # Distances with NaN, and with 0, for cells without a value; 1 for cells with a value, else 0; and a mask. The
+        # mask, or None, marks boxes between neighboring centers in which cells with a value touch only at an edge or
+        # corner: no distances are interpolated there. The other arrays have a layer of copied cells around them.
         padded = np.where(np.isfinite(self.values), self.values, np.nan)
         for axis, is_periodic in enumerate(self.bounds.periodic[::-1]):
             padded = padded.take(np.arange(-1, padded.shape[axis] + 1), axis, mode="wrap" if is_periodic else "clip")

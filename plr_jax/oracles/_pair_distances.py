@@ -69,13 +69,13 @@ class PairDistances:
 
     @cached_property
     def _graph(self) -> Graph:
-        """The corners; an edge joins two if a shortest path can go straight between them and turn at both."""
+        """The graph of corners; edges join two if a shortest path can go straight between them and turn at both."""
         corners, edges = self.visibility.corners, self.visibility.edges
         start, end = edges.T
         return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
 
     def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, "corners"]]:
-        """Return the distances from each of some corners to all corners; those of up to ``_at_once`` are cached."""
+        # Rows of up to `_at_once` corners are cached.
         rows = self.__dict__.setdefault("_rows", {})
         if missing := [corner for corner in corners if corner not in rows]:
             if len(rows) + len(missing) > self._at_once:
@@ -90,7 +90,7 @@ class PairDistances:
 
     @cached_property
     def _lists_of_triangles(self) -> tuple[Int[np.ndarray, "runs_plus_one"], Int[np.ndarray, "entries"]]:
-        """The corners where paths from each triangle may turn first, in lists; the last list is all corners."""
+        # Lists of the corners where paths from each triangle may turn first; the last list is all corners.
         triangulation, corners, views = self.workspace.triangulation, self.visibility.corners, self.visibility.views
         opens, closes = corners.walls
         visits = [triangles_within(triangulation, views, *cone) for cone in ((opens, -closes), (-opens, closes))]
@@ -99,7 +99,7 @@ class PairDistances:
         return np.append(first, len(corner) + num_corners), np.append(corner, np.arange(num_corners))
 
     def __call__(self, x: Points, y: Points) -> Distances:
-        """Return the distance from each ``x`` to its ``y``: ``inf`` without a path, bitwise the same if swapped."""
+        """Return path lengths between points, pair by pair: ``inf`` without a path, bitwise equal if swapped."""
         if len(x) != len(y):
             raise ValueError(f"x and y must be equally many points, got {len(x)} and {len(y)}.")
         if len(x) > FEW:
@@ -125,7 +125,7 @@ class PairDistances:
         return distance
 
     def _distance(self, x: list[float], y: list[float]) -> float:
-        """Return what :meth:`_distances` returns, to the bit, for one pair; NaN if a point is in no triangle."""
+        # Equal to `_distances`, to the bit; NaN if a point is in no triangle.
         if y < x:
             x, y = y, x
         start, end = self.locator.place(*x), self.locator.place(*y)
@@ -138,7 +138,7 @@ class PairDistances:
         return math.sqrt(dx * dx + dy * dy) if is_visible else self._around(x, start, y, end)
 
     def _around(self, x: list[float], start: Place, y: list[float], end: Place) -> float:
-        """Return the length of the shortest path with turns between two points, whose triangles are known."""
+        """Return the length of the shortest path between two points that do not see each other."""
         (first, to_first), (last, to_last) = self._turns_at(x, start), self._turns_at(y, end)
         if not len(first) or not len(last):
             return math.inf
@@ -167,7 +167,7 @@ class PairDistances:
 
     @cached_property
     def _landmarks(self) -> Float[np.ndarray, "corners landmarks"]:
-        """Distances of all corners from a few corners that are far from one another."""
+        """Distances of all corners from a few corners, the landmarks, that are far from one another."""
         num = len(self._graph.vertices)
         nearest, rows = np.full(num, np.inf), []
         for _ in range(min(num, _LANDMARKS)):
@@ -192,7 +192,7 @@ class PairDistances:
         return lists.distance + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
-        """Return the length of each pair's shortest path through a corner of ``at_x`` and a corner of ``at_y``."""
+        """Return the length of each pair's shortest path through a corner listed for ``x`` and one for ``y``."""
         corners, row = np.unique(at_x.corner, return_inverse=True)
         length, at_once = np.full(len(at_x.corner), np.inf), self._at_once
         for begin in range(0, len(corners), at_once):
@@ -219,7 +219,7 @@ class PairDistances:
         return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(kept).take(number)
 
     def _candidates(self, x: Points) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
-        """Return the number of corners that may see each point, and which ``_lists_of_triangles`` hold them."""
+        # Return the number of corners that may see each point, and which `_lists_of_triangles` hold them.
         begins, mesh = self._lists_of_triangles[0], self.workspace.triangulation
         held, first, triangle = triangles_at(mesh, mesh.place(x))
         num_runs, in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)

@@ -32,7 +32,7 @@ from plr_jax.geometry.workspace import Workspace, require_workspace
 
 @dataclass(frozen=True, eq=False)
 class Metric:
-    """The Euclidean norm of weighted differences of configurations; ``domain`` says which axes are periodic."""
+    """The Euclidean length of weighted differences of configurations, the short way around periodic axes."""
 
     domain: Box
     weights: Float[np.ndarray, "dim"]
@@ -49,7 +49,7 @@ class Metric:
         return KDTree(self.tree_coordinates(vertices), boxsize=periods)
 
     def tree_coordinates(self, x: Points) -> Points:
-        """Return coordinates for the k-d tree, in which periodic axes run from 0 to below their weighted period."""
+        # In a k-d tree, periodic axes must run from 0 to below their period.
         around = self.weights * (self.domain.wrapped(x) - self.domain.lo)
         around = np.where(around < self.widths, around, 0.0)  # rounding may reach the full period
         return np.where(self.domain.periodic, around, self.weights * x)
@@ -64,14 +64,14 @@ _DRAWS_BEFORE_GIVING_UP = 100_000
 
 
 def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
-    """Return the radius ``gamma (log n / n)^(1/dim)`` of PRM*, asymptotically optimal, for ``n >= 2`` vertices."""
+    """Return the connection radius of PRM*, ``gamma (log n / n)^(1/dim)``, of a roadmap with ``n >= 2`` vertices."""
     unit_ball_volume = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
     gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume) ** (1 / dim)
     return gamma * (math.log(num_vertices) / num_vertices) ** (1 / dim)
 
 
 def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) -> tuple[Points, float]:
-    """Draw free configurations uniformly; also return the estimated volume of free space, in weighted units."""
+    """Draw free configurations uniformly; also return the estimated volume of free space, in units of the metric."""
     domain = metric.domain
     rng = np.random.default_rng(seed)
     batch = max(num_samples, 1000)
@@ -100,7 +100,7 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
 
 
 def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
-    """Ask the user's test about the configurations in the domain, and check the answers; others are not free."""
+    # The test is called only for configurations in the domain; others are not free.
     inside = domain.contains(x)
     if inside.any():
         inside[inside] = as_booleans("is_free", is_free(domain.wrapped(x[inside])), int(inside.sum()))
@@ -116,7 +116,7 @@ def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Boo
 def _is_visible_sampled(
     metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether motions between free points are free at sampled points, tested from coarse to fine."""
+    """Return whether straight motions between free points are free, tested at points ``resolution`` apart."""
     b = metric.domain.image_near(b, a)
     change, num_steps = b - a, np.ceil(metric.lengths(a, b) / resolution).astype(np.int64)
     visible = np.ones(len(a), dtype=bool)
@@ -215,7 +215,7 @@ class Roadmap:
 
     @classmethod
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
-        """Build the roadmap of a point robot in a workspace, with exact edge tests; the rest is as for the class."""
+        """Build the roadmap of a point robot in a workspace, with exact edge tests; see the class for arguments."""
         require_workspace(workspace)
         return cls(workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible)
 
@@ -277,7 +277,7 @@ class Roadmap:
         return path_to_root(self.graph, self._parents, x[0], int(first[0]))
 
     def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Return the distance of each point and the first vertex of its path, -1 if it is not free or sees none."""
+        # The vertex is -1 if the point is not free or sees none.
         answer, first = np.full(len(x), np.inf), np.full(len(x), -1)
         pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
         diameter = np.linalg.norm(self._metric.widths)  # no two configurations of the domain are farther apart
@@ -288,7 +288,7 @@ class Roadmap:
         return answer, first
 
     def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Return each point's distance through the best vertex seen between two radii, and this vertex (-1: none)."""
+        # Only vertices between two radii count; -1 if the point sees none of these.
         places, vertices = self._metric.tree_coordinates(x), self.graph.vertices
         distances = np.append(self.distances, np.inf)
         count = self._tree.query_ball_point(places, outer, return_length=True)

@@ -35,7 +35,7 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
 
 
 def _snapped(goal: Float[np.ndarray, "2"], workspace: Workspace) -> Float[np.ndarray, "2"]:
-    """Return the goal, moved to the nearest free point if it is outside free space by a rounding error only."""
+    """Return the goal, moved to the nearest free point if rounding alone has put it outside free space."""
     if workspace.is_free_to_tolerance(goal[None])[0]:
         return goal
     nearest = shapely.get_coordinates(shapely.shortest_line(workspace.free_space, shapely.Point(goal)))[0]

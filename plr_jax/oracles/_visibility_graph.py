@@ -126,7 +126,7 @@ class VisibilityGraph:
 
     @cached_property
     def graph(self) -> Graph:
-        """Goal (vertex 0) and corners; edges join visible pairs if a shortest path can turn at one of the ends."""
+        """The goal (vertex 0) and corners; edges join pairs in sight if a shortest path can turn at one of them."""
         edges = np.concatenate([self._goal_edges, 1 + self.family.edges])
         return Graph(np.concatenate([self.goal[None], self.family.corners.points]), edges)
 
@@ -149,15 +149,15 @@ class VisibilityGraph:
         return goal_sight(self.sources, self._turns, table, self.workspace.triangulation)
 
     def cell_sources(self, domain: Box) -> CellSources:
-        """Return what :meth:`sources_of_boxes` returns for one box."""
+        """Return a box's convex pieces of free space, and the corners or goal to which paths from each go first."""
         return self.sources_of_boxes(domain.lo[None], domain.hi[None])
 
     def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """Return each box's free convex pieces, and for each piece the ``sources`` to which paths may go first."""
+        """Return each box's convex pieces of free space, and the corners or goal to which paths go first."""
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
-        """Return how distances differ from those of another oracle of the same goal (else ``ValueError``)."""
+        """Return how distances differ from those ``before``, on another map; ``ValueError`` if the goals differ."""
         if not isinstance(before, VisibilityGraph):
             raise ValueError(f"before must be a VisibilityGraph, got {shortened(before)}.")
         if (self.goal != before.goal).any():
@@ -170,23 +170,27 @@ class VisibilityGraph:
         return self._pairs.visibility
 
     def shared_samples(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilySamples:
-        """Return, for oracles of any goal, a free sample point in each box, and the corners that the point sees."""
+        """Return a free sample point in each box, and the corners that it sees, for oracles of any goal."""
         return FamilySamples.of(self.family, self.workspace.triangulation, lo, hi)
 
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance or ``inf``, and the index in ``sources`` of its path's first vertex or -1."""
+        """Return each sample's distance to the goal, and the index in ``sources`` of its path's first vertex.
+
+        Samples are points that :meth:`shared_samples` returns. Without a path, these are ``inf`` and -1.
+        """
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
     def shared_cells(self, lo: Float[np.ndarray, "boxes 2"], hi: Float[np.ndarray, "boxes 2"]) -> FamilyCells:
-        """Return each box's free convex pieces, and for each piece the corners at which paths may turn first."""
+        """Return each box's convex pieces of free space, and the corners at which paths from each may turn first."""
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
         self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices, near: Indices
     ) -> CellSources:
-        """Return what :meth:`sources_of_boxes` returns, for ``box[i]`` of ``shared`` and ``members[member[i]]``.
+        """Return what :meth:`sources_of_boxes` returns, for many pairs of a box and an oracle of the same map.
 
-        ``near[i]`` is the index of a source near the first turn of paths from the box, or -1.
+        Pair ``i`` is the box at index ``box[i]`` of ``shared`` and the oracle ``members[member[i]]``. ``near[i]`` is
+        the index of a source near the first turn of paths from this box, or -1.
         """
         goals = [FamilyGoal(each.sources, each._turns, each._goal_table) for each in members]
         return cells_of_goals(shared, self.family.corners, goals, box, member, near)
@@ -245,7 +249,7 @@ class VisibilityGraph:
         return as_points(name, self.workspace.bounds.settled(x), 2)
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
-        """Return each point's distance, and the vertex of ``graph`` to which its shortest path goes first."""
+        """Return distances to the goal, and the vertex of ``graph`` to which each shortest path goes first."""
         if len(x) > FEW:
             return self._first_turns_of_batch(x)
         distance, turn = np.full(len(x), np.inf), np.full(len(x), -1)
@@ -257,7 +261,7 @@ class VisibilityGraph:
         return distance, turn
 
     def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
-        """Return what :meth:`_first_turns_of_batch` returns, to the bit, for one point in a known place."""
+        # Equal to `_first_turns_of_batch`, to the bit.
         if self._goal_sight.sees(0, place):
             goal_x, goal_y = self.goal.tolist()
             dx, dy = x - goal_x, y - goal_y
@@ -292,7 +296,7 @@ class VisibilityGraph:
 
 
 def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> CellSources:
-    """Return a box's free convex pieces, and for each piece the goals or corners to which paths may go first."""
+    """Return a box's convex pieces of free space, and the goals or corners to which paths from each may go first."""
     first, count = graphs[0], len(graphs)
     # Oracles that were not made of one another may number corners in different ways.
     graphs = [each if each.family is first.family else first.with_goal(each.goal) for each in graphs]

@@ -39,7 +39,7 @@ _SLACK = 8  # number of workspace tolerances by which visibility may err
 def outline_of(
     boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float, may_squeeze: bool
 ) -> tuple[Outline, Int[np.ndarray, "points"]]:
-    """Round the boundary of free space to a lattice; also return the boundary vertex at each point of the outline."""
+    """Round the boundary of free space to a lattice; also return the index of the boundary vertex at each point."""
     # 1. Find the next edge around free space or, if paths may squeeze through contacts, around the same obstacle.
     edges = boundary.edges
     leaving = {
@@ -78,7 +78,7 @@ def outline_of(
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
-    """Return the largest power of two or ten to whose multiples points round distinctly, within the tolerance."""
+    # The largest power of two or ten to whose multiples points round distinctly, within the tolerance.
     exponents = np.arange(-60, 60)
     steps = np.concatenate([2.0**exponents, 10.0 ** exponents[40:80]])
     for step in np.sort(steps[(steps <= width) & (steps >= FINEST * width)])[::-1]:
@@ -96,7 +96,7 @@ _IN_VAIN = 0.1  # mean number of listed corners that a point does not see; fewer
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """Cells, and pairs of a cell and a corner at which shortest paths from the cell may turn first."""
+    """Cells of the domain, and for each the corners of obstacles at which shortest paths from it may turn first."""
 
     cells: Cells
     cell: Int[np.ndarray, "entries"]  # ascending
@@ -129,7 +129,6 @@ class _ListTree:
         return int(self.is_leaf.sum())
 
     def leaves_above(self, key: float) -> Lists:
-        """Return the leaves that remain if only nodes whose priority is above ``key`` are halved."""
         is_halved = ~self.is_leaf & (self.key > key)
         of_halved = np.append(True, is_halved[self.parent[1:]])
         return self.lists.of_cells(np.flatnonzero(of_halved & ~is_halved))
@@ -138,9 +137,9 @@ class _ListTree:
 def grow_lists(
     root: CellSources, domain: Box, limits: Limits, most_leaves: int, num_bytes: Callable[[Lists], int]
 ) -> Lists:
-    """Halve cells into at most ``most_leaves`` leaves; return them with the corners where paths may turn first.
+    """Partition the domain into cells that list the corners of obstacles where shortest paths may turn first.
 
-    The least useful halvings are undone until the file, of ``num_bytes(lists)``, fits into ``limits.max_bytes``.
+    Halvings that help least are undone until the file, whose size ``num_bytes`` computes, fits ``limits.max_bytes``.
     """
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
     enough = _IN_VAIN * areas(root.pieces).sum()
@@ -185,7 +184,6 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
 
 
 def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, "cells"]]:
-    """Return the corners where shortest paths from cells may turn first, and the priority of halving each cell."""
     lists = Lists(cells, *corners_of_cells(visible))
     area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
     doubtful = np.bincount(lists.cell, ~lists.by_all, len(cells))
@@ -220,7 +218,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     first = np.searchsorted(of_corner[order], np.arange(len(visibility.corners.points) + 1))
 
     def in_file(corners: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return the file's indices of corners (two at a sharp tip), and for each the row in ``corners``."""
+        # The file has two points for a corner at a sharp tip. The second result is each index's row in `corners`.
         rows, row = take_ragged(first, corners)
         return order[rows], row
 
@@ -265,7 +263,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 def corners_in_outline(
     outline: Outline, vertex: Int[np.ndarray, "points"], corner_of_vertex: Int[np.ndarray, "vertices"]
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
-    """Return the outline points that are at a corner of the workspace, ascending, and the corner at each."""
+    # `vertex` is the boundary vertex at each point of the outline, -1 for none.
     of_point = np.append(corner_of_vertex, -1)[vertex]
     candidates = np.flatnonzero(of_point >= 0)
     candidates = candidates[np.argsort(~outline.is_reflex[candidates], kind="stable")]

@@ -26,7 +26,7 @@ DIAGONAL = {4: 2, 8: 1393}  # 1393 / 985 is a convergent of the square root of 2
 
 
 def open_length(connectivity: int, rows: Any, columns: Any) -> Any:
-    """Return a shortest path's length across rows and columns of an empty grid; see :data:`STRAIGHT` for the unit."""
+    # Integers: a straight step has the length `STRAIGHT[connectivity]`.
     straight = abs(rows - columns)
     diagonal = (rows + columns - straight) // 2
     return STRAIGHT[connectivity] * straight + DIAGONAL[connectivity] * diagonal
@@ -47,12 +47,12 @@ _Cells = Int[np.ndarray, "pairs"]
 
 
 def corner_cells(free: Grid) -> Grid:
-    """Return the mask of corners: free cells diagonal to a blocked cell, with both cells between these free."""
+    """Return the mask of obstacle corners: free cells diagonal to a blocked cell, with both cells in between free."""
     return np.logical_or.reduce(_blocked_diagonals(free))
 
 
 def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
-    """Return the pairs of corners (lower index, higher index) that see each other with no corner in between."""
+    """Return all pairs of obstacle corners, by index, that see each other with no third corner in between."""
     places = np.flatnonzero(corner_cells(free))
     number = np.full(free.size, -1, np.int32)
     number[places] = np.arange(len(places))
@@ -70,7 +70,7 @@ def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
 def taut_corners(
     free: Grid, connectivity: int
 ) -> tuple[Int[np.ndarray, "cells_plus_one"], Int32[np.ndarray, "pairs"]]:
-    """Return the corners where a shortest path from each cell may first bend around a blocked cell, in CSR form."""
+    """Return, as a CSR matrix, the obstacle corners where a shortest path from each cell of a grid may bend first."""
     from scipy.sparse import csr_array
 
     # 1. Collect runs of cells that are taut at a corner: corner, first cell, step, number of cells.
@@ -117,8 +117,6 @@ _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 
 @dataclass(frozen=True)
 class _Sector:
-    """A view of a grid, flipped or transposed such that one quadrant or octant extends to higher indices."""
-
     free: Grid
     blocked: dict[tuple[int, int], Grid]
     row: Int[np.ndarray, "corners"]
@@ -162,11 +160,9 @@ def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
 
 
 def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_Cells, _Cells, int]]:
-    """Yield, row by row, the corners that still see cells of the row, how many cells each sees, and the row's number.
-
-    Row ``i`` is ``i`` rows aside of the corner and extends ahead of it. A row ends with its first cell in
-    ``ends_row``. Later rows are at most as long, and end before the columns of cells in ``ends_later``.
-    """
+    # Yield, row by row, the corners that still see cells of the row, how many cells each sees, and the row's number.
+    # Row `i` is `i` rows aside of the corner and extends ahead of it. A row ends with its first cell in `ends_row`.
+    # Later rows are at most as long, and end before the columns of cells in `ends_later`.
     beside = np.pad(sector.free, ((0, 1), (0, 1)))
     may_step_aside = sector.free & beside[1:, :-1]
     if sector.slanted:
@@ -188,7 +184,7 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
 
 
 def _steps_to(wanted: Grid) -> Int32[np.ndarray, "rows columns_plus_one"]:
-    """Return the steps along the row from each cell, and each row's end, to the first wanted cell or the border."""
+    """Return how many steps along the row each cell is before the first cell in ``wanted``, or the row's end."""
     rows, columns = wanted.shape
     place = np.full((rows, columns + 1), columns, np.int32)
     np.copyto(place[:, :-1], np.arange(columns, dtype=np.int32), where=wanted)
@@ -196,7 +192,7 @@ def _steps_to(wanted: Grid) -> Int32[np.ndarray, "rows columns_plus_one"]:
 
 
 def _blocked_diagonals(free: Grid) -> Shaped[np.ndarray, "4 rows columns"]:
-    """Return, for each diagonal direction, the free cells where a path can bend around the blocked neighbor there."""
+    # For each diagonal direction, mark free cells where a path can bend around the blocked neighbor there.
     rows, columns = free.shape
     around = np.pad(free, 1)
 
@@ -239,8 +235,8 @@ class CornerTable:
 class CornerLabels:
     """Distances from each obstacle corner of a grid to its ancestors in a tree; a corner is its own last ancestor.
 
-    Vertex elimination gives the tree: a corner's parent is, of its neighbors when it is eliminated, the one
-    eliminated next. The distance between two corners is the least sum of their distances to a common ancestor.
+    The distance between two corners is the least sum of their distances to a common ancestor. Vertex elimination
+    gives the tree: a corner's parent is, of its neighbors when it is eliminated, the one eliminated next.
     """
 
     first: Int32[Array, "corners_plus_one"]  # index of each corner's first entry
@@ -277,7 +273,7 @@ _Edges = list[dict[int, int]]
 
 
 def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabels:
-    """Return distances between all corners of a grid, in row-major order; ``ValueError`` if there are too many."""
+    """Return path lengths between all obstacle corners of a grid; ``ValueError`` if they are too many or too long."""
     most = FAR - 2 * int(open_length(connectivity, *map(np.int64, free.shape)))  # a query adds the legs
     if most < 0:
         raise ValueError(_TOO_LONG)
@@ -327,7 +323,7 @@ def corner_distances(free: Grid, connectivity: int) -> CornerTable | CornerLabel
 
 
 def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
-    """Eliminate all corners; return their order, and each corner's neighbors (with distances) at its elimination."""
+    # The edges of a corner remain those at its elimination, to corners that are eliminated later.
     level = [0] * len(edges)
     heap = [(len(nearby), 0, corner) for corner, nearby in enumerate(edges)]
     heapq.heapify(heap)

@@ -44,7 +44,7 @@ _Sums = Int[np.ndarray, "rows_plus_one columns_plus_one"]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class IllegalSteps:
-    """Prefix sums that tell which cells see each other (:func:`sees`), and which cells are free."""
+    """Tables of a grid: which cells are free, and prefix sums by which :func:`sees` tests pairs of cells."""
 
     sums: Integer[Array, "sums"]  # flattened tables, each with a row and a column of zeros in front
     free: UInt32[Array, "words"]  # one bit for each cell in row-major order, lowest bit of a word first
@@ -87,7 +87,7 @@ def is_free(sight: IllegalSteps, cells: Cells) -> Flags:
 
 
 def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
-    """Return whether both cells are free, and so is every path between them that is shortest on an empty grid."""
+    """Return, for pairs of cells, whether each path that is shortest on an empty grid is free of obstacles."""
     xp: Any = np if isinstance(p, np.ndarray) else jnp
     sums = xp.asarray(sight.sums)
 
@@ -131,7 +131,7 @@ GROUP = 16  # cells whose block offsets share a base
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class GridTables:
-    """The tables of a query: a grid, the corners where paths from each cell may turn first, and corner distances."""
+    """Arrays of a grid: free cells, corners where shortest paths from each cell may turn first, corner distances."""
 
     sight: IllegalSteps
     group_block: Int32[Array, "groups"]  # first block of corners of each group of 16 cells, in row-major order
@@ -203,7 +203,7 @@ def evaluate_pairs(
 def evaluate_few(
     tables: GridTables, x: Num[np.ndarray, "*batch 2"], y: Num[np.ndarray, "*batch 2"]
 ) -> Float[np.ndarray, "*batch"] | None:
-    """Return the same as :func:`evaluate_pairs`, bit for bit, in NumPy; None if a compiled function is as fast."""
+    # None if there are so many pairs that a compiled function is as fast. Answers are those of `evaluate_pairs`.
     (p, p_inside), (q, q_inside) = (cells_of(tables.shape, points.reshape(-1, 2)) for points in (x, y))
     if len(p) > _MOST_FEW:
         return None
@@ -246,7 +246,10 @@ def evaluate_to(
 
 @jax.jit
 def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "corners"]:
-    """Return distances from a cell to all obstacle corners; a straight step has the length ``STRAIGHT``."""
+    """Return the lengths of shortest paths from a cell (row, column) to all obstacle corners, as integers.
+
+    A straight step has the length ``STRAIGHT[connectivity]``.
+    """
     every = jnp.arange(len(tables.row), dtype=jnp.int32)
     cells = jnp.broadcast_to(goal, (len(every), 2))
     return _least_around(
@@ -255,7 +258,7 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "cor
 
 
 def cells_of(shape: tuple[int, int], x: Any) -> tuple[Cells, Flags]:
-    """Return the cell (row, column) of each point, (0, 0) for points off the grid, and whether points are on it."""
+    # Points off the grid get the cell (0, 0).
     xp: Any = np if isinstance(x, np.ndarray) else jnp
     place = xp.floor(x)[:, ::-1]
     inside = ((place >= 0) & (place < xp.asarray(shape, place.dtype)[None])).all(axis=1)
@@ -293,7 +296,7 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 
 
 def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
-    """Return the length of a path between cells and, for each cell, bits: which blocks of its corners may beat it."""
+    # Return the length of a path and, for each cell, bits: which blocks of its corners may have a shorter path.
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
     way = leg + tables.distances.between(corner, other) + other_leg
     length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
@@ -304,7 +307,7 @@ def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_
 
 
 def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flags) -> tuple[_Lengths, _Lengths]:
-    """Return each cell's stored corner that is nearest to both cells, in sum on an empty grid, and its distance."""
+    # Find the stored corner of each cell over which the path would be shortest on an empty grid.
     first, count = _blocks_of(tables, cells)
     count = jnp.where(seen, 0, count)
 
@@ -322,7 +325,7 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flag
 
 
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Blocks:
-    """Return bits, one for each block of four corners of a cell: whether a path over it may beat ``length``."""
+    # A bit for each block of four corners of a cell: whether a path over it may be shorter than `length`.
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
@@ -337,10 +340,8 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
 
 class _Left(NamedTuple):
-    """Cells, and for each of the first 32 blocks of four corners of a cell a bit: whether it is still to try."""
-
     cells: Cells
-    blocks: _Blocks
+    blocks: _Blocks  # a bit for each of a cell's first 32 blocks of four corners: whether it is still to try
 
     def words(self, tables: GridTables) -> Int32[Array, ""]:
         return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
@@ -392,7 +393,7 @@ def _legs(tables: GridTables, cells: Cells, corners: Ints) -> Ints:
 def _least_around(
     tables: GridTables, cells: Cells, onward: Callable[[_Corners], _Corners], shape: tuple[int, ...]
 ) -> _Lengths:
-    """Return the least sum of a cell's distance to a corner and that corner's distance ``onward`` to a goal."""
+    # Paths lead over a corner that is stored for the cell; `onward` is the corner's distance to the goal.
     first, count = _blocks_of(tables, cells)
 
     def with_block(block: _Scalar, least: _Lengths) -> _Lengths:

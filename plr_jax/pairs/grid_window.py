@@ -32,7 +32,7 @@ _Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
 def distances_around(
     tables: GridTables, goals: Num[Array, "n 2"], positions: Num[Array, "n 2"], radius: int
 ) -> Int32[Array, "n width width"]:
-    """Return numbers of steps to each agent's goal from a square of cells around the agent; -1 without a path."""
+    """Return path lengths in steps to each agent's goal from all cells of a square around it; -1 without a path."""
     (goal, goal_inside), (position, inside) = (cells_of(tables.shape, points) for points in (goals, positions))
     offsets = jnp.asarray(np.indices((2 * radius + 1,) * 2) - radius, jnp.int32)
     row, column = (offset[..., None] + place for offset, place in zip(offsets, position.T, strict=True))

@@ -1,8 +1,9 @@
 """Fast tests of whether obstacles hide points from each other: walls between leaves and corners, and occluders.
 
-Few walls can hide a corner from a leaf that lists it. They are found for runs of neighbor leaves first, then for ever
-shorter runs: a wall that is not between a large box and a corner is not between a part of the box and the corner.
-Occluders are long chords inside obstacles: a few dozen replace most tests of walls.
+A leaf of the partition lists the corners where paths from it may turn first. Few walls can hide such a corner from
+the leaf. They are found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a
+large box and a corner is not between a part of the box and the corner. Occluders are long chords inside obstacles: a
+few dozen replace most tests of walls.
 """
 
 from collections.abc import Callable
@@ -48,7 +49,7 @@ NearPairs = tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]]  # list entr
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class NearWalls:
-    """For each corner that a leaf of the partition lists, the walls that may hide it from points of this leaf."""
+    """The walls between each leaf, a box of the domain, and the corners that it lists as first turns of paths."""
 
     ends: Float[Array, "4 walls"]  # both ends of walls, list entry by list entry
     first: UInt32[Array, "leaves longest"]  # first wall of each list entry, plus 2**31 if it has more than 4
@@ -64,7 +65,7 @@ class NearWalls:
         margin: float,
         shape: tuple[int, int],
     ) -> "NearWalls | None":
-        """Find the walls that may hide a corner from the leaf that lists it; None if testing all walls is as fast."""
+        # Return None if testing all walls is as fast.
         worth = len(walls) // _COST // _STEP * _STEP
         if (near := near_entries(boxes, leaf, listed, corners, walls, margin, worth)) is None:
             return None
@@ -78,7 +79,7 @@ class NearWalls:
         return NearWalls(jax.device_put(np.ascontiguousarray(ends.T)), jax.device_put(first), most)
 
     def hide(self, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:
-        """Return whether walls hide a corner, at index ``place`` of a leaf's list, from a point of that leaf."""
+        # `place` is the index of the corner in the list of the leaf, which contains the point.
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
         if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW:
@@ -105,7 +106,11 @@ class NearWalls:
 def updated(
     state: State, is_open: Flags, size: int, update: Callable[..., State], *columns: Any, leaves_rest: bool = False
 ) -> State:
-    """Replace the open rows of ``state`` by those of ``update(state, *columns)``, on ``size`` rows at a time."""
+    """Replace the rows of ``state`` where ``is_open`` by the result of ``update``, on ``size`` rows at a time.
+
+    ``update`` takes rows of ``state`` and of the ``columns``. With ``leaves_rest``, a last batch of fewer rows than
+    ``size`` stays as it is, unless it is the only batch.
+    """
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
     words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
     ends = jnp.cumsum(jax.lax.population_count(words))  # number of open rows up to each word
@@ -136,11 +141,10 @@ def updated(
 def near_entries(
     boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, most: int
 ) -> NearPairs | None:
-    """Find the walls within ``margin`` of the convex hull of a leaf's box and a corner that the leaf lists.
-
-    Entry ``i`` is the corner ``listed[i]`` of ``leaf[i]``; leaves ascend. Return pairs of an entry, ascending, and a
-    wall (a few are not as near); None if an entry has more than ``most`` walls, or all pairs take too much memory.
-    """
+    """Find the walls within ``margin`` of the convex hull of a leaf's box and a corner that the leaf lists."""
+    # Entry `i` is the corner `listed[i]` of the leaf `leaf[i]`; leaves ascend. Return pairs of an entry, ascending,
+    # and a wall (a few are not as near). Return None if an entry has more than `most` walls, or all pairs take too
+    # much memory.
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
     found, count = [np.zeros((2, 0), np.int32)], 0
@@ -195,7 +199,7 @@ def _near_pairs(
     wall: PairIndices,
     margin: float,
 ) -> Int[np.ndarray, "near"]:
-    """Return the indices of the pairs of a wall and a convex hull (of a box and a corner) that no axis separates."""
+    # A hull is that of a box and a corner. A wall is near if no axis separates both by more than the margin.
     lo, hi, corner = hulls
     a, b = walls[:, :2], walls[:, 2:]
     # 1. Compare the bounding boxes: most are apart. NumPy compares four bytes faster than it combines them.
@@ -230,11 +234,9 @@ def _near_pairs(
 
 
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
-    """Choose occluders: chords at least ``depth`` inside the obstacles around a region that block many segments.
-
-    Each row has both ends of an occluder, relative to the middle of the domain, and a linear function: 0 on the
-    occluder's line, beyond 1 or -1 where rounding cannot confuse its sides.
-    """
+    """Choose occluders: segments at least ``depth`` inside obstacles that hide many points from one another."""
+    # Each row has both ends of an occluder, relative to the middle of the domain, and a linear function: 0 on the
+    # occluder's line, beyond 1 or -1 where rounding cannot confuse its sides.
     import shapely  # other queries do not need Shapely
 
     # 1. Collect chords: long segments between vertices of shrunk obstacles that lie inside these.
@@ -279,7 +281,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
 
 
 def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: Points, y: Points) -> Flags:
-    """Return whether segments between points surely cross an occluder, a chord of an obstacle, despite rounding."""
+    """Return whether segments surely cross an occluder, a segment inside an obstacle, despite rounding."""
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py
     moment = dx * py - dy * px

@@ -53,7 +53,7 @@ class MetricPairs:
         return jnp.where(is_one_point, jnp.zeros_like(value), jnp.maximum(value, 0))
 
     def _ends(self) -> tuple[Any, Any, Bool[np.ndarray, "dim"]]:
-        """Return the corners of the box, and which axes wrap; from the tables if JAX traces the file."""
+        # If JAX traces the file, the corners of the box come from the tables.
         periodic = np.isin(np.arange(self.dim), self.plr.tables.periodic)
         if not isinstance(self.plr.file, Tracer):
             domain = self.plr.domain

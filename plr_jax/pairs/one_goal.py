@@ -27,10 +27,10 @@ Point = Float[np.ndarray, "2"]
 
 
 def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Point) -> PLR:
-    """Return the PLR of cones of the distance to a goal, whose distances to all corners are given.
+    """Return the distance to a goal, whose distances to all corners are given, as a PLR with a cone in each leaf.
 
-    A cone is the distance to its apex, a corner or the goal, plus the distance from there to the goal. Each leaf gets
-    the cone that fits it best, and is halved a few times if none fits well.
+    A cone is the distance to its apex, a corner or the goal, plus the distance from the apex to the goal. Each leaf
+    gets the cone that fits it best, and is halved a few times if none fits well.
     """
     domain = stored.domain
     sources = _sources(stored, to_corners, goal)
@@ -55,7 +55,7 @@ def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Po
 
 
 def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sources:
-    """Return the goal and the corners where shortest paths to it turn, with distances and next turns (parents)."""
+    """Return the goal and the corners where shortest paths to it turn, each with its distance and its next turn."""
     points = np.concatenate([goal[None], stored.points])
     distances = np.append(0.0, to_corners)
     slack = _ROUNDING * (distances + stored.domain.width.max())
@@ -74,7 +74,7 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    """Return the corner (-1: none) whose cone fits each cell's path lengths to the goal best, and the mean error."""
+    # The source of a cell, -1 for none, is the apex of the cone that has the least mean error there.
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
@@ -92,7 +92,7 @@ def _best_sources(
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
-    """Join halves of a cell that share a source, the apex of their cone; return the new leaves and their sources."""
+    """Merge halves of a cell that have cones with one apex, their ``source``; return the leaves and their sources."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
     for split in reversed(tree.splits):

@@ -67,7 +67,7 @@ class PairPLR(FileBacked):
         return cls(file, tables)
 
     def with_label(self, label: str) -> "PairPLR":
-        """Return a copy with another label (see :class:`FileBacked`); tables that are already built are shared."""
+        """Return a copy whose file stores another label, a text; tables that are already built are shared."""
         if label == self.label:
             return self
         stored = replace(self.stored, label=label)
@@ -126,8 +126,8 @@ class PairPLR(FileBacked):
 
         Large batches then take about half the time on small maps, a fifth on large ones. The result takes 4 bytes per
         goal and corner. It works under ``jax.jit`` and ``jax.vmap``. Answers differ from unprepared ones by rounding,
-        and have no gradient in goals, which have 32 bits. With ``outside="clamp"``, a goal outside the domain stays
-        outside: ``inf``. Pairs of other maps must not use these goals. ``ValueError`` as for a call.
+        and have no gradient in goals, which have 32 bits. With ``outside="clamp"``, distances are still ``inf`` to a
+        goal outside the domain. Pairs of other maps must not use these goals. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
@@ -165,7 +165,7 @@ class PairPLR(FileBacked):
         return plr_to(self.stored, self, to_corners, goal)
 
     def numpy(self) -> NumpyPairs:
-        """Return the same distances for NumPy, bit for bit as in other languages: see ``pairs/FORMAT.md``."""
+        """Return a NumPy function of two points with these distances, bit for bit as in ``pairs/FORMAT.md``."""
         return self._numpy
 
     def js_module(self) -> str:
@@ -179,7 +179,7 @@ class PairPLR(FileBacked):
     def _answered(
         self, compiled: Callable[..., Any], few: Callable[..., Any], x: ArrayLike, y: ArrayLike
     ) -> tuple[Array, ...]:
-        """Call ``compiled`` with the lookup tables and points or, for few pairs, ``few``, which compiles nothing."""
+        # `few` answers few pairs in NumPy: it compiles nothing.
         x, y = self._from_middle("x", x), self._from_middle("y", y)
         batch = _broadcast("x and y", x, y)
         if not is_on_one_host(x, y, self.file):
@@ -367,7 +367,7 @@ def _clamped(
 def _checked(
     tables: PairTables, *points: Array
 ) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, "n"]]:
-    """Return points as rows, their batch shape, and answers: ``inf`` outside, NaN for NaN, 0 if not yet known."""
+    # Answers are `inf` outside the domain, NaN for NaN, and 0 if not yet known.
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
     farthest = reduce(jnp.maximum, map(jnp.abs, rows))

@@ -1,4 +1,4 @@
-"""Queries of pairs in NumPy, by the arithmetic of ``FORMAT.md``, which other languages reproduce bit for bit."""
+"""Distances of pairs of points in NumPy, as ``FORMAT.md`` defines them; other languages give equal bits."""
 
 from base64 import b64encode
 from collections.abc import Callable
@@ -33,7 +33,10 @@ _Lengths = Float[np.ndarray, "n"]
 
 
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether segments cross walls, given by both ends, into obstacles, and whether out of obstacles."""
+    """Return whether segments from ``p`` to ``q`` cross walls into an obstacle, and whether out of an obstacle.
+
+    A wall is given by its ends, ``(ax, ay, bx, by)``, with free space on its left.
+    """
     (px, py), (qx, qy), (ax, ay, bx, by) = p, q, wall
     ex, ey, dx, dy = bx - ax, by - ay, qx - px, qy - py
     # Differences between close points are exact. They tell sides even if a segment and a wall are almost in line.
@@ -44,7 +47,10 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
-    """Return whether a wall on the right of a point leads up past it, and whether a wall there leads down past it."""
+    """Return whether walls cross the horizontal ray to the right of a point upward, and whether downward.
+
+    The difference of both numbers of walls is the winding number of the walls around the point.
+    """
     (px, py), (ax, ay, bx, by) = p, wall
     beside = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
     return (ay <= py) & (by > py) & (beside > 0), (by <= py) & (ay > py) & (beside < 0)
@@ -52,7 +58,7 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Walls and corners for path search, relative to the middle of the domain."""
+    """Walls and corners for the search of paths, moved a little against rounding; the domain's middle is at 0."""
 
     walls: Float[np.ndarray, "walls 4"]
     corners: Float[np.ndarray, "corners 2"]  # the last, at `inf`, is padding
@@ -61,11 +67,11 @@ class Scene:
 
     @staticmethod
     def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
-        """Build the scene of a file's walls and corners.
+        """Build the scene of a file: its walls and corners, moved so that rounding does no harm.
 
         If ``is_certain``, walls move into free space: a path between them is certainly free. Otherwise walls move
-        into their obstacles, so that rounding hides no corner. With ``hides_surely``, thin walls are left out too,
-        and paths may pass between obstacles that touch: what is hidden then is certainly hidden.
+        into their obstacles, so that rounding hides no corner. With ``hides_surely``, walls of thin obstacles are
+        left out too, and paths may pass between obstacles that touch: points hidden then are certainly hidden.
         """
         outline, domain = stored.outline, stored.domain
         width, middle = float(domain.width.max()), (domain.lo + domain.hi) / 2
@@ -188,7 +194,7 @@ class NumpyPairs:
         return _in_blocks(lengths, self._rounded_ends, float(outside), p, goal, to_corners)
 
     def to_corners(self, goals: _Points, size: int) -> Float[np.ndarray, "n {size}"]:
-        """Return the length of the shortest path from each goal to each corner, padded; meaningless if outside."""
+        # Rows of goals outside the domain have no meaning.
         goals = np.where((np.abs(goals) <= self._rounded_ends).all(axis=1, keepdims=True), goals, 0)
         listed, turns, legs = self._legs(self._seen, goals)
         goal, place = np.nonzero(np.isfinite(legs))
@@ -200,7 +206,7 @@ class NumpyPairs:
         return found
 
     def _clamped(self, p: _Points) -> tuple[_Points, _Lengths]:
-        """Move finite points that are outside to the nearest point of the domain; also return how far they move."""
+        """Move finite points outside the domain to its nearest point; also return how far they move."""
         beyond = np.isfinite(p).all(axis=1, keepdims=True) & (np.abs(p) > self._rounded_ends)
         nearest = np.where(beyond, np.copysign(self._half.astype(p.dtype), p), p)
         with np.errstate(invalid="ignore"):
@@ -239,7 +245,6 @@ class NumpyPairs:
     def _legs(
         self, around: Scene, p: _Points
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest 2"], Float[np.ndarray, "n longest"]]:
-        """Return the corners that the leaves of points list, their positions, and their distances to the points."""
         above = np.clip(p, self._frame[Frame.LO], self._ends).T - self._frame[Frame.LO][:, None]
         places = [fraction_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
@@ -250,7 +255,7 @@ class NumpyPairs:
 def _in_blocks(
     answer: Callable[..., np.ndarray], ends: ArrayLike, outside: float, p: _Points, q: _Points, *others: Any
 ) -> Float[np.ndarray, "*answers n"]:
-    """Apply ``answer`` to rows in blocks; points beyond ``ends`` of the domain get ``outside``, and NaN gets NaN."""
+    """Apply ``answer`` to pairs of points; pairs beyond the ``ends`` of the domain get ``outside``, NaN gets NaN."""
     with np.errstate(over="ignore", invalid="ignore"):
         farthest = np.maximum(np.abs(p), np.abs(q))
         known = np.where((farthest > ends).any(axis=1), outside, 0.0).astype(p.dtype)
@@ -266,11 +271,9 @@ def _in_blocks(
 def _shortest(
     around: Scene, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
 ) -> tuple[_Lengths, _Points, _Points]:
-    """Return the lengths of shortest paths from ``p`` to ``q``, their first turns and their last turns.
-
-    If a path is straight, or there is no path, the turns are ``q`` and ``p``. For pairs that do not see each other,
-    ``paths`` returns possible first turns and last turns, and the length of the path through each pair of these.
-    """
+    """Return the lengths of shortest paths from ``p`` to ``q``, their first turns and their last turns."""
+    # If a path is straight or missing, `q` counts as its first turn and `p` as its last. For pairs that do not see
+    # each other, `paths` returns possible first turns, last turns, and path lengths through each combination of both.
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()
     hidden = np.flatnonzero(around.hides(p, q))
     turns_p, turns_q, ways = paths(hidden)

@@ -43,7 +43,7 @@ class PreparedGoals:
 
 @jax.jit
 def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n size"]:
-    """Return the length of the shortest path from each point to each corner through a corner that its leaf lists."""
+    """Return the length of the shortest path from each point to each obstacle corner; ``inf`` without a path."""
     leaf: Any = lookup(tables.partition, points)
     legs_of_points = _legs(tables, leaf, points)
 
@@ -97,10 +97,10 @@ def shortest_ways(
     to_corners: Float[Array, "goals size"] | None = None,
     goal: Rows | None = None,
 ) -> Ways:
-    """Find shortest paths between points of the domain, given relative to its middle.
+    """Find shortest paths between points ``x`` and ``y`` of the domain, given relative to its middle.
 
-    Swapped points have the same path to the last bit, unless second points are goals whose distances ``to_corners``
-    are known. Then ``goal`` is the row in ``to_corners`` of each second point.
+    Swapped points have an equal path to the last bit, unless ``y`` are goals whose distances ``to_corners`` are
+    known. Then ``goal`` is the row in ``to_corners`` of each ``y``.
     """
     if goal is not None:
         return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)
@@ -177,7 +177,7 @@ def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: 
 def _after_round(
     tables: PairTables, to_corners: Float[Array, "goals size"] | None, search: _Search, pairs: _Pairs
 ) -> _Search:
-    """For each pair of points, search for a path through the next corner that the first point's leaf lists."""
+    # Try the next corner in the list of the first point's leaf, `search.key`, as the first turn of each path.
     x, y, leaf_x, leaf_y, size = pairs.x, pairs.y, pairs.leaf_x, pairs.leaf_y, len(tables.distances)
     first = search.key & _place_bits(pairs.keys.shape[1])
     next_key = _least(jnp.where(pairs.keys > search.key[:, None], pairs.keys, _LAST_KEY))
@@ -213,7 +213,7 @@ def _after_round(
 
 
 def _place_bits(longest: int) -> np.uint32:
-    """Return the bits of a key that hold a place in a list; the other bits are those of a float."""
+    # The lower bits of a key hold a place in a list, its other bits those of a float.
     return np.uint32(padded_size(longest) - 1)
 
 
@@ -222,7 +222,7 @@ def _bound_of(key: Rows, longest: int) -> _Lengths:
 
 
 def _least(values: UInt32[Array, "n columns"]) -> Rows:
-    """Return the least value of each row: compilers are faster if both halves of the columns are compared first."""
+    # Compilers are faster if both halves of the columns are compared first.
     while values.shape[1] > 8 and values.shape[1] % 2 == 0:
         values = jnp.minimum(*jnp.split(values, 2, axis=1))
     return values.min(axis=1)
@@ -252,12 +252,10 @@ def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corne
 
 
 def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
-    """Return whether an obstacle separates points: occluders, chords of obstacles, decide most pairs, walls the rest.
-
-    Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
-    another outward. A single crossing is due to rounding, or to thin obstacles whose walls moved past one another. It
-    hides a point only if ``tables.is_certain``: then paths must be certainly free.
-    """
+    """Return whether obstacles separate points: occluders, segments inside obstacles, decide most, walls the rest."""
+    # Walls have moved a little into their obstacles, so a segment through an obstacle crosses one wall inward and
+    # another outward. A single crossing is due to rounding, or to thin obstacles whose walls moved past one another.
+    # It counts only if `tables.is_certain`: then paths must be certainly free.
     size, hidden = x.shape[0], is_across_occluder(tables.occluders, x, y)
     takes_all = is_symbolic_dim(size) or size <= _TESTED
     (px, py), (dx, dy) = x.T, (y - x).T
@@ -286,7 +284,7 @@ def is_hidden(tables: PairTables, x: Points, y: Points) -> Flags:
 
 
 def is_inside(tables: PairTables, x: Points) -> Flags:
-    """Return whether points stay in free space when its walls move into it: walls wind once around each point."""
+    """Return whether points are in the region enclosed by ``tables.walls``, which wind once around such points."""
 
     def winds(turns, walls):
         for wall in walls:

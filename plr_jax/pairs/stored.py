@@ -24,7 +24,7 @@ _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Boundary rings of free space on an integer lattice, with free space on the left of each wall."""
+    """Boundary of free space: closed rings of points with integer coordinates, free space on the left of walls."""
 
     origin: Float[np.ndarray, "2"]  # position of the lattice point (0, 0)
     step: float
@@ -50,12 +50,12 @@ class Outline:
 
     @cached_property
     def is_contact(self) -> Bool[np.ndarray, "points"]:
-        """Mask of the points where obstacles touch and no path may pass."""
+        """Mask of the outline points where obstacles touch and no path may pass between them."""
         return self.is_shared & (not self.may_squeeze)
 
     @cached_property
     def is_shared(self) -> Bool[np.ndarray, "points"]:
-        """Mask of the points where several walls begin."""
+        """Mask of the outline points where more than one wall begins, because obstacles touch."""
         _, index = np.unique(self.points, axis=0, return_inverse=True)
         return np.bincount(index.ravel(), self._has_length)[index.ravel()] > 1
 
@@ -65,7 +65,7 @@ class Outline:
 
     @cached_property
     def following_past_contacts(self) -> Int[np.ndarray, "points"]:
-        """The next point around each point's obstacle; obstacles that touch in an impassable point count as two."""
+        # The next point around the same obstacle. Obstacles that touch where no path may pass count as two.
         following, at = self.following.copy(), np.flatnonzero(self.is_contact & self._has_length)
         before = np.argsort(following)[at]
         onward = (self.points[following] - self.points)[at].astype(float)
@@ -79,7 +79,7 @@ class Outline:
     def _beside(
         self, following: Int[np.ndarray, "points"]
     ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
-        """Return the walls that arrive at and leave each point as vectors, skipping walls without length."""
+        # Walls that arrive and leave are vectors; walls without length are skipped.
         leaving, comes_from = self.points[following] - self.points, np.argsort(following)
         arriving = leaving[comes_from]
         for walls, beyond in ((leaving, following), (arriving, comes_from)):
@@ -89,7 +89,7 @@ class Outline:
 
     @cached_property
     def is_reflex(self) -> Bool[np.ndarray, "points"]:
-        """Mask of the points that stick out into free space."""
+        """Mask of the outline points at which an obstacle sticks out into free space."""
         arriving, leaving = (walls.T.astype(float) for walls in self._beside(self.following))
         return orientation(*arriving, *leaving) < 0
 
@@ -101,7 +101,7 @@ class Outline:
 
     @cached_property
     def region(self) -> Any:
-        """Free space as a Shapely geometry, by the even-odd rule: rings may touch, unlike valid ones of Shapely."""
+        # Use the even-odd rule: rings may touch, unlike those of a valid Shapely polygon.
         import shapely
 
         ends = self.moved_walls(0.0).reshape(-1, 2, 2)
@@ -124,12 +124,10 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return the ends of all walls after they move into obstacles, or into free space for negative distances.
-
-        Into obstacles, a point where two obstacles touch moves to two places, and a sharp tip moves far. So that no
-        path slips through, two walls of opposite directions join each old place, or a point near the tip, to the new
-        place. Walls of thin obstacles stay. With ``surely``, these move too, and no walls are added.
-        """
+        """Return the ends of walls, moved by ``distance`` into obstacles, or into free space if it is negative."""
+        # Into obstacles, a point where two obstacles touch moves to two places, and a sharp tip moves far. So that no
+        # path slips through, two walls of opposite directions join each old place, or a point near the tip, to the
+        # new place. Walls of thin obstacles stay. With `surely`, they move too, and no walls are added.
         following = self.following if distance <= 0 else self.following_past_contacts
         moved = self.positions - distance * self._moves(distance, surely)
         walls = np.concatenate([moved, moved[following]], axis=1)
@@ -143,7 +141,7 @@ class Outline:
         return np.concatenate([walls, np.hstack([start, moved[tips]]), np.hstack([moved[tips], start])])
 
     def around_thin_walls(self, distance: float) -> Float[np.ndarray, "walls 4"]:
-        """Return the sides of a rectangle around each thin wall, at a distance, as rows of both ends."""
+        """Return the sides of rectangles around walls of thin obstacles, ``distance`` away from the wall."""
         start, end = self.positions[self.thin], self.positions[self.following[self.thin]]
         has_length = (start != end).any(axis=1)
         start, end = start[has_length], end[has_length]
@@ -156,16 +154,14 @@ class Outline:
         return self.positions - distance * self._moves(distance)
 
     def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
-        """Mask of impassable points where obstacles touch, and of points that stay if walls move into obstacles."""
+        # Points that stay if walls move into obstacles block sight, as do contacts.
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return vectors ``v`` such that walls move by the distance if each point moves by ``-distance * v``.
-
-        Walls move into obstacles, or into free space for negative distances, and less at sharp corners. Into
-        obstacles, unless ``surely``, two kinds of points stay: those between two walls of thin obstacles, and both
-        ends of a wall that would change direction, as at the end of a thin obstacle.
-        """
+        """Return a vector ``v`` per point: walls move by the distance if each point moves by ``-distance * v``."""
+        # Walls move into obstacles, or into free space for negative distances, and less at sharp corners. Into
+        # obstacles, unless `surely`, two kinds of points stay: those between two walls of thin obstacles, and both
+        # ends of a wall that would change direction, as at the end of a thin obstacle.
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
         before, normal = map(_normal_of, self._beside(following))
@@ -219,7 +215,7 @@ _DISTANCES_AT_ONCE = 2**21  # entries of a block of the distance matrix
 def distances_by_rows(
     points: Float[np.ndarray, "n 2"], edges: Int[np.ndarray, "edges 2"]
 ) -> Iterator[tuple[int, Float[np.ndarray, "rows n"]]]:
-    """Yield the matrix of shortest distances along edges in blocks of rows, each after its first row's index."""
+    """Yield the matrix of shortest path lengths along edges in blocks of rows, each after its first row's index."""
     start, end = edges.T
     lengths = np.linalg.norm(points[start] - points[end], axis=1)
     graph = coo_array((lengths, (start, end)), shape=2 * (len(points),)).tocsr()
@@ -352,7 +348,7 @@ def _read_rounding(body: BitReader) -> float:
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
 ) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"]]:
-    """Read the corners that each leaf lists (leaf and corner of each entry); ``ValueError`` if there are too many."""
+    # Return the leaf and the corner of each entry of a list.
     corner, listed_so_far = np.flatnonzero(~body.read_set(count)), 0
     nodes, node, parts = np.zeros(1, np.int64), np.zeros(len(corner), np.int64), []
     for split in tree.splits:

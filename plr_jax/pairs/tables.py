@@ -59,12 +59,12 @@ class PairTables:
 
 
 def table_size(num_corners: int) -> int:
-    """Return the size of tables over corners: one of few sizes, with room for one more corner, at ``inf``."""
+    # One of few sizes, so that few functions are compiled, with room for a corner at `inf`.
     return size_in_eighths(num_corners + 1)
 
 
 def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
-    """Build the tables of a file; some get a size that depends only on ``num_bytes``, the size of the file."""
+    # The sizes of some tables depend only on `num_bytes`, the size of the file.
     middle = (stored.domain.lo + stored.domain.hi) / 2
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
@@ -143,11 +143,8 @@ def _bounds_to_leaves(
     halves: Float[np.ndarray, "rows 2"],
     step: Float[np.ndarray, ""],
 ) -> UInt32[np.ndarray, "rows size"]:
-    """Return lower bounds of path lengths from corners to the points of leaves, as `PairTables.onward`.
-
-    Distances from a corner are convex, so above their tangent plane at the middle of a leaf's box. Take the plane of
-    the corner with the shortest path to the middle, lowered below the planes of all listed corners in the box.
-    """
+    # A distance from a corner is convex, so above its tangent plane at the middle of a leaf's box. Take the plane of
+    # the corner with the shortest path to the middle, lowered below the planes of all listed corners in the box.
     onward = np.full((len(listed), len(distances)), NO_WAY, np.uint32)
     counts = np.isfinite(corners[:, 0])[listed].sum(axis=1)
     for count in np.unique(counts[counts > 0]):

@@ -20,7 +20,7 @@ _NEEDLE = 100  # distances that the tip of a thick obstacle may move back; queri
 
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
-    """Return the walls that may come close to free space when they move into their obstacle, because it is thin."""
+    """Return the walls of thin obstacles: moved back into the obstacle, they may come close to free space again."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
@@ -28,12 +28,10 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 def with_thin_parts(
     outline: Outline, vertex: Int[np.ndarray, "points"], free_space: Any, width: float
 ) -> tuple[Outline, Int[np.ndarray, "found_points"]]:
-    """Find walls of thin obstacles, cut walls that are thin in part, and give sharp tips of thin walls two points.
-
-    Both points of a tip are neighbors on the lattice: a point that rounding puts on or across a thin wall sees the
-    tip's corner on its own side. Return the new outline, and the boundary vertex at each of its points, -1 where a
-    wall is cut.
-    """
+    """Mark the walls of thin obstacles in an outline; some walls are cut, and sharp tips get two points, not one."""
+    # A wall is cut if its obstacle is thin only in part. Both points of a tip are neighbors on the lattice: a point
+    # that rounding puts on or across a thin wall sees the tip's corner on its own side. Return the new outline, and
+    # the boundary vertex at each of its points, -1 where a wall is cut.
     spans = _thin_spans(outline, free_space, width)
     if not any(spans.values()):
         return outline, vertex
@@ -48,7 +46,7 @@ def with_thin_parts(
     taken, rows = set(places), []  # rows: ring, place, vertex, whether the wall from there is thin
 
     def beside(place: tuple[int, int], x: float, y: float) -> tuple[int, int]:
-        """Return a lattice point's free neighbor that is farthest in a direction, or the point itself."""
+        # The neighbor on the lattice, not yet taken, that is farthest in the direction (x, y).
         around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (place[0] + i, place[1] + j) not in taken]
         i, j = max(around, key=lambda each: (each[0] * x + each[1] * y) / np.hypot(*each), default=(0, 0))
         return place[0] + i, place[1] + j
@@ -74,7 +72,7 @@ def with_thin_parts(
 
 
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, list[tuple[float, float]]]:
-    """Return the intervals of each wall where its obstacle is thin, as distances from the start of the wall."""
+    """Return, by wall, the intervals where its obstacle is thin, as distances from the start of the wall."""
     reach, following, start = RECEDING * width, outline.following_past_contacts, outline.positions
     onward, moved = start[following] - start, outline.moved_walls(reach, surely=True).reshape(-1, 2, 2)
     lengths, is_turned = np.linalg.norm(onward, axis=1), (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0
@@ -110,7 +108,7 @@ def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, li
 
 
 def _merged(spans: list[tuple[float, float]], length: float, reach: float) -> list[tuple[float, float]]:
-    """Unite intervals with short gaps between them, or between them and the ends of the wall."""
+    """Unite intervals at most ``2 * reach`` apart, and extend them to an end of the wall that is as close."""
     merged, at = [], 0.0
     for a, b in sorted(spans):
         if a - at > 2 * reach:

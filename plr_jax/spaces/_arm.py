@@ -130,7 +130,7 @@ class PlanarArm:
         return state
 
     def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
-        """Bisect motions until each part is proven free; False if the middle of a part is not free."""
+        # Bisect motions until each part is proven free, or the middle of a part is not free.
         free = np.ones(len(q0), dtype=bool)
         owner, center, half = np.arange(len(q0)), q0 + change / 2, change / 2
         for _ in range(_MOST_BISECTIONS):
@@ -176,7 +176,7 @@ class PlanarArm:
 
     @cached_property
     def _max_reach(self) -> Float[np.ndarray, "joints joints_plus_one"]:
-        """Largest distance from each joint to the base and the end of each link; 0 if the joint does not move it."""
+        """Largest distance from each joint to the base and the ends of links that it moves; 0 for the others."""
         along = np.append(0.0, np.cumsum(self.lengths))
         return np.maximum(0.0, along - along[:-1, None])
 
@@ -190,6 +190,6 @@ class PlanarArm:
         return np.reshape(distances, (len(self._link_pairs), len(ends))).T
 
     def _link_motion_bounds(self, half: Angles) -> Float[np.ndarray, "n pairs"]:
-        """Bound how far one link of each pair moves relative to the other within boxes of joint angles."""
+        """Bound how far two links move relative to each other in boxes of joint angles, given half widths."""
         moves = [half[:, i + 1 :] @ self._max_reach[i + 1 :, k + 1] for i, k in self._link_pairs]
         return np.reshape(moves, (len(self._link_pairs), len(half))).T

@@ -134,7 +134,7 @@ class ClearanceSpace:
         return np.where(clearance + reach < -rounding, CellState.BLOCKED, state).astype(np.int8)
 
     def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, "n"]:
-        """Bisect motions until each part is proven free; False if a part is blocked, or still unproven when short."""
+        # Bisect motions until each part is proven free, blocked, or too short.
         before, after = self._clearances(q0), self._clearances(q0 + change)
         self._require_consistent(q0, before, q0 + change, after)
         free = (before >= 0) & (after >= 0)

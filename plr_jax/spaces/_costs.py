@@ -18,7 +18,7 @@ Rates: TypeAlias = Float[np.ndarray, "n"]
 
 
 def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
-    """Raise ``ValueError`` if some rows are not ``fine``, with the first bad row of ``got`` and ``at``."""
+    """Raise a ``ValueError`` with the first row that is not ``fine``: values ``got``, and their place ``at``."""
     if not fine.all():
         i = int(fine.argmin())
         what = " and ".join(str(column[i].tolist()) for column in got)
@@ -44,7 +44,7 @@ class CostMap(Protocol):
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return positive lower and finite upper bounds of the factor over boxes, also of boxes across a period."""
+        """Return positive lower and finite upper bounds of the factor over boxes, which may cross a period's end."""
         ...
 
 
@@ -171,7 +171,7 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
 
 
 def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
-    """Return the factor of the motion cost at configurations, and the two vectors of :func:`cost_bounds`, or None."""
+    """Return the factor of the motion cost at configurations, and the pulls of :func:`cost_bounds` or None."""
     if isinstance(cost_map, DirectionalCost):
         lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
         return (lower + upper) / 2, pulls
@@ -182,11 +182,11 @@ def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rate
 
 
 def motion_rates(motion: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
-    """Return the costs of motions from ``q`` to ``q + change``, as if costs were everywhere as at ``q``."""
+    """Return the costs of straight motions from ``q`` to ``q + change``, if costs were everywhere as at ``q``."""
     factors, pulls = point_costs(motion, cost_map, q)
     return factors * motion.norm(change) + pulled(pulls, change)
 
 
 def pulled(pulls: Pulls | None, change: Vectors) -> Rates | float:
-    """Return the cost that its direction adds to each motion: its larger scalar product with two vectors, or 0."""
+    # The larger scalar product of a motion with its two pulls.
     return 0.0 if pulls is None else np.einsum("kij,ij->ki", pulls, change).max(axis=0)

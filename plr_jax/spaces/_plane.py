@@ -31,7 +31,7 @@ def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "
 
 
 def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Booleans:
-    """Return whether each segment surely crosses a wall even if each of its ends moves by up to its reach."""
+    """Return whether segments (``links``) surely cross a wall, even if both ends move by up to their ``reaches``."""
     # Sufficient: ends stay on opposite sides of the wall's line, and the wall's ends are farther from the segment
     # than any point moves. The second end moves at least as far as the first.
     boundary = workspace.boundary
@@ -78,7 +78,7 @@ class BodySpace:
         require_workspace(self.workspace)
 
     def is_free(self, q: ArrayLike) -> Booleans:
-        """Return whether positions ``(n, 2)``, with headings ``(n, 3)`` in radians, are free, to the tolerance."""
+        """Return whether positions ``(n, 2)``, or poses ``(n, 3)`` with headings in radians, are free."""
         q = as_points("q", q, self.robot.dof)
         return self.are_free(q, q)
 

@@ -286,7 +286,7 @@ class RasterCost:
         return points[:, : self.dim]
 
     def _cell_coordinates(self, q: Vectors) -> Vectors:
-        """Convert configurations to units of cells; whole numbers are cell centers, or borders for ``"nearest"``."""
+        # Whole numbers are cell centers, or cell borders for `"nearest"`.
         coords = (q - self.domain.lo) / self.domain.width * self._sizes
         return coords if self.interpolation == "nearest" else coords - 0.5
 
@@ -294,7 +294,7 @@ class RasterCost:
         return np.clip(coords, 0, self._sizes - 1)
 
     def _rounded_outward(self, lo: Vectors, hi: Vectors) -> tuple[Vectors, Vectors]:
-        """Convert boxes to units of cells, enlarged by rounding errors, and shifted to begin in the first period."""
+        # Convert to units of cells, enlarge by rounding errors, and shift to begin in the first period.
         first, last = self._cell_coordinates(lo), self._cell_coordinates(hi)
         reach = _COORDINATE_ROUNDING * (self._sizes + np.maximum(np.abs(first), np.abs(last)))
         first, last = first - reach, last + reach
@@ -362,7 +362,7 @@ class SparseTable:
     values: Raster
 
     def extremes(self, first: Entries, last: Entries) -> Extremes:
-        """Return the smallest and largest entry of each block, from its first to its last index, rounded outward."""
+        """Return the least and largest entry of blocks, given by first and last indices, rounded outward."""
         least, most = np.empty(len(first)), np.empty(len(first))
         sides = np.array([side for side, _, _ in self._levels])
         level = np.count_nonzero((last - first + 1 >= sides[1:, None]).all(axis=2), axis=0)
@@ -375,7 +375,7 @@ class SparseTable:
         return least, most
 
     def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
-        """Return each block's extremes, from windows of the size of a level, ``counts`` of them along each axis."""
+        # Windows of the level's size, `counts` of them along each axis, cover a block.
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
         block, rest = ragged_indices(totals)
@@ -389,7 +389,7 @@ class SparseTable:
 
     @cached_property
     def _levels(self) -> list[tuple[Int[np.ndarray, "rank"], Window, Window]]:
-        """For each level, a size of windows: the window's sides, and the smallest and largest entry of each."""
+        # Each level has a size of windows, and the smallest and largest entry of each window of this size.
         shape = np.array(self.values.shape)
         side, least, most = np.ones_like(shape), _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
         levels, entries = [(side, self.values, self.values)], 0
@@ -402,7 +402,7 @@ class SparseTable:
 
 
 def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -> Window:
-    """Lengthen windows by ``step`` along each axis: merge each window with the one that begins ``step`` later."""
+    # Merge each window with the one that begins `step` later, along each axis.
     for axis in np.flatnonzero(step):
         along = np.moveaxis(windows, axis, 0)
         windows = np.moveaxis(extreme(along[: -step[axis]], along[step[axis] :]), 0, axis)

@@ -124,7 +124,7 @@ class RigidBodySpace(BodySpace):
 
     @cached_property
     def _probes(self) -> tuple[Float[np.ndarray, "probes 2"], Float[np.ndarray, "probes"]]:
-        """Points of the body, and for each the radius of a disc around the point that the body covers."""
+        """Points of the body, and the radius of a disc around each point that is inside the body."""
         core, rounding = self.robot.core, self.robot.rounding
         middle, _ = self._deepest_point
         rim = np.concatenate([core, (core + np.roll(core, -1, axis=0)) / 2])
@@ -135,12 +135,12 @@ class RigidBodySpace(BodySpace):
 
 
 def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
-    """Bound how far a body's point, ``radius`` from its reference point, moves within boxes of these half widths."""
+    """Bound how far a body's point, ``radius`` from its reference point, moves in boxes of these half widths."""
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 
 
 def _placed(points: Points, q: Boxes, turn: Turns | float = 0.0) -> Float[np.ndarray, "n k 2"]:
-    """Return the positions of a body's points at each configuration, with headings turned further by ``turn``."""
+    """Return the positions of a body's points at configurations ``q``, with headings increased by ``turn``."""
     c, s = np.cos(q[:, 2] + turn)[:, None], np.sin(q[:, 2] + turn)[:, None]
     x, y = points[..., 0], points[..., 1]
     return np.stack([q[:, :1] + c * x - s * y, q[:, 1:2] + s * x + c * y], axis=-1)
