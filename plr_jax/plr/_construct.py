@@ -175,8 +175,9 @@ def construct(
           certified, else the geometric mean of the mean and the largest error at random points. It tries all models
           if certified, else cones, ``"continuous"`` and ``"smooth"``. If the distance function does not answer for
           whole cells, it builds only ``"continuous"``, or ``"plane"`` in more than 6 dimensions. At 7 bytes a corner,
-          it tries only cones if all corners take at most half of ``max_bytes``, without ``max_leaves``, ``max_depth``
-          and own rules; it tries neither cones nor, uncertified, ``"smooth"`` if corners take over 4 ``max_bytes``.
+          it tries only cones if all corners take at most half of ``max_bytes`` and neither ``max_leaves``,
+          ``max_depth`` nor rules of your own are given. If corners take over 4 times ``max_bytes``, it tries no cones
+          and, uncertified, no ``"smooth"``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.
@@ -319,7 +320,7 @@ def build_best_model(
     only_bytes: bool,  # whether max_bytes is the only limit and all rules are the defaults
     seed: int,
 ) -> DecodedFile:
-    """Build leaves of all suitable models, until Ctrl-C, and return those of the smallest error."""
+    # Build a PLR with each suitable leaf model, until Ctrl-C, and return the one of the smallest error.
     root = None
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
         root = distance_fn.cell_sources(grown_domain(domain))

@@ -126,7 +126,7 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    """Build a PLR file for each oracle with ``task``, which shares work; where it gives None, with ``alone``."""
+    # Build a PLR with ``task``, which shares work among oracles; if it returns None, build it with ``alone``.
     trees = {} if task is None else {i: tree for i, each in enumerate(oracles) if (tree := task(each)) is not None}
     found = [DecodedFile(task.domain, leaf, tree, stored) for tree, stored, _ in trees.values()] if task else []
     if task is not None and found and task.limits.proof is not Proof.NONE:
@@ -139,7 +139,7 @@ def _files(
 def _certified(
     contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
 ) -> list[DecodedFile]:
-    """Prove error bounds of PLRs of one map; ``sources[i]`` has indices into ``oracles[i].sources``, one per leaf."""
+    # The oracles are of one map; ``sources[i]`` has the apex of each leaf, an index into ``oracles[i].sources``.
     for oracle in oracles:
         require_certifiable(oracle, contents[0].domain)
     # Cells that several members have as leaves are cut into free pieces once.

@@ -43,7 +43,7 @@ def encode(contents: DecodedFile) -> bytes:
 
 
 def body_of_leaves(contents: DecodedFile) -> BitWriter:
-    """Return a writer with the encoded tree and leaves, to which the caller can append a proof."""
+    """Encode the tree and the leaves of a PLR; the returned writer can append a proof."""
     body = BitWriter()
     write_tree(body, contents.tree)
     contents.leaf.write(body, contents.domain, contents.tree.leaves, contents.stored)
@@ -82,7 +82,7 @@ def decode_cells(data: bytes) -> Cells:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    """Return the leaves' domain minus ``origin``, and leaf parameters for points relative to the domain's corner."""
+    # The leaf parameters are for points relative to the domain's lower corner in 32-bit floats.
     # Mirrored points are relative to the center of the symmetries already.
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
@@ -95,7 +95,7 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
 
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of all leaves; a leaf that cannot reach the goal continues a neighbor's mean plane."""
+    """Return the coefficients of each leaf's function; a leaf that cannot reach the goal gets a neighbor's plane."""
     # The neighbor, if any, shares the largest face, edge or corner. So free points in the leaf have a finite answer.
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
@@ -120,7 +120,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
 def planes_of_leaves(
     contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
 ) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
-    """Return intercepts and slopes of all leaves, of their mean planes if they are curved."""
+    """Return the constant term and the gradient of each leaf's plane, for curved leaves of their mean plane."""
     is_inf = np.isinf(coefficients[:, 0])
     lo, hi = contents.tree.leaves.boxes(contents.domain)
     center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))

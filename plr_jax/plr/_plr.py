@@ -88,7 +88,7 @@ class PLR(FileBacked):
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven lower and upper bounds (rows) of (distance - answer), for each leaf or for all; None if unproven."""
+        """Proven lower and upper bounds (rows) of distance minus answer, by leaf or for all; None if unproven."""
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -97,7 +97,7 @@ class PLR(FileBacked):
 
     @cached_property
     def _straight(self) -> Float[Array, "_"] | None:
-        """Goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if the file stores none."""
+        """Goal, rate and margin of a lower bound of the distance, ``rate * |x - goal| - margin``, if stored."""
         certificate = self._contents.certificate
         if certificate is None or certificate.straight is None:
             return None
@@ -125,7 +125,8 @@ class PLR(FileBacked):
     def with_nearest_goal(self, nearest_goal: Callable[[np.ndarray], np.ndarray]) -> "PLR":
         """Return a copy whose :meth:`which` calls ``nearest_goal``, such as :meth:`NearestGoal.which`.
 
-        The function maps points ``(n, dim)`` to indices ``(n,)``; ``ValueError`` if it is none. Files do not keep it.
+        ``nearest_goal`` maps points ``(n, dim)`` to indices ``(n,)``; ``ValueError`` if it is no function. A PLR
+        file does not store it.
         """
         require_function("nearest_goal", nearest_goal)
         return self._copied(self.file, nearest_goal)
@@ -157,7 +158,7 @@ class PLR(FileBacked):
 
     @property
     def _tables_and_placement(self) -> tuple[Tables, PointPlacement | None]:
-        """Lookup tables for NumPy's 64-bit points, and a function that must first wrap or shift them, or None."""
+        # For NumPy's 64-bit points: if the placement is not None, points must pass it before the tables answer.
         if isinstance(self.file, Tracer):
             return self.tables, None
         has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
@@ -172,7 +173,7 @@ class PLR(FileBacked):
 
     @cached_property
     def tables_from_corner(self) -> Tables:
-        """Lookup tables for points given relative to the lower corner of a domain that is far from the origin."""
+        """Lookup tables of a domain far from the origin, for points relative to its lower corner."""
         return tables_of_contents(self._contents, self.domain.lo, self.num_bytes)
 
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
@@ -505,7 +506,7 @@ def from_bytes(data: bytes) -> PLR:
 
 
 def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None, data: bytes | None = None) -> PLR:
-    """Build a PLR and its lookup tables from a decoded file; ``data`` are its bytes, None to encode it again."""
+    """Build a PLR and its lookup tables from the content of a file; ``data`` has the file's bytes, if known."""
     plr = PLR(padded_file(encode(contents) if data is None else data), build_inputs=build_inputs)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain

@@ -22,12 +22,12 @@ _COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of t
 
 
 def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) -> Certificate:
-    """Prove error bounds of all leaves; ``visible`` has the corners to which paths from each leaf may go first."""
+    """Prove bounds of each leaf's error; ``visible`` has the corners to which paths from each leaf may go first."""
     return certificates_of([contents], visible, proof)[0]
 
 
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    """Prove error bounds of PLRs of one leaf model and domain; ``visible`` lists the leaves of all PLRs in order."""
+    # The PLRs have one leaf model and one domain; ``visible`` has the leaves of all PLRs, one after another.
     domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
@@ -62,8 +62,6 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
-    """A function that returns bounds at which a PLR's proof may stop: tighter bounds would hardly change its file."""
-
     leaves: slice
     rounding: Errors
     certificate: Callable[..., Certificate]
@@ -74,7 +72,8 @@ class _Targets:
         return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
 
     def __call__(self, least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
-        # Encode again only if attained errors changed: late in a proof, few of its PLRs still improve.
+        # Tighter bounds would hardly change the file. Encode again only if attained errors changed: late in a proof,
+        # few of its PLRs still improve.
         attained, last = np.stack([least, most, np.full(len(least), anew)]), self.last
         if last is None or self.attained is None or not np.array_equal(self.attained, attained):
             self.attained = attained
@@ -90,7 +89,7 @@ def _volume_and_size(contents: DecodedFile) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class BuildInputs:
-    """The inputs of a construction, which :meth:`PLR.updated` needs and a file does not store."""
+    """The inputs of a PLR's construction that :meth:`PLR.updated` needs and a PLR file does not store."""
 
     oracle: DistanceFn
     max_bytes: int | None
@@ -116,7 +115,6 @@ def require_updatable(contents: DecodedFile) -> None:
 def updated_contents(
     contents: DecodedFile, origin: BuildInputs, oracle: DistanceFn, label: str
 ) -> tuple[DecodedFile, BuildInputs]:
-    """Return the content of the file after an update (:meth:`PLR.updated`), and the inputs of the next update."""
     certificate, model, domain, before = contents.certificate, contents.leaf, contents.domain, origin.oracle
     assert certificate is not None and isinstance(model, Cone), "require_updatable has checked this"
     if not isinstance(oracle, ChangingFn) or not isinstance(before, ChangingFn):

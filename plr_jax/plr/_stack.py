@@ -49,7 +49,7 @@ _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: _PerAxis) -> list[_PerAxis]:
-    """Return how often the grid of each level of a trie halves each axis; the first grid is the whole domain."""
+    # How often the grid of each level halves each axis; the first grid is the whole domain.
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
     for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
         rest = bits - ends[-1]
@@ -58,7 +58,6 @@ def trie_levels(bits: _PerAxis) -> list[_PerAxis]:
 
 
 def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[_PerAxis]) -> Trie:
-    """Build a trie that leads to the row of each leaf's parameters in several PLRs; see :func:`trie_levels`."""
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
@@ -88,7 +87,7 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]]
 def _pages(
     cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[_PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, "entries"]]:
-    """Yield the entries of one PLR in each level of a trie; those of the second level start at ``next_start``."""
+    # Yield the entries of one PLR level by level; ``next_start`` is the first entry of the second level.
     page = np.zeros(1, np.int64)  # numbers of the cells of the level above that have a page in this level
     for number, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
@@ -118,7 +117,7 @@ def _page_entries(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _SameShapeGroup:
-    """The merged tables of PLRs that have one leaf model, and arrays of equal shapes for domain and symmetries."""
+    """Merged lookup tables of PLRs that have one leaf model, and equal array shapes for domain and symmetries."""
 
     arrays: tuple[AnyArray, ...]  # of domains and symmetries: one that all PLRs share, or those of all, flattened
     trie: Trie
@@ -161,7 +160,7 @@ class _SameShapeGroup:
         )
 
     def pick(self, which: UInt32[AnyArray, "*batch"]) -> Tables:
-        """Return lookup tables for points that each have their own PLR, at index ``which`` of the group."""
+        # ``which`` has the index in this group of each point's PLR.
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(self.arrays, self.shapes, strict=True)

@@ -33,7 +33,7 @@ UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or
 
 @dataclass(eq=False)
 class BoxLevel:
-    """Boxes that all result from the domain by the same number of halvings; the next level has their halves."""
+    """The boxes found so far that result from the domain by a given number of halvings."""
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
     key: UInt64[np.ndarray, "boxes"]  # hash of each box
@@ -48,7 +48,7 @@ class BoxLevel:
         return self.boxes.integral + share * self.boxes.peak
 
     def is_open(self, limits: Limits, share: float) -> Bool[np.ndarray, "2 boxes"]:
-        """Return along which axes boxes may be halved, but have not been halved yet."""
+        # Whether each box may be halved along each axis, but has not been halved yet.
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
         is_peaked = (limits.proof is Proof.NONE) & (share * self.boxes.peak > _PEAKED * self.boxes.integral)
@@ -62,7 +62,7 @@ class BoxLevel:
 
 
 class TreeCosts(NamedTuple):
-    """Costs of the trees into which the boxes of one level may be split, with a price per leaf."""
+    """The least cost of the trees into which each box may be split: the leaves' errors and a price per leaf."""
 
     best: Float[np.ndarray, "boxes"]  # of each box's best tree of computed boxes, possibly the box alone
     least: Float[np.ndarray, "boxes"]  # none of the box's trees is expected to cost less
@@ -82,7 +82,6 @@ class TreeCosts(NamedTuple):
 
 
 def cost_if_halved(peak: Float[np.ndarray, "boxes"], price: float) -> Float[np.ndarray, "boxes"]:
-    """Estimate the least cost of a split box, from its weighted largest error ``peak`` and the price per leaf."""
     # Each further leaf divides the peak by _MOST_DROP at best; the integral of the error may vanish.
     lowest = _MOST_DROP / (_MOST_DROP - 1)  # a peak of fewer prices is not worth another leaf
     more = np.ceil(np.log(np.maximum(peak / price / lowest, _MOST_DROP)) / np.log(_MOST_DROP))
@@ -90,10 +89,10 @@ def cost_if_halved(peak: Float[np.ndarray, "boxes"], price: float) -> Float[np.n
 
 
 def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits, margin: float = np.inf) -> None:
-    """Add to ``levels`` the halves of all boxes that the tree of least cost may split.
+    """Compute the halves of all boxes that the tree of least cost may split, and add them to ``levels``.
 
-    A tree costs ``price`` per leaf, plus each leaf's integral of the error and ``share`` times its largest error.
-    Halves along one axis that cost more than ``margin`` times the halves along the other are left out.
+    A tree costs ``price`` per leaf, plus each leaf's integral of the error and ``share`` times its largest error. Of
+    a box halved along both axes, the halves that cost over ``margin`` times the other halves are dropped.
     """
     costs: dict[int, TreeCosts] = {}
 
@@ -168,7 +167,7 @@ Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
 
 @dataclass(frozen=True, eq=False)
 class PricedTree:
-    """The tree of least error plus price per leaf; its nodes and leaves are listed level by level."""
+    """The tree with the least sum of its leaves' errors and a ``price`` per leaf, stored level by level."""
 
     leaves: Leaves
     axes: list[Int[np.ndarray, "_"]]  # split axis of each node; -1 for a leaf
@@ -182,22 +181,20 @@ class PricedTree:
 
 
 def peak_share(num_leaves: float, is_proven: bool) -> float:
-    """Return the weight of a leaf's largest error in its cost, next to the integral of its error."""
     return LEAST_SHARE_PROVEN / num_leaves if is_proven else LEAST_SHARE / float(np.sqrt(num_leaves))
 
 
 class SelectedBoxes(NamedTuple):
-    """Boxes of one level that a tree may contain, and the indices of their halves in the next level's selection."""
-
-    box: Int[np.ndarray, "own"]
-    child: Int[np.ndarray, "2 2 own"]
+    box: Int[np.ndarray, "own"]  # boxes of a level that a tree may contain
+    child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
 
 
 class PriceSearch:
-    """A search for the largest tree within the limits that has the least error plus price per leaf, at some price.
+    """A search for the tree of least error whose file is within limits, such as a number of bytes.
 
-    The root is the only box of the first level. ``size(tree)`` returns the bytes of a tree's file. ``num_sources``,
-    the number of points that a leaf's cone may have as apex, only affects the first price.
+    It finds trees of least error plus a price per leaf, and lowers the price. ``levels`` has the known boxes, first
+    the root; ``size(tree)`` returns the bytes of a file. ``num_sources``, the number of possible apexes of cones,
+    only affects the first price.
     """
 
     def __init__(
@@ -209,7 +206,7 @@ class PriceSearch:
         self._selected: list[SelectedBoxes] = []
 
     def first(self) -> PricedTree:
-        """Return the tree of fewest leaves; raise :class:`BudgetTooSmall` if its file is too large."""
+        """Return the tree whose only leaf is the root; raise :class:`BudgetTooSmall` if its file is too large."""
         price = float(self.levels[0].costs(1.0)[0])
         self._select_boxes(price, 1.0)
         tree = self._tree(price, 1.0)
@@ -217,7 +214,7 @@ class PriceSearch:
         return replace(tree, is_final=self._is_finest(tree, 1.0))
 
     def next(self, now: PricedTree) -> PricedTree | None:
-        """Compute more boxes and return the next, usually larger tree; None if the search is over."""
+        """Return a tree within the limits that is usually larger than ``now``; None if ``now`` is the last tree."""
         if now.is_final:
             return None
         price, share = self._next_price(now)
@@ -233,7 +230,6 @@ class PriceSearch:
         return sum(len(level.key) for level in self.levels)
 
     def _is_finest(self, tree: PricedTree, share: float) -> bool:
-        """Return whether no leaf with an error may be halved."""
         leaves = zip(self.levels, tree.leaves, strict=False)
         return not any(
             (level.is_open(self._limits, share).any(axis=0) & (level.costs(share) > 0))[of].any()
@@ -241,7 +237,7 @@ class PriceSearch:
         )
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
-        """Return a lower price per leaf, for a larger tree, and the weight of a leaf's largest error in its cost."""
+        # A lower price, for a larger tree, and the weight of a leaf's largest error in its cost.
         # Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
@@ -266,7 +262,7 @@ class PriceSearch:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, fits: PricedTree, beyond: PricedTree, share: float) -> PricedTree:
-        """Search for the largest tree that fits, at prices between those of ``fits`` and the too large ``beyond``."""
+        # Interpolate between the prices of a tree that fits and of a tree that is too large.
         largest = fits
         for attempt in range(_ATTEMPTS):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
@@ -283,7 +279,7 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, share: float) -> None:
-        """Select the boxes that result from the root if every box that costs more than ``price`` is halved."""
+        # The best tree at this or a higher price halves no box that costs at most the price as a leaf.
         here, own = np.zeros(1, np.int64), []
         for depth, level in enumerate(self.levels):
             if not len(here):
@@ -320,7 +316,6 @@ class PriceSearch:
 def best_axes(
     levels: list[BoxLevel], own: list[SelectedBoxes], price: float, share: float
 ) -> list[Int[np.ndarray, "own"]]:
-    """Return each box's split axis, or -1 for a leaf, in the tree of least error plus ``price`` per leaf."""
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
         total, choice = level.costs(share)[box] + price, np.full(len(box), -1)

@@ -30,7 +30,7 @@ class CellMemory:
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        """Return corners (or goal) to which paths may go first from cached cells or from halves of cached cells."""
+        # Each cell must be cached or half of a cached cell.
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # Halve cached cells along the first axis if possible, else along the second.
@@ -68,7 +68,6 @@ class CellMemory:
 def sources_by_level(
     tree: Tree, root: CellSources, domain: Box
 ) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
-    """Yield the nodes of each level of a tree, with corners (or the goal) to which paths from them may go first."""
     nodes, visible = np.zeros(1, np.int64), root
     while len(nodes):
         yield nodes, visible
@@ -80,7 +79,7 @@ def sources_by_level(
 
 
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
-    """Return exact distances at points of cells; ``inf`` if a point is not free or cannot reach the goal."""
+    """Return exact distances to the goal at ``k`` points of each cell; ``inf`` where it cannot be reached."""
     found = np.full(x.shape[:2], np.inf)
     at_once = max(1, _POINTS_AT_ONCE // x.shape[1])
     held = [np.zeros((2, 0), int)]

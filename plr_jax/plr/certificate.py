@@ -22,9 +22,10 @@ ConeBoundsFn: TypeAlias = Callable[..., Bounds]
 def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn) -> Bounds:
     """Return lower and upper bounds of (distance to the goal - leaf function) over convex pieces of free space.
 
-    Paths from a piece go first to its *sources*, corners or the goal. The cone of a source is its distance to the
-    goal plus ``|x - source|``. The distance is at least the least cone of a piece's sources, and at most the cone of
-    a source that all of the piece sees, or the distance of the piece's center plus the straight path to it.
+    ``visible`` has the *sources* of each piece: corners (or the goal) to which shortest paths from the piece go
+    first. A source's cone is its distance to the goal plus ``|x - source|``. The distance is at least the least cone,
+    and at most the cone of a source that all of the piece sees, or the distance of the piece's center plus the
+    straight path to it.
     """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
@@ -92,8 +93,8 @@ class LeafBounds:
 def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: SufficientFn) -> LeafBounds:
     """Prove bounds of (distance to the goal - leaf function) for each leaf by branch and bound.
 
-    Convex pieces of the leaves' free space are halved until their bounds are ``sufficient``. The result includes
-    ``visible.slack``, the uncertainty of distances.
+    Convex pieces of the leaves' free space are halved until their bounds are as tight as ``sufficient`` demands. The
+    bounds include ``visible.slack``, the uncertainty of distances.
     """
     num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
     lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
@@ -156,11 +157,11 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
 
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
-    """Halve convex pieces across their longer side; halves of piece ``i`` become cells ``2 i`` and ``2 i + 1``."""
     parent, is_upper = np.repeat(np.arange(len(piece)), 2), np.tile([False, True], len(piece))
     lo, hi = (extreme(visible.pieces[:, piece], axis=2).T[parent] for extreme in (np.min, np.max))
     axis, each = np.argmax(hi - lo, axis=1), np.arange(len(parent))
     middle = (lo + hi)[each, axis] / 2
+    # The halves of ``piece[i]`` become cells ``2 * i`` and ``2 * i + 1``.
     lo[each[is_upper], axis[is_upper]] = middle[is_upper]
     hi[each[~is_upper], axis[~is_upper]] = middle[~is_upper]
     return visible.pieces_as_cells(piece).parts(parent, axis, is_upper, lo, hi)
@@ -173,12 +174,13 @@ _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of th
 
 
 def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
-    """Group leaves into classes that share bounds; return codes of the shared bounds of each leaf.
+    """Group leaves into classes that share error bounds, so that these take at most ``max_bits`` bits in a file.
 
-    A class has the leaves whose larger code, of a lower or an upper bound, is in one range. Dynamic programming finds
-    the ranges of least width between bounds, weighted by volume, plus a price per bit; bisection finds the lowest
-    price at which the classes fit into ``max_bits``.
+    ``codes`` stand for each leaf's own bounds, ``bound_of_code`` has the bound of each code, and ``volume`` weights
+    the leaves. Return the codes of the bounds that each leaf shares.
     """
+    # A class has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width
+    # between bounds plus a price per bit; bisection finds the lowest price at which the classes fit.
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
 
@@ -221,7 +223,7 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], vol
 def requantize_bounds(
     codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, "codes"], max_bits: int
 ) -> Codes | None:
-    """Widen each leaf's bounds to the narrowest pair in ``classes`` that contains them; None if this fails."""
+    # Widen each leaf's bounds to the narrowest pair in ``classes`` that contains them.
     classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
     found = classes[:, holds.argmax(axis=0)]
@@ -238,7 +240,7 @@ def _fits(codes: Codes, max_bits: int) -> bool:
 
 
 def write_classes(body: BitWriter, codes: Codes) -> None:
-    """Write the distinct pairs of lower and upper bounds (classes), most frequent first, and each leaf's class."""
+    """Write each leaf's pair of error bounds: first all distinct pairs, then the index of each leaf's pair."""
     key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
     classes, order = np.stack(np.divmod(key, 1 << _CODE_BITS)), np.argsort(-size, kind="stable")
     place = np.argsort(order)[class_of]
@@ -275,7 +277,7 @@ _BYTES_A_BIT, _LEAST_BITS = 16, 80
 
 
 class Proof(IntEnum):
-    """The proof in a file: none, bounds that leaves of similar errors (a class) share, or bounds of each leaf."""
+    """The kind of error bounds in a file: none, bounds that groups of leaves share, or bounds of each leaf."""
 
     NONE = 0
     CLASSES = 1  # or only the largest error of all leaves, if there is no room for classes
@@ -283,8 +285,9 @@ class Proof(IntEnum):
     OPEN_LEAVES = 3  # leaves with the largest upper code have no upper bound
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
-        """Return the most bits of this proof if the leaves take ``num_bytes``, without ``Certificate.straight``."""
+        """Return the most bits of this kind of proof in a file whose leaves take ``num_bytes`` bytes."""
         of_leaves = _MAX_ERROR_BITS + 2 * _CODE_BITS * num_leaves
+        # The caller adds the bits of ``Certificate.straight``.
         return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
 
 
@@ -349,7 +352,7 @@ class Certificate:
         return float("inf") if np.isinf(self.bounds()).any() else self.scale
 
     def bounds(self) -> Float[np.ndarray, "2 leaves_or_one"]:
-        """Return lower and upper bounds (rows) to add to leaf values; one column if all leaves share them."""
+        """Return bounds (lower, upper row) of (distance - PLR's value), a column for each leaf or one for all."""
         if self.codes is None:
             return np.array([[-self.scale], [self.scale]])
         lower, upper = _decode_bounds(self.codes, self.scale)
@@ -363,7 +366,6 @@ class Certificate:
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
-        """Return bounds at which a proof may stop: tighter bounds are of little use, given the errors in leaves."""
         if self.proof is not Proof.CLASSES:
             largest = max(most.max(initial=0.0), -least.min(initial=0.0))
             spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)

@@ -13,7 +13,7 @@ _MAX_CODED = 2**40  # limit of integers in Exp-Golomb codes, not included
 
 
 def varint(value: int) -> bytes:
-    """Encode an integer >= 0 as LEB128."""
+    """Encode an integer >= 0 as LEB128: 7 bits in each byte, the lowest bits first."""
     more, last = [], value
     while last >> _BITS:
         more.append(1 << _BITS | last & (1 << _BITS) - 1)
@@ -81,10 +81,10 @@ class BitWriter:
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
     def write_coded(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
-        """Append Exp-Golomb codes of integers >= 0.
+        """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
 
-        First comes their order ``k`` in 5 bits; then the numbers of extra bits of all values in unary (``v`` zeros
-        and a one), then the binary parts of all values in ``k + extra`` bits each. An empty array appends nothing.
+        First comes an order ``k`` that all values share, in 5 bits. Each value then has ``k + e`` bits: first the
+        counts ``e`` of extra bits are written in unary (``e`` zeros and a one), then the bits of all values.
         """
         if not len(values):
             return self
@@ -201,13 +201,13 @@ def _extra_bits(values: Int[np.ndarray, "n"], order: int) -> Int[np.ndarray, "n"
 
 
 def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
-    """Return the size in bytes of an encoded tree with ``num_bits`` bits of leaf data and proof."""
+    """Return the bytes that a binary tree and ``num_bits`` bits of leaf data and proof take in a file."""
     tree_bits = 2 * num_leaves - 1 + (num_leaves - 1) * _axis_bits(dim)
     return int(-(-(tree_bits + num_bits) // 8))
 
 
 def write_tree(body: BitWriter, tree: Tree) -> None:
-    """Append each level of a tree: a bit per node (1 if split), then split axes in ``ceil(log2(dim))`` bits each."""
+    """Append each level of a tree: a bit per node (1 if split), then ``ceil(log2(dim))`` bits per split axis."""
     first, num_nodes = 0, 1
     for split in tree.splits:
         body.write((tree.child[first : first + num_nodes] >= 0).astype(np.int64), 1)

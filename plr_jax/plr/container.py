@@ -72,7 +72,6 @@ class Header:
 
     @property
     def marks(self) -> tuple[int, ...]:
-        """Offsets at which the file may be cut off and stays valid: the ends of all layers but the last."""
         return tuple(accumulate(self.sizes, initial=len(self.data)))[1:]
 
     @staticmethod
@@ -115,7 +114,7 @@ class Header:
 
 @dataclass(frozen=True)
 class Container:
-    """The header and layers of a file: one layer for a PLR, one or more for distances between pairs of points."""
+    """The header and *layers* (encoded leaves and proof) of a file; only distances between pairs may have several."""
 
     domain: Box
     layers: tuple[Layer, ...]
@@ -129,7 +128,6 @@ class Container:
 
     @property
     def folded_domain(self) -> Box:
-        """Box that the leaves partition: the box of mirrored points if the file has mirrors, else the domain."""
         return self.domain if self.folding is None else self.folding.box
 
     def to_bytes(self) -> bytes:
@@ -147,7 +145,7 @@ class Container:
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """Decode a file, which may be cut off after any layer; ``ValueError`` if the file is invalid."""
+        """Decode a file; ``ValueError`` if it is invalid. A file that was cut off after any layer is valid."""
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
         header = Header.read(data)
@@ -168,7 +166,7 @@ class Container:
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:
-    """Return the size in bytes of header and checksum of a file with one layer."""
+    """Return the bytes of header and checksum in a PLR file, which has leaves and proof between them."""
     return len(Header(domain, 0, folding=folding, label=label).data) + _CRC.size
 
 
@@ -241,7 +239,7 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
 
 
 def _decimals(numbers: list[float]) -> bytes | None:
-    """Encode numbers as integers over one power of ten; return None if that is not exact."""
+    # Encode numbers as integers divided by one power of ten, unless that is not exact.
     shortest = [Decimal(repr(number)) for number in numbers]
     decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
     integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]

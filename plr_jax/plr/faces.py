@@ -21,8 +21,9 @@ Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.
 def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "rows leaf_pairs"]:
     """Find pairs of leaves, such as overlapping ones, by descending two trees at once from pairs of nodes.
 
-    Each step replaces a pair by two pairs, with either half of its larger node; ``keep`` returns which pairs stay.
-    Rows of ``pairs``: nodes of ``a``, nodes of ``b``, data that new pairs copy. The result has indices of leaves.
+    Each step replaces a pair by two pairs, with either half of its larger node; ``keep`` tells which pairs stay. A
+    column of ``pairs`` has a node of ``a``, a node of ``b`` and any data that new pairs copy. The result has indices
+    of leaves instead of nodes.
     """
     trees, found = (a, b), [pairs[:, :0]]
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
@@ -61,7 +62,10 @@ ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples 
 
 
 def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
-    """Return the matrix that maps free values to all values; row i of ``step`` gives value i from other values."""
+    """Return the matrix that maps free values to all values; ``is_free`` is 1 for a free value, else 0.
+
+    Row ``i`` of ``step`` gives value ``i``, if it is not free, as a weighted sum of other values, without cycles.
+    """
     from scipy.sparse import csr_array, diags_array
 
     step = csr_array(step + diags_array(is_free))
@@ -72,7 +76,11 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
 
 
 def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "variables"], most_weights: int) -> "csr_array":
-    """Return a square matrix ``m`` with ``rows @ m == 0``: solve each row for a variable of the highest ``level``."""
+    """Return a square matrix ``m`` with ``rows @ m == 0``, which maps any values to solutions of these equations.
+
+    Each equation is solved for its variable of the highest ``level``, a number for each variable. ``ValueError`` if
+    this takes more than ``most_weights`` additions.
+    """
     from scipy.sparse import csr_array
 
     solved: dict[int, dict[int, float]] = {}  # eliminated variable -> combination of others
@@ -131,7 +139,7 @@ def neighbor_of_largest_contact(
     reachable: Int[np.ndarray, "reachable"],
     periodic: tuple[bool, ...],
 ) -> Int[np.ndarray, "unreachable"]:
-    """Return which reachable leaf shares the largest face, edge or corner with each unreachable leaf; -1 if none."""
+    """Return the reachable leaf that shares the largest face, edge or corner with each unreachable leaf, or -1."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
     pairs = mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
@@ -160,7 +168,7 @@ def touching_leaves(
 
 
 def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, "pairs"]:
-    """Return the size of the face that two cells share; tiny for an edge or a corner, 0 if the cells are apart."""
+    # The size of the face that both cells share; tiny for an edge or a corner, 0 if the cells are apart.
     (a, b), contact = pairs, np.ones(pairs.shape[1])
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
@@ -181,7 +189,7 @@ _MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7
 
 @dataclass(frozen=True, eq=False)
 class SharedFaces(Rows):
-    """Faces between a leaf ``lower`` below the face and a leaf ``upper`` above it along ``axis``."""
+    """Faces of two leaves each: leaf ``lower`` ends and leaf ``upper`` begins at the face along ``axis``."""
 
     # Across the ends of a periodic axis, the lower leaf is at the upper end; a leaf that spans it is on both sides.
     lower: Int[np.ndarray, "faces"]
@@ -214,7 +222,7 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
-    """Return points of each face in fractions of the domain; ``w`` has coordinates in a face, from 0 to 1."""
+    """Return ``k`` points of each face in fractions of the domain; ``w`` has their places in a face, from 0 to 1."""
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])
@@ -225,9 +233,10 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return the ends of the edge in whose middle a split created each leaf's corner, as ``leaf * 2**dim + corner``.
+    """Return, for each corner of each leaf, the ends of the edge in whose middle a split created the corner.
 
-    The second result is False for corners of the domain, which no split created.
+    Ends are corners of leaves, numbered ``leaf * 2**dim + corner``. The second result is False for corners of the
+    domain, which no split created.
     """
     bits = corner_bits(tree.cells.dim)
     weight = 1 << np.arange(tree.cells.dim)[::-1]

@@ -35,7 +35,7 @@ _GROWTH = 4  # the elimination of constraints may use this many times more weigh
 
 @dataclass(frozen=True, eq=False)
 class NodalSpace:
-    """A basis of the functions on a partition that are continuous across its tied faces, where leaves must agree."""
+    """A basis of the functions on leaves that are continuous across *tied* faces, but may jump at others."""
 
     tree: Tree
     group: Int[np.ndarray, "nodes"]  # of each node ``leaf * 2**dim + corner``; nodes of a group share a value
@@ -53,7 +53,10 @@ class NodalSpace:
 
 
 def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
-    """Build the space of functions that are continuous across tied faces; ``ValueError`` if that takes too long."""
+    """Build the space of functions on the leaves of a tree that are continuous across the faces ``tied``.
+
+    Leaves from which the goal cannot be reached have no values. ``ValueError`` if there are too many constraints.
+    """
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
 
@@ -133,9 +136,9 @@ def _interpolation(
     row: Int[np.ndarray, "n"],
     shape: tuple[int, int],
 ) -> "csr_array":
-    """Return a matrix whose rows ``row`` interpolate values of groups (tied corners) at points ``t`` of leaves."""
     from scipy.sparse import csr_array
 
+    # Row ``row[i]`` interpolates values of groups (tied corners) at point ``t[i]`` of leaf ``leaf[i]``.
     point, corner, weight = np.arange(len(t)), np.zeros(len(t), np.int64), np.ones(len(t))
     for axis in range(t.shape[1]):  # skip ends of weight 0
         along = t[point, axis]
@@ -164,12 +167,15 @@ _BASIS_1D = (
 
 
 def design(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
-    """Return the values of a leaf's basis functions at points ``t`` of its cell, from 0 to 1 along each axis."""
+    """Return the values of a leaf's basis functions at points ``t`` of its cell, from 0 to 1 along each axis.
+
+    ``order`` is 0 for multilinear and 1 for cubic functions.
+    """
     return _derivatives(order, t, np.zeros(t.shape[1], np.int64))
 
 
 def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
-    """Return the matrix from the free degrees of freedom to the coefficients of all leaves' basis functions."""
+    # From the free degrees of freedom to the coefficients of all leaves' basis functions.
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
@@ -186,9 +192,8 @@ def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.
 
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
-    """Expand each basis function in monomials of ``t``; powers of the last axis vary fastest."""
     along = _BASIS_1D[order]
-    table = np.ones((1, 1, 1))
+    table = np.ones((1, 1, 1))  # basis functions in monomials of ``t``; powers of the last axis vary fastest
     for _ in range(dim):
         table = np.einsum("cmp,adq->camdpq", table, along).reshape(
             2 * table.shape[0], along.shape[1] * table.shape[1], along.shape[2] * table.shape[2]
@@ -202,6 +207,7 @@ def enclosing_planes(
     """Return value and gradient of leaves' polynomials at centers of boxes, and a bound of all other Taylor terms.
 
     ``center`` and ``reach`` (the half-widths of boxes) are in local coordinates, from 0 to 1 across the leaf.
+    ``order`` is 0 for multilinear and 1 for cubic functions.
     """
     count = POWERS[order]
     powers = (coefficients @ monomials(order, 2)).reshape(-1, count, count)
@@ -214,14 +220,14 @@ def enclosing_planes(
 
 
 def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n power power"]:
-    """Expand each power of ``t`` in powers of ``t - center``; return the coefficients."""
+    # Coefficients of each power of ``t`` in powers of ``t - center``.
     power, of_difference = np.arange(count)[:, None], np.arange(count)
     ways = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
     return ways * center[:, None, None] ** np.maximum(power - of_difference, 0)
 
 
 def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, "dim"]) -> Float[np.ndarray, "n terms"]:
-    """Return the derivative of all basis functions at points ``t`` along all axes where ``derivative`` is 1."""
+    # Differentiate along all axes where ``derivative`` is 1.
     n, (_, kinds, num_powers) = len(t), _BASIS_1D[order].shape
     values, powers = np.ones((n, 1, 1)), np.arange(num_powers)
     for axis, is_along in enumerate(derivative):
@@ -233,9 +239,9 @@ def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, "dim"]) -> F
 
 
 def _values_and_derivatives(space: NodalSpace) -> "csr_array":
-    """Return the matrix from the free degrees of freedom to the Hermite coefficients of all leaves."""
     from scipy.sparse import csr_array, diags_array, kron
 
+    # From the free degrees of freedom to the Hermite coefficients of all leaves.
     kinds, group, leaf_depth = corner_bits(space.dim), space.group, space.tree.leaves.depth
     size, num_groups, nodes = len(kinds), int(group.max()) + 1, np.arange(len(group))
     depth = np.repeat(leaf_depth, size, axis=0)

@@ -29,7 +29,7 @@ class Folding:
 
     @cached_property
     def pivots(self) -> tuple[int, ...]:
-        """Axis of each mirror, not periodic, whose negative half only this mirror maps to the positive half."""
+        """For each mirror, an axis that is not periodic and whose sign no other mirror changes."""
         alone = np.sum(self.mirrors, axis=0) == 1
         may_be = np.array(self.mirrors, bool).reshape(-1, self.domain.dim) & alone & ~np.array(self.domain.periodic)
         if not may_be.any(axis=1).all():
@@ -68,7 +68,7 @@ class Folding:
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
     def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, "n"]]]:
-        """Yield, for each subset of the mirrors, the points that it maps to ``z``, and which lie in the domain."""
+        """Yield, for each subset of mirrors, the points that it maps to ``z``, and which lie in the domain."""
         near = _CUT * self.domain.width
         for is_odd in self._reversals:
             mirrored = np.where(is_odd, -z, z)
@@ -95,7 +95,7 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
-        """Return lower and upper corners of leaves and all their mirror images, and the leaf of each box."""
+        """Return the corners of leaves and of their mirror images in the domain, and the leaf of each box."""
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "
@@ -163,7 +163,7 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
 def _assign_pivots(
     mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, "dim"]
 ) -> tuple[tuple[bool, ...], ...]:
-    """Combine mirrors until each reverses an axis alone (reduced row echelon form modulo 2); drop all others."""
+    # Combine mirrors until each reverses an axis alone (reduced row echelon form modulo 2); drop all others.
     rows, done = mirrors.copy(), 0
     for axis in np.flatnonzero(may_pivot):
         below = np.flatnonzero(rows[done:, axis])

@@ -28,7 +28,10 @@ _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
-    """For each cell of a coarse grid, return log2 of the size, by axis, of a finer grid that separates its leaves."""
+    """Return log2 of the size, by axis, of the grid that separates the leaves in each cell of a coarse grid.
+
+    The coarse grid has ``2**block_bits`` cells along each axis; ``cells`` are the leaves.
+    """
     below = np.maximum(cells.depth - block_bits, 0)
     leaf, block = leaves_in_blocks(cells, block_bits)
     shape = np.zeros((1 << block_bits.sum(), cells.dim), np.int64)
@@ -37,7 +40,7 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nda
 
 
 def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
-    """Return how many pairs of a leaf and a cell of a coarse grid overlap."""
+    """Return how many pairs of a leaf and a cell of a coarse grid, ``2**block_bits`` cells by axis, overlap."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
@@ -48,8 +51,8 @@ def slots_in_blocks(
 ]:
     """Return all pairs of a leaf and a cell of a coarse grid that overlap, and the overlap in the cell's finer grid.
 
-    The overlap is its first cell in the finer grid, and its number of cells along each axis. ``shape`` has log2 of
-    the finer grid's size in each cell of the coarse grid (:func:`block_shapes`).
+    The overlap is its first cell in the finer grid, and its number of cells along each axis. The coarse grid has
+    ``2**block_bits`` cells along each axis, the finer grid in each of its cells ``2**shape`` (:func:`block_shapes`).
     """
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
@@ -61,7 +64,7 @@ def slots_in_blocks(
 def leaves_in_blocks(
     cells: Cells, block_bits: Int[np.ndarray, "dim"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """Return all pairs of a leaf, by index, and a cell of a coarse grid, by position, that overlap."""
+    """Return all pairs of a leaf and a cell of a coarse grid, ``2**block_bits`` cells by axis, that overlap."""
     first = np.where(
         cells.depth >= block_bits,
         cells.position >> np.maximum(cells.depth - block_bits, 0),
@@ -73,7 +76,7 @@ def leaves_in_blocks(
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Return all integer points in boxes: the index of each point's box, and the point's coordinates."""
+    """Return integer points ``p`` of boxes ``first <= p < first + count``, after the index of each point's box."""
     box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
@@ -83,7 +86,7 @@ def enumerate_boxes(
 
 
 def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
-    """Distribute ``most`` halvings over the axes, each to the axis that has the most of its ``bits`` left."""
+    """Distribute ``most`` halvings over the axes, each to the axis with the most of its ``bits`` halvings left."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
         chosen[np.argmax(bits - chosen)] += 1
@@ -148,7 +151,7 @@ def as_outside(outside: str) -> Outside:
 
 
 class Frame(IntEnum):
-    """Rows of the array ``(7, dim)`` that describes a domain in 32-bit floats.
+    """Names of the rows of an array ``(7, dim)`` that describes a domain in 32-bit floats.
 
     The mantissa bits of ``(x - LO) * SCALE + START``, a number from 1 to below 2, locate a point ``x``.
     """
@@ -230,7 +233,7 @@ def folding_numbers(
     """Return the center, corners, axes and mirrors of mirror symmetries, for points relative to ``origin``.
 
     The center is a sum of two floats. The corners of the box of mirrored points are infinite along periodic axes,
-    else rounded inward. Axes are None if they are the domain's. A mirror is the axis on whose negative side it
+    else rounded inward. Axes are None if they are the domain's own. A mirror is the axis on whose negative side it
     mirrors points, and all axes that it reverses.
     """
     exact = folding.center - origin

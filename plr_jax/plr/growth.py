@@ -116,7 +116,7 @@ class Nodes(Rows):
 
 
 def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
-    """Return the nodes that are split, or may be, in the order in which a priority queue would split them."""
+    """Return the nodes that are or may be split, in the order in which a priority queue would split them."""
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
 
@@ -203,7 +203,7 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 
 def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
-    """Return each cell's axis of least cost whose halves are neither too narrow nor too deep; else axis 0."""
+    """Return each cell's axis of least ``cost`` among the axes along which it may be halved; else axis 0."""
     depth = fit.cells.depth
     closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
     closed |= depth >= fit.max_axis_depth
@@ -243,15 +243,13 @@ FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
-    """Functions of nodes, leaves and bits per value that return the size and the mean rounding error of a file."""
-
     choices: Sequence[int]  # numbers of bits to choose from
-    size: Callable[[Nodes, Leaves, int], int]
-    rounding_error: Callable[[Nodes, Leaves, int], float]
+    size: Callable[[Nodes, Leaves, int], int]  # bytes of a file, by nodes, leaves and bits per value
+    rounding_error: Callable[[Nodes, Leaves, int], float]  # mean error of rounded values
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, "cells"]], Nodes]) -> FitNodes:
-    """Return a function that samples and fits cells; cells in which few samples reach the goal get more samples."""
+    """Return a function that samples and fits cells and turns the fits into tree nodes by ``nodes_of``."""
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
     def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
@@ -261,7 +259,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 
     def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
         fit = sampler(cells)
-        few = fit.is_hardly_seen
+        few = fit.is_hardly_seen  # such cells get more samples
         if not few.any():
             return nodes_of(fit, bound)
         order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
@@ -275,7 +273,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 def grow_best_first(
     root: Nodes, fit_nodes: FitNodes, limits: Limits, encoding: Encoding
 ) -> tuple[Nodes, Leaves, int]:
-    """Grow a tree to its limits; return all nodes, the indices of the leaves, and the bits of each stored value."""
+    """Split leaves of highest priority up to a limit; return all nodes, indices of leaves, and bits per value."""
 
     def split_some(nodes: Nodes) -> Nodes | None:
         # Split half of the leaves that would be split next, since their children may be more urgent than the rest.
@@ -304,7 +302,7 @@ def grow_best_first(
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Leaves, int]:
-    """Try the largest tree that fits for each number of bits per value; return the leaves and bits of least error."""
+    # For each number of bits per value, find the largest tree that fits; return the one of least error.
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]

@@ -34,7 +34,7 @@ _NUM_POINTS = 256  # test points whose distances identify a distance function
 
 
 class Checkpoint:
-    """A checkpoint file with finished ``records`` by key, of the computation that ``digest`` identifies."""
+    """A checkpoint file of a computation, identified by ``digest``; ``records`` maps keys to finished results."""
 
     def __init__(self, path: str | os.PathLike, digest: bytes):
         if not isinstance(path, str | os.PathLike):
@@ -160,7 +160,7 @@ class BuildResults:
         return sum(result is not None for result in self.results)
 
     def build(self, chunks: list[Chunk], executor: Executor | None, progress: tqdm) -> None:
-        """Compute chunks on ``executor``, or on threads of this process if ``executor`` is None or a worker dies."""
+        """Compute all results on ``executor``, or on threads of this process if it is None or a worker dies."""
         threads = ThreadPoolExecutor(num_cores())
         try:
             left = chunks if executor is None else self._build_by(executor, chunks, progress)

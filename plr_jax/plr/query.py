@@ -26,7 +26,7 @@ _ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables,
 
 
 def evaluate_tables(tables: Tables, x: AnyArray, outside: Outside = "inf") -> Values:
-    """Return the PLR's distance at each point, NaN for NaN; ``outside`` is the answer outside the closed domain."""
+    """Return the PLR's distance at each point, NaN for NaN; ``outside`` tells the answer outside the domain."""
     x = _as_float_points(tables, x)
     xp = x.__array_namespace__()
     if outside == "clamp":
@@ -59,8 +59,8 @@ def bounds_of_tables(
 ) -> tuple[Values, Values]:
     """Return proven lower bounds (at least 0) and upper bounds of the distance at each point, rounded outward.
 
-    ``band`` has bounds of (distance - PLR's value), a column for each leaf or one for all leaves. ``straight`` has
-    goal, rate and margin of a lower bound ``rate * |x - goal| - margin``.
+    ``band`` has bounds of (distance - PLR's value) in two rows, a column for each leaf or one for all leaves. If
+    ``straight`` is not None, it has goal, rate and margin of a further lower bound ``rate * |x - goal| - margin``.
     """
     value = evaluate_tables(tables, x)
     xp = value.__array_namespace__()
@@ -100,7 +100,7 @@ def waypoints_in_tables(tables: Tables, x: AnyArray) -> Points:
 
 
 def lookup(tables: Tables, x: Points) -> Bits:
-    """Return the index of each point's leaf, within rounding; an arbitrary leaf outside the domain and for NaN."""
+    """Return the index of each point's leaf, up to rounding; an arbitrary leaf outside the domain and for NaN."""
     if tables.folding is not None:
         nowhere = x.__array_namespace__().zeros(x.shape[:-1], bool)
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, nowhere))
@@ -109,7 +109,10 @@ def lookup(tables: Tables, x: Points) -> Bits:
 
 
 def find_row(tables: Tables, x: Points) -> Bits:
-    """Return each point's row in ``leaf_parameters``; points must lie in the period of periodic axes."""
+    """Return the row of ``tables.leaf_parameters`` that has the parameters of each point's leaf.
+
+    Along periodic axes, points must lie in the domain.
+    """
     if tables.trie is not None:
         return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
@@ -124,7 +127,7 @@ def find_row(tables: Tables, x: Points) -> Bits:
 
 
 def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
-    """Return each point's index into ``Tables.leaf_of_slot``, given its ``block``, a cell of the coarse grid."""
+    # Index into ``Tables.leaf_of_slot``; ``block`` is a point's cell of the coarse grid.
     index = start = block.__array_namespace__().zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
@@ -140,7 +143,7 @@ def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
 
 
 def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
-    """Map points by mirror symmetries to the box that leaves cover; points ``outside`` the domain to its center."""
+    # Points outside the domain go to the center of the mirrors.
     xp, axes, (center, rest) = x.__array_namespace__(), range(window.dim), window.center.astype(x.dtype)
     z = [xp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
     if window.axes is not None:
@@ -159,7 +162,7 @@ def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
 
 
 def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Values]:
-    """Return whether wrapped points are outside the closed domain, and the answer for points outside: inf or NaN."""
+    # Whether points, wrapped along periodic axes, are outside the closed domain, and the answer there: inf or NaN.
     x, frame, xp = _constant(x), tables.frame.astype(x.dtype), x.__array_namespace__()
     outside, answer = xp.zeros(x.shape[:-1], bool), xp.full(x.shape[:-1], np.inf, x.dtype)
     for axis in range(tables.dim):
@@ -206,7 +209,7 @@ def length_of(along: list[Values]) -> Float[AnyArray, "*#batch"]:
 
 
 def _wrap(tables: Tables, x: Points) -> Points:
-    """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower one."""
+    """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower end."""
     xp, columns = x.__array_namespace__(), [x[..., axis] for axis in range(tables.dim)]
     for axis in tables.periodic:
         along, frame = _constant(columns[axis]), tables.frame[:, axis].astype(x.dtype)
@@ -220,7 +223,6 @@ def _wrap(tables: Tables, x: Points) -> Points:
 
 
 def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
-    """Evaluate each point's leaf, whose parameters are in ``row``; the value of points ``outside`` is arbitrary."""
     numbers, frame, place = _leaf_parameters(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
@@ -261,7 +263,6 @@ def _leaf_parameters(tables: Tables, row: Bits, dtype: np.dtype) -> list[Values]
 
 
 def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
-    """Return the bits of a float in [1, 2); the lowest 23 locate a point along an axis of the domain."""
     lo, start, scale, top = (
         tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
     )
@@ -271,16 +272,14 @@ def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
     xp = x.__array_namespace__()
     placed = xp.maximum(xp.where(share < top, share, top) + start, 1)
-    return placed.astype(np.float32).view(np.uint32)
+    return placed.astype(np.float32).view(np.uint32)  # bits of a float in [1, 2); the lowest 23 locate the point
 
 
 def _join_bits(fractions: list[Bits], mask: UInt32[AnyArray, "dim"], right: UInt32[AnyArray, "dim"]) -> Bits:
-    """Build an index into a table from each axis's bits of a position: apply ``mask``, then shift by ``right``."""
     return reduce(or_, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)])
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
-    """Return each point's row in ``leaf_parameters``, found in the trie of several PLRs level by level."""
 
     def descend(entry: Bits, bits: UInt32[AnyArray, "2 dim"]) -> Bits:
         fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]

@@ -37,24 +37,24 @@ class Pattern:
 
     @cached_property
     def design(self) -> Float[np.ndarray, "k terms"]:
-        """Matrix ``[1 u]`` from a plane (center value, then half its rise by axis) to its values at the samples."""
+        """Matrix ``[1 u]`` from a plane (center value, then half of its rise along each axis) to sample values."""
         return np.concatenate([np.ones((len(self), 1)), self.u], axis=1)
 
     @cached_property
     def pseudo_inverse(self) -> Float[np.ndarray, "terms k"]:
-        """Matrix from values at samples to the least-squares plane: center value, then half its rise by axis."""
+        """Matrix from sample values to the least-squares plane: center value, half of its rise along each axis."""
         root = np.sqrt(self.weight)
         return np.linalg.pinv(self.design * root[:, None]) * root
 
     @cached_property
     def halves(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """Design matrices of separate planes in the lower and the upper half of a cell, for each axis."""
+        """For each axis, the design matrix of two separate planes in the lower and the upper half of a cell."""
         uppers = [self.u[:, axis, None] > 0 for axis in range(self.u.shape[1])]
         return [np.concatenate([self.design * ~upper, self.design * upper], axis=1) for upper in uppers]
 
     @cached_property
     def halves_bases(self) -> list[Float[np.ndarray, "k terms_of_both"]]:
-        """For each axis, an orthonormal basis of functions that are a plane in either half of a cell."""
+        # Orthonormal bases of the functions that are a plane in either half of a cell.
         root = np.sqrt(self.weight)[:, None]
         bases = []
         for design in self.halves:
@@ -84,7 +84,7 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
 
 
 def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "num_points dim"]:
-    """Return evenly spread points in the unit cube, shifted modulo 1: in the plane, a Fibonacci lattice."""
+    """Return evenly spread points in the unit cube, moved by ``shift`` modulo 1; in a plane, a Fibonacci lattice."""
     # Steps are equal along the first axis; along other axes, they are the steps of Roberts' R sequence.
     dim, root = len(shift), 1.0
     for _ in range(64 if dim > 1 else 0):  # root ** dim == root + 1: the golden ratio in the plane
@@ -134,7 +134,7 @@ def masked_cells(weight: OfSamples) -> Int[np.ndarray, "masked"]:
 def solve_planes(
     design: Float[np.ndarray, "k terms"], weight: OfSamples, projection: Float[np.ndarray, "cells terms"]
 ) -> Float[np.ndarray, "cells terms"]:
-    """Solve the normal equations of weighted least squares; slopes are 0 along directions without samples."""
+    # Solve the normal equations; slopes are 0 along directions without samples.
     k, terms = design.shape
     products = (design[:, :, None] * design[:, None, :]).reshape(k, terms * terms)
     normal = row_products(weight, products).reshape(-1, terms, terms)
@@ -239,7 +239,7 @@ class Sampler:
         return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self, pieces_suffice: bool = False) -> CellFit:
-        """Sample the domain as one cell; ``ValueError`` if no sample (or no known free point) reaches the goal."""
+        """Sample the whole domain as one cell; ``ValueError`` if the goal is reached from nowhere."""
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces):
@@ -252,7 +252,7 @@ class Sampler:
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
-    """Fit cells in which some free space, but no sample, reaches the goal: by a plane tangent to the distance."""
+    """Fit the cells in which some free space, but no sample, reaches the goal, by planes tangent to the distance."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
     if sampler.memory is None or not len(unseen):
         return fit
@@ -308,7 +308,7 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
 
 
 def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
-    """Return the largest error weight of all points of the domain whose mirror image is ``z``; else 0."""
+    """Return, for each mirrored point ``z``, the largest weight of the domain's points that mirrors map to it."""
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):
         weight = 1.0 if weight_fn is None else call_weights(weight_fn, x[inside])

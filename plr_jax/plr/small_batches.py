@@ -21,7 +21,7 @@ _LEAST_POINT, _LEAST_IN_TABLES = 2.0**-39, 2.0**-63
 
 
 class SmallBatches:
-    """A caller of one object's compiled functions; NumPy runs a function until compiling it pays off."""
+    """A caller of jitted functions that computes the first small batches in NumPy, until compiling pays off."""
 
     def __init__(self) -> None:
         self.work: dict[Hashable, int] = {}  # coordinates that NumPy answered, plus 4,096 per call, by call and shape
@@ -37,7 +37,7 @@ class SmallBatches:
     def _by_numpy(
         self, key: Hashable, compiled: Any, tables: tuple[Any, ...], x: Array | np.ndarray, *static: Any
     ) -> Any:
-        """Compute a compiled function's answers in NumPy; return None if compiling pays off or bits could differ."""
+        # None if compiling pays off or bits could differ.
         before, arrays = self.work.get(key, 0), jax.tree.leaves(tables)
         self.work[key] = before + x.size + _WORK_OF_CALL
         if before == 0 and not (

@@ -43,7 +43,8 @@ class SourceSight:
     ) -> tuple[Int[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
         """Return the source (corner or goal) to which each start's path goes first, and whether the path is free.
 
-        The source is ``first`` if its path is free and ends at the goal, else that of the shortest free path, if any.
+        It is ``first``, that of the start's leaf, if the path is free and reaches the goal; else that of the shortest
+        free path, if there is one.
         """
         first, is_free = first.copy(), self._is_clear[first] & self._sees(first, x)
         failing = np.flatnonzero(~(is_free & self._arrives[first]))

@@ -60,7 +60,7 @@ def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> S
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Trie:
-    """A lookup table of several PLRs in one array, which a query reads level by level; see ``_stack.py``."""
+    """A lookup table of several PLRs in one array, which a query reads level by level, from coarse to fine."""
 
     entries: UInt32[AnyArray, "entries"]
     bits: UInt32[AnyArray, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
@@ -69,7 +69,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """Small arrays of equal shape, one per query point, in one flat table; ``t[i, j]`` reads one number each."""
+    """Small arrays of equal shape, one per query point, in one flat array; ``t[i, j]`` is an entry of each."""
 
     flat: AnyArray
     shape: tuple[int, ...]  # of each point's array
@@ -109,7 +109,7 @@ class Blocks:
     """The coarse level of a lookup table: each block, a cell of a coarse grid, has a finer table of its own.
 
     A block's *word* has, from its lowest bit, how many bits along each axis index its table, then the table's start
-    in ``leaf_of_slot``. Axes that do not fit go into further words, each a read more for a query.
+    in ``leaf_of_slot``. Axes that do not fit go into further words, each of which costs a query one more read.
     """
 
     words: tuple[UInt32[AnyArray, "blocks"], ...]
@@ -119,11 +119,8 @@ class Blocks:
 
 
 def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"], shift: PerAxis) -> Blocks:
-    """Pack size and start of the table of each block, a cell of a coarse grid, into integers that a query reads.
-
-    ``shape`` has log2 of the sizes by axis, ``offset`` the starts. ``shift`` counts, by axis, the bits of a point's
-    position below those of its block.
-    """
+    # ``shape`` has log2 of the sizes of the blocks' tables by axis, ``offset`` their starts. ``shift`` counts the
+    # bits of a point's position below those of its block, by axis.
     width = max(1, int(shape.max()).bit_length())
     room = (WORD_BITS - int(offset[-1]).bit_length()) // width
     first, words, axes = offset[:-1], [], []
@@ -162,10 +159,7 @@ def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
 def leaves_of_slots(
     cells: Cells, block_bits: PerAxis, shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"]
 ) -> UInt32[np.ndarray, "slots"]:
-    """Return the leaf in each entry of a lookup table that joins the finer tables of all cells of a coarse grid.
-
-    ``shape`` has log2 of the size of each finer table by axis, ``offset`` its first entry.
-    """
+    # ``shape`` has log2 of the sizes of the blocks' tables by axis, ``offset`` their first entries.
     # Write a leaf at the first slot of each of its runs along the last axis, and repeat it up to the next run.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     count[:, -1] = 1
@@ -194,9 +188,9 @@ class Pages:
 
 
 def build_pages(cells: Cells, most_slots: int) -> tuple[Pages, PerAxis, Int[np.ndarray, "slots"]] | None:
-    """Build a lookup table of at most ``most_slots`` entries with pages, or return None; see :class:`Pages`.
+    """Build a lookup table with pages (:class:`Pages`) of at most ``most_slots`` entries; None if that fails.
 
-    Return the pages, how often their coarse grid halves each axis, and the leaf in each entry.
+    The results are the pages, how often their coarse grid halves each axis, and the leaf in each entry.
     """
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:
@@ -235,12 +229,8 @@ def build_pages(cells: Cells, most_slots: int) -> tuple[Pages, PerAxis, Int[np.n
 def _place_pages(
     shape: PerBlock, page_bits: PerAxis, below: PerAxis, first: int
 ) -> tuple[Int[np.ndarray, "blocks"], int]:
-    """Return the first slot of each block's page, 0 if it has none, and the end of all slots; see :class:`Pages`.
-
-    ``shape`` has log2 of the slots of each page by axis, ``page_bits`` that of the largest possible page. ``below``
-    counts the bits of all later axes in the index of a slot in the largest page. A buddy allocator places pages by
-    decreasing size, from the slot ``first`` on; either half of a room that it halves has every other slot.
-    """
+    # A buddy allocator places pages by decreasing size, from the slot ``first`` on. Either half of a room that it
+    # halves has every other slot. ``below`` counts the bits of later axes in the index of a slot in the largest page.
     finest = tuple(page_bits.tolist())
     rooms: dict[tuple[int, ...], Int[np.ndarray, _]] = {}  # starts of free rooms, by shape
     start, end = np.zeros(len(shape), np.int64), first
@@ -268,7 +258,7 @@ def _place_pages(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """Arrays that a query reads, padded to the size class of the file so that PLRs of a class share compiled code."""
+    """Arrays that a query reads, padded so that PLRs whose files have similar sizes share compiled code."""
 
     # Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
     frame: Float[AnyArray, "7 dim"] | PerPointTable  # domain in 32-bit floats, rows as in :class:`Frame`
@@ -289,7 +279,7 @@ class Tables:
         return self.frame.shape[1]
 
     def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
-        """Return tables for points relative to ``origin`` that a query folds first: maps by mirror symmetries."""
+        """Return tables for points relative to ``origin`` that a query first maps by mirror symmetries."""
         if folding is None:
             return self
         domain, (*arrays, mirrors) = folding.domain.moved(-origin), folding_numbers(folding, origin)
@@ -345,5 +335,5 @@ def build_tables(
 
 
 def arrange_parameters(numbers: Float[np.ndarray, "rows count"]) -> Float[np.ndarray, "..."]:
-    """Return leaf parameters by column, which takes the least arithmetic, or flat if that saves cache misses."""
+    # Columns take the least arithmetic, a flat table saves cache misses.
     return numbers.ravel() if numbers.nbytes > _MAX_COLUMN_BYTES else np.ascontiguousarray(numbers.T)

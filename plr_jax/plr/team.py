@@ -63,7 +63,6 @@ class TableStack:
         return distances.T
 
     def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
-        """Pad a batch to one of the sizes that JAX compiles, with each robot's points moved by its ``placements``."""
         size = padded_size(len(q), _SIZES)
         padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
         padded[: len(q)], padded[len(q) :] = q, 0
@@ -77,7 +76,7 @@ class TableStack:
 def _evaluate(
     tables: tuple[Tables, ...], bands: Bands, q: Float[AnyArray, "n robots dof"]
 ) -> tuple[Float[AnyArray, "n"], ...]:
-    """Evaluate each robot's PLR; return one array per robot, as XLA would compute one array in one slower loop."""
+    # One array for each robot, since XLA would compute a single array in one slower loop.
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
     return tuple(
         evaluate_tables(table, part) if band is None else bounds_of_tables(table, *band, part)[0]

@@ -79,7 +79,7 @@ class Cells(Rows):
         return total
 
     def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":
-        """Halve each cell along its axis; its upper half follows its lower half."""
+        """Halve each cell along its axis; in the result, a cell's upper half follows its lower half."""
         both = np.repeat(np.arange(len(self)), 2)
         return self[both].halves(axis[both], np.arange(len(both)) % 2 == 1)
 
@@ -168,7 +168,7 @@ def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
 
 
 def leaf_order(axes: list[Int[np.ndarray, "_"]]) -> Int[np.ndarray, "leaves"]:
-    """Return the indices of leaves from left to right, if leaves are numbered level by level as in ``axes``."""
+    # From left to right; leaves are numbered level by level as in ``axes``.
     paths, path = [], np.zeros(1, np.int64)
     for depth, axis in enumerate(axes):
         paths.append(path[axis < 0])
