@@ -372,7 +372,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
 
 
 def region_after_change(free: Any, bounds: Box, old: Boundary) -> Region:
-    """Return the region of ``free`` after a local change; parts of its boundary that are in ``old`` need no test."""
+    # Parts of the boundary that are also in ``old`` are not tested again.
     grid = grid_of(bounds)
     rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
     if not shapely.is_valid(rounded):  # rounding may leave a sliver without area

@@ -45,7 +45,7 @@ Entries: TypeAlias = Int[np.ndarray, "entries"]
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Segments across which visibility changes: from a corner along the ray from a viewpoint to the next wall."""
+    """Segments across which visibility from viewpoints changes: on rays past corners, from there to the next wall."""
 
     table: VisibilityTable
     key: Float[np.ndarray, "shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
@@ -126,7 +126,7 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 
 
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
-    """List how paths from each triangle can bend around corners: ``2 c`` and ``2 c + 1`` bend around corner ``c``."""
+    # Indices ``2 * c`` and ``2 * c + 1`` are the two ways to bend around corner ``c``.
     visits, (right, left) = [], turns_by_side(visibility.corners).bounds
     for side in range(2):
         view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
@@ -249,7 +249,7 @@ class CellSources:
         return replace(self, num_cells=sum(each.num_cells for each in several), pieces=pieces, **columns)
 
     def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, "cells"], lo: Corners, hi: Corners) -> Self:
-        """Return parts of cells: part ``i``, the box ``lo[i]`` to ``hi[i]``, is cut off cell ``parent[i]``."""
+        # Part ``i`` is the box ``lo[i]`` to ``hi[i]``, on one side of a cut of cell ``parent[i]`` across ``axis[i]``.
         rows, cell = take_ragged(self.first_piece, parent)
         along, upper = axis[cell], is_upper[cell]
         bound = np.where(upper, lo[cell, along], hi[cell, along])

@@ -175,7 +175,7 @@ def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, 
 def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether viewpoint ``view[i]`` may see convex polygon ``hull[i]``: not if all walls there are closer."""
+    """Return whether viewpoint ``view[i]`` may see convex polygon ``hull[i]``; False only if closer walls hide it."""
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]

@@ -123,7 +123,7 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """Unit vectors along both sides of the cone from which paths come to a corner; 0 if it is the plane."""
+        # Right, then left side; 0 if the cone is the whole plane.
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
@@ -210,7 +210,7 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-    """Return the points that are not vertices, and lists (first, triangle) of the triangles that contain each."""
+    # Points at vertices are left out. Those in the result have the triangles ``[first[i] : first[i + 1]]``.
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     held = num_sides < 2

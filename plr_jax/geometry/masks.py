@@ -299,7 +299,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
 
 
 def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
-    """Make blocked, then free components of at most ``num_pixels`` pixels free or blocked; also count them."""
+    """Remove components of at most ``num_pixels`` pixels, blocked ones, then free ones; also return their number."""
     count = 0
     for value, structure in ((False, _ALL_AROUND), (True, None)):
         label = _labels(free == value, structure)

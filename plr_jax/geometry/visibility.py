@@ -95,7 +95,7 @@ class _Cones:
 
 
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
-    """Return pairs (viewpoint, triangle): some part of it is visible between directions ``right`` and ``left``."""
+    """Return pairs (viewpoint, triangle) with a part of it visible between directions ``right`` and ``left``."""
     # The directions span at most half a turn; zero vectors stand for all directions.
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
     # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.

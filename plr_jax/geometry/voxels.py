@@ -173,7 +173,7 @@ class Sums:
 
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
-    """Extend each set ``live`` of the voxels around a point by the ``free`` ones connected to it through faces."""
+    """Extend sets ``live`` of the voxels around points by the ``free`` voxels that are joined to a set by faces."""
     # The last axis is in the order of ``itertools.product((0, 1), repeat=dim)``.
     flat = live.shape
     shape = (-1, *[2] * (flat[1].bit_length() - 1))
@@ -187,7 +187,7 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
-    """Return whether each set of the ``2**num_axes`` voxels around a point is in parts that share no face."""
+    """Return whether each set of the ``2**num_axes`` voxels around a point has parts that no faces join."""
     num = 2**num_axes  # bit i of a set's index says whether voxel i belongs to the set
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     one = np.zeros_like(free)
