@@ -91,7 +91,7 @@ def bisect(
 
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b: Column) -> Columns:
-    """Bound how far a gap along an axis that turns with ``a``, or ``b``, falls below its values at begin and end."""
+    # Bound how far the gap along an axis that turns with ``a``, or with ``b``, falls below its end values.
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
@@ -234,7 +234,7 @@ def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verd
 
 
 def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:
-    """Return offsets of two boxes' centers, and sums of their half extents, along both axes of ``a``, then ``b``."""
+    # Offsets of the centers, and sums of half extents, along both axes of ``a``, then of ``b``.
     (ca, sa), (cb, sb), (length_a, width_a), (length_b, width_b) = at_a, at_b, a.size, b.size
     c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
     x, y = _offset(a, b, end)

@@ -65,7 +65,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return pairs ``(k, j)``: robots ``i``, in circle ``k`` in motion ``motion[k]``, and ``j`` may meet."""
+        """Return pairs ``(k, j)``: robot ``i``, in circle ``k``, may meet robot ``j`` in its motion ``motion[k]``."""
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)

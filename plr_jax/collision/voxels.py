@@ -195,7 +195,6 @@ class _Traversal:
         return self.grid.padded.ravel()[at[:, None] + (span.T * self.strides) @ self.bits.T]
 
     def _crossed_next(self, rows: Int[np.ndarray, "some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
-        """Return the axes along which motions cross the next faces, nearly at once, and the faces' coordinates."""
         at, q0 = self.at[:, rows], self.q0[:, rows]
         further = at + (self.step[:, rows] > 0)
         face = np.stack([faces[k] for faces, k in zip(self.grid.faces, further, strict=True)])
