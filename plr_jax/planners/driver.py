@@ -310,7 +310,7 @@ class Run:
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Return the path through lattice nodes ``state``, and its cost over the sum of the robots' least costs."""
+        """Return the path through lattice nodes ``state``, and its cost divided by the robots' least costs."""
         path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns

@@ -89,7 +89,7 @@ class Kind:
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return each primitive's end node and cost, from several nodes of robot ``row``, or from one per robot."""
+        """Return each primitive's end node and cost, from nodes of robot ``row``; by default, from one per robot."""
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)

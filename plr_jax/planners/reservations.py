@@ -96,7 +96,7 @@ class ReservationTable:
         return [known[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Give robot ``i``, which must not be reserved, its cheapest free path up to ``max_cost``; False if none."""
+        """Move robot ``i``, now without reservations, to its cheapest free path up to ``max_cost``; False if none."""
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()

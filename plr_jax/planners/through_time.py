@@ -66,7 +66,7 @@ class Timetable:
     def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return whether robot ``i`` meets nobody in straight motions from ``row`` on that take ``count`` steps."""
+        """Return whether robot ``i`` meets nobody on straight motions of ``count`` time steps from ``row`` on."""
         owner, step = ragged_indices(count)
         share = count[owner, None]
         first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
@@ -76,7 +76,7 @@ class Timetable:
         return fits
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return when, in time steps, and whom robot ``i`` meets on motion ``q`` or at rest after it, in pairs."""
+        """Return the time steps at which robot ``i`` meets others, on motion ``q`` or at rest after it, and whom."""
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
