@@ -418,7 +418,7 @@ class Searches:
 def first_step(
     problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_be_packed: bool = True
 ) -> float:
-    """Choose the cell size of the first lattices, such that robots have room to pass and ``fits(step)`` holds."""
+    """Choose the first lattices' cell size: robots should have room to pass, and ``fits(step)`` should hold."""
     # 1. Cells about as large as the smallest robot give it room to pass.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]

@@ -211,7 +211,7 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return the rows of ``state`` in which robots ``i`` and ``j`` are near, and which of their motions hit."""
+        """Return the rows of ``state`` in which two robots are near, and which of their motions there collide."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]

@@ -107,7 +107,7 @@ def _with_shortcuts(
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
-    """Shift configurations of one robot, or of two that touch, by ``width`` or less, where this lowers the cost."""
+    """Shift configurations of one robot, or of two that touch, in steps of at most ``width``, to lower the cost."""
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):
