@@ -31,7 +31,7 @@ Ends: TypeAlias = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 
 
 class MovingBodies(NamedTuple):
-    """Convex bodies in straight motion, one per column."""
+    """Convex bodies in straight motion during one unit of time; each array has one column per body."""
 
     size: Float[np.ndarray, "*size n"]  # half length and half width of boxes (2, n), or vertices (2, vertices, n)
     x: Column
@@ -48,14 +48,14 @@ class MovingBodies(NamedTuple):
         return self._replace(size=np.broadcast_to(size[..., None], (*size.shape, len(self.x))))
 
     def bisected(self) -> "MovingBodies":
-        """Return the two halves of each motion, in adjacent columns."""
+        """Return both halves of each motion, in adjacent columns; each half takes one unit of time again."""
         half = [0.5 * rate for rate in self[4:]]
         pose = [np.stack([q, q + rate], axis=1).ravel() for q, rate in zip(self[1:4], half, strict=True)]
         return MovingBodies(np.repeat(self.size, 2, axis=-1), *pose, *(np.repeat(rate, 2) for rate in half))
 
 
 def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
-    """Return a robot's straight motions from ``q0`` to ``q1``; the shape is to be set by ``with_size``."""
+    """Return a robot's straight motions from ``q0`` to ``q1``; its shape is missing until ``with_size`` sets it."""
     heading, turn = np.zeros(len(q0)), np.zeros(len(q0))
     if robot.dof == 3:
         heading, turn = q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])
@@ -66,7 +66,7 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
 def bisect(
     kernel: Callable[..., Verdict], a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
 ) -> Booleans:
-    """Return which pairs of bodies certainly stay ``reach`` apart (negative: an allowed overlap) in their motions."""
+    """Return which pairs of moving bodies surely stay ``reach`` apart; a negative reach allows an overlap."""
     k, m = a.size.shape[-2], b.size.shape[-2]
     size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # distances need all pairs of corners
     apart = np.ones(len(a.x), dtype=bool)
@@ -91,7 +91,7 @@ def bisect(
 
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b: Column) -> Columns:
-    """Bound how far the gap along an axis that turns with ``a``, or with ``b``, falls below its end values."""
+    # Bound how far the gap along an axis that turns with ``a``, or with ``b``, falls below its end values.
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
@@ -101,7 +101,7 @@ def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b
 
 
 def across_motion(a: MovingBodies, b: MovingBodies) -> Columns:
-    """Return the unit normal of each relative motion; ``(0, 1)`` if there is no relative motion."""
+    """Return the unit normal of each motion of ``b`` relative to ``a``; ``(0, 1)`` if there is no relative motion."""
     dx, dy = b.dx - a.dx, b.dy - a.dy
     speed = np.hypot(dx, dy)
     nx = np.divide(-dy, speed, out=np.zeros_like(dx), where=speed > 0)
@@ -148,7 +148,7 @@ def _offset(a: MovingBodies, b: MovingBodies, end: float) -> Columns:
 
 
 def _side_gaps(p: Corners, q: Corners) -> Sides:
-    """Return the gaps between two bodies along the normals of the sides of the first one."""
+    """Return gaps between bodies with corners ``p`` and ``q`` along the outward normals of the sides of ``p``."""
     sides = p.shape[1] if p.shape[1] > 1 else 0
     dx, dy = (np.roll(p, -1, axis=1) - p)[:, :sides]
     length = np.hypot(dx, dy)
@@ -157,7 +157,7 @@ def _side_gaps(p: Corners, q: Corners) -> Sides:
 
 
 def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
-    """Return the least scalar product of a body's corners with each direction ``(nx, ny)``."""
+    """Return the least scalar product of a body's corners ``q`` with each direction ``(nx, ny)``."""
     num_corners, n = q.shape[1:]
     stride = 1 << ((num_corners - 1) // _FEW).bit_length()
     heights = nx[:, None] * q[0, ::stride] + ny[:, None] * q[1, ::stride]
@@ -176,7 +176,7 @@ def _lowest(q: Corners, nx: Sides, ny: Sides) -> Sides:
 
 
 def _smaller_gap(ends: Ends, nx: Column, ny: Column) -> Column:
-    """Return the gap between both bodies along a fixed direction, at the end of the motion where it is smaller."""
+    """Return the gap between two bodies along a fixed direction, at the end of the motion where it is smaller."""
     gaps = [(nx * q[0] + ny * q[1]).min(axis=0) - (nx * p[0] + ny * p[1]).max(axis=0) for p, q in ends]
     return np.minimum(*gaps)
 
@@ -234,7 +234,7 @@ def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verd
 
 
 def _along_sides(a: MovingBodies, b: MovingBodies, end: float, at_a: Columns, at_b: Columns) -> list[Columns]:
-    """Return the offset of the centers and the sum of half widths, along both axes of ``a``, then of ``b``."""
+    # Offsets of the centers, and sums of half extents, along both axes of ``a``, then of ``b``.
     (ca, sa), (cb, sb), (length_a, width_a), (length_b, width_b) = at_a, at_b, a.size, b.size
     c, s = np.abs(ca * cb + sa * sb), np.abs(ca * sb - sa * cb)
     x, y = _offset(a, b, end)
@@ -252,7 +252,7 @@ def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Co
 
 
 def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
-    """Return the distance of each segment to a box around the origin; if they overlap, minus the depth."""
+    """Return the distance from segments to a box with given half sides around the origin, or minus the overlap."""
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]
     length = np.hypot(dx, dy)

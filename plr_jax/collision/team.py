@@ -56,7 +56,7 @@ class TeamTrajectory:
             self.move(i, path[:, i])
 
     def move(self, i: int, q: Float[np.ndarray, "rows dof"], rows: slice = slice(None)) -> None:
-        """Replace robot ``i``'s path, or only ``rows`` of it, whose first and last configuration must not change."""
+        """Replace robot ``i``'s path, or ``rows`` of it, by ``q``; the first and last of ``rows`` must not change."""
         self.path[rows, i] = q
         motions = slice(rows.start, rows.stop - 1) if rows.stop else slice(None)
         x, y, radius = circles_along(q[:, None])
@@ -65,7 +65,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return pairs ``(k, j)``: robot ``i``, in circle ``k`` during step ``motion[k]``, may meet robot ``j``."""
+        """Return pairs ``(k, j)``: robot ``i``, in circle ``k``, may meet robot ``j`` in its motion ``motion[k]``."""
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)
@@ -90,12 +90,12 @@ def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Ci
 
 
 def circles(begin: Float[np.ndarray, "n k dof"], end: Float[np.ndarray, "n l dof"]) -> Circles:
-    """Return, for each row, a circle around all straight motions from ``k`` begin to ``l`` end positions."""
+    """Return, for each row, a circle around all straight motions from one of ``k`` positions to one of ``l``."""
     return _between(_around(begin), _around(end))
 
 
 def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
-    """Return, for each step but the last, a circle around all straight motions from its positions to the next."""
+    """Return circles around all straight motions from one of a step's ``k`` positions to one of the next step."""
     around = _around(q)
     return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
 
@@ -118,8 +118,8 @@ def motions_apart(
 ) -> Apart:
     """Return whether two robots keep clear of one another in motions ``a0`` to ``a1`` and ``b0`` to ``b1``.
 
-    Shapes ``(..., dof)`` broadcast. Robots may overlap by up to ``tolerance``. The result is exact, except that a
-    motion may be rejected if a robot that is not round turns within about 1e-7 of its size from a collision.
+    Configurations ``(..., dof)`` broadcast. Robots may overlap by up to ``tolerance``. The result is exact, except
+    that a motion may be rejected if a robot that is not round turns within about 1e-7 of its size from a collision.
     """
     require_time(deadline, "all motions were tested")
     motions = a0, a1, b0, b1
@@ -188,7 +188,7 @@ class JointMotionTest:
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return whether the k-th motion of robot ``i`` collides with motion ``motion[k]`` of robot ``other[k]``."""
+        """Return whether robot ``i``'s motion ``k`` collides with motion ``motion[k]`` of robot ``other[k]``."""
         others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)

@@ -19,7 +19,10 @@ Which = Int[np.ndarray, "m"]
 
 
 def blocked_within(grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float) -> Booleans:
-    """Return whether a blocked voxel is nearer than ``radius`` to a box (``lo``, ``hi`` swapped: to all of it)."""
+    """Return whether a blocked voxel is nearer than ``radius`` to a box.
+
+    If ``lo`` and ``hi`` are swapped, a voxel must be nearer than ``radius`` to every point of the box.
+    """
     (first, last), (far_first, far_last) = _touching(grid, lo, hi), _touching(grid, lo - radius, hi + radius)
     within = grid.num_blocked(far_first, far_last) > 0
     doubtful = within.copy()
@@ -40,7 +43,7 @@ def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Number
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers, Numbers]]:
-    """Yield the rows of voxels, along the last axis, within ``radius`` of a box: the box, first and last voxel."""
+    """Yield rows of voxels along the last axis that come within ``radius`` of a box: box, first and last voxel."""
     first, last = _touching(grid, lo - radius, hi + radius)
     num = np.maximum(last - first + 1, 0)[:-1]
     for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):
@@ -67,7 +70,7 @@ def _in_batches(test: Callable[[Coordinates, Coordinates], Booleans], q0: Coordi
 
 
 def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
-    """Return whether a ball hits no blocked voxel on straight motions, exact up to rounding; touching is allowed."""
+    """Return whether a ball hits no blocked voxel on straight motions, up to rounding; touching is allowed."""
     return _in_batches(lambda a, b: _ball_keeps_clear(grid, a, b, radius), q0, q1)
 
 
@@ -96,7 +99,6 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers]]:
-    """Yield batches of pairs of a box and a blocked voxel that is nearer to the box than ``radius``."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         some = np.flatnonzero(grid.num_blocked(begin, end))
         row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
@@ -169,7 +171,7 @@ class _Traversal:
     def _cross(
         self, rows: Int[np.ndarray, "some"], live: Bool[np.ndarray, "some corners"]
     ) -> Bool[np.ndarray, "..."]:
-        """Advance motions to the next faces that they cross; return which voxels around them they can then be in."""
+        # Return which of the voxels around the next point each motion can be in.
         step, layers = self.step[:, rows], self.layers[:, rows]
         crossed, face = self._crossed_next(rows)
         around = self._free_around(rows, np.where(crossed, step, layers))
@@ -189,12 +191,10 @@ class _Traversal:
         return np.take_along_axis(reached, self.corner | beyond, axis=1)
 
     def _free_around(self, motions: Int[np.ndarray, "some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
-        """Return which of the ``2**dim`` voxels around the point of each motion are free."""
         at = self.strides @ self.at[:, motions]
         return self.grid.padded.ravel()[at[:, None] + (span.T * self.strides) @ self.bits.T]
 
     def _crossed_next(self, rows: Int[np.ndarray, "some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
-        """Return the axes whose faces are crossed next, or nearly at the same time, and the faces' coordinates."""
         at, q0 = self.at[:, rows], self.q0[:, rows]
         further = at + (self.step[:, rows] > 0)
         face = np.stack([faces[k] for faces, k in zip(self.grid.faces, further, strict=True)])
@@ -206,7 +206,7 @@ class _Traversal:
 def _first_crossed(
     crossed: Bool[np.ndarray, "dim n"], face: Coordinates, q0: Coordinates, q1: Coordinates
 ) -> Bool[np.ndarray, "dim n"]:
-    """Keep only the faces that motions cross first, among faces crossed nearly at once; use rational arithmetic."""
+    # Rational arithmetic: rounding may have changed the order of times.
     first = np.zeros_like(crossed)
     for i in range(crossed.shape[1]):
         axes = np.flatnonzero(crossed[:, i])

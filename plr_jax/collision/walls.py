@@ -79,7 +79,7 @@ class MotionTest:
         return free
 
     def is_at_contact(self, q: Float[np.ndarray, "*batch dof"]) -> Bool[np.ndarray, "*batch"]:
-        """Return whether a point robot is where obstacles touch and paths may not pass; False for other robots."""
+        """Return whether a point robot is at a point where obstacles touch, if paths may not pass; else False."""
         boundary = self.workspace.boundary
         if self.workspace.squeeze or not self._is_point or not len(boundary.contacts):
             return np.zeros(q.shape[:-1], dtype=bool)
@@ -87,7 +87,7 @@ class MotionTest:
         return np.asarray(tree.query(q[..., :2])[0]) <= self.workspace.tolerance
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
-        """Return whether the robot is surely free, at any heading, with its reference point in each circle."""
+        """Return whether the robot is surely free at any heading with its reference point anywhere in each circle."""
         cell, away = self._locate(x, y)
         return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
 
@@ -134,7 +134,6 @@ class MotionTest:
         return clear
 
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
-        """Return whether intervals of motions keep clear of the walls stored for their cells of the grid."""
         robot, tolerance = self.robot, self.workspace.tolerance
         index, owner = take_ragged(self._first, cell)
         edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)
@@ -189,7 +188,7 @@ def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) 
 def _cut_into_pieces(
     robot: Robot, q0: Configurations, q1: Configurations, longest: float
 ) -> tuple[MovingBodies, Int[np.ndarray, "m"] | None]:
-    """Cut motions into equal parts up to ``longest``; also return each part's motion, or None if all are whole."""
+    """Cut motions into equal parts up to ``longest``; also return the motion of each part, or None without cuts."""
     whole = moving_bodies(robot, q0, q1)
     count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)
     if not (count > 1).any():

@@ -1,1 +1,1 @@
-"""Geometry: boxes, workspaces, boundaries, triangulation, visibility, sources of cells, pixels and voxels."""
+"""Geometry: boxes, workspaces, boundaries, triangulation, visibility, paths, pixels and voxels."""

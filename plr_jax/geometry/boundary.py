@@ -33,7 +33,7 @@ Edges: TypeAlias = Int[np.ndarray, "edges 2"]
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """The boundary of a polygonal region: vertices, and edges ``(start, end)`` with the region on their left."""
+    """The boundary of a polygonal region: vertices, and edges as pairs of vertex indices, region on the left."""
 
     vertices: Vertices
     edges: Edges
@@ -59,7 +59,7 @@ class Boundary:
 
     @cached_property
     def contacts(self) -> Int[np.ndarray, "contacts"]:
-        """Indices of the vertices where the region touches itself."""
+        """Indices of the vertices at which several edges start: there the region touches itself in a point."""
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
 
     def is_reflex(self) -> Bool[np.ndarray, "edges"]:
@@ -71,7 +71,11 @@ class Boundary:
 
 
 def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) -> Boundary | None:
-    """Return the boundary of a polygon, edges split at vertices on them; None if a vertex almost lies on an edge."""
+    """Return the boundary of a Shapely (multi)polygon, each edge split at the vertices that lie on it.
+
+    The result is None if edges coincide, or a vertex is within ``tolerance`` of an edge but not within a quarter of
+    it. Vertices of ``known``, such as the boundary before a local change, are not tested against its edges.
+    """
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     numbers, index = np.unique(points @ [1, 1j], return_inverse=True)  # ordered by x, then y
@@ -113,7 +117,7 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
 def match_boundary(
     vertices: Vertices, edges: Edges, old: Boundary
 ) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
-    """Return, for each vertex and each edge of ``old``, the index of the equal new one; -1 if there is none."""
+    """Return the index among ``vertices`` or ``edges`` of each vertex and edge of ``old``; -1 if it is gone."""
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T
@@ -128,7 +132,7 @@ def vertices_near_edges(
     some_vertices: Int[np.ndarray, "some_vertices"],
     some_edges: Int[np.ndarray, "some_edges"],
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """Return all pairs of a vertex and an edge within the tolerance, except edges with their own ends."""
+    """Return index pairs (vertex, edge) that are within ``tolerance``, except edges with their own ends."""
     segments = vertices[edges[some_edges]]
     some_vertices = some_vertices[boxes_near(vertices[some_vertices, None], segments, tolerance)]
     near = boxes_near(segments, vertices[some_vertices, None], tolerance)
@@ -144,13 +148,13 @@ def vertices_near_edges(
 def boxes_near(
     x: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], reach: float
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether the bounding box of each group of points is within ``reach`` of the box of all ``others``."""
+    """Return whether the bounding box of the points ``x[i]`` is within ``reach`` of the box of all ``others``."""
     lo, hi = others.min(axis=(0, 1), initial=np.inf) - reach, others.max(axis=(0, 1), initial=-np.inf) + reach
     return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)
 
 
 def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
-    """Return the part of a region within ``radius`` of its boundary, which the center of a disc must avoid."""
+    """Return the part of a region within ``radius`` of its boundary, as a Shapely geometry; chords replace arcs."""
     offset = radius * boundary.normal
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
@@ -188,7 +192,7 @@ def _flatten_collections(shapes: Iterable[Any], kind: type = GeometryCollection)
 
 
 def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
-    """Check a ring ``(n, 2)`` or a Shapely geometry, and return a valid polygon; errors call it by ``name``."""
+    """Check a ring ``(n, 2)`` or a Shapely polygon, and return it as a polygon; errors call it ``name``."""
     if isinstance(ring, LinearRing):
         ring = Polygon(ring)
     if isinstance(ring, Polygon | MultiPolygon):
@@ -260,7 +264,7 @@ def grid_of(bounds: Box) -> float:
 
 
 def grid_at(tolerance: float) -> float:
-    """Return the spacing of the grid to which a workspace of some ``tolerance`` rounds its vertices."""
+    """Return the grid spacing to which vertices are rounded, a power of two: about a thousandth of ``tolerance``."""
     return float(2.0 ** np.ceil(np.log2(tolerance / 1e3)))
 
 
@@ -320,7 +324,7 @@ def triangulate(region: Any) -> Float[np.ndarray, "triangles 3 2"]:
 
 
 def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
-    """Make vertices within the tolerance of one another equal, in all geometries at once."""
+    """Return the Shapely geometries with all vertices that are within ``tolerance`` of one another made equal."""
     numbers, index = np.unique(shapely.get_coordinates(geometries) @ [1, 1j], return_inverse=True)
     points = np.stack([numbers.real, numbers.imag], axis=1)
     places: Any = shapely.points(points)
@@ -331,7 +335,7 @@ def merge_vertices(geometries: Sequence[Any], tolerance: float) -> list[Any]:
 
 
 def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> Any:
-    """Return the geometry ``make()``, prepared for queries; cache it by owner, name and thread."""
+    """Return the Shapely geometry ``make()``, prepared for queries; it is cached by owner, name and thread."""
     # GEOS may crash if threads share a prepared geometry.
     of_owners = _PREPARED.__dict__.setdefault("of_owners", WeakKeyDictionary())  # in this thread
     of_owner = of_owners.setdefault(owner, {})
@@ -368,7 +372,7 @@ def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = sha
 
 
 def region_after_change(free: Any, bounds: Box, old: Boundary) -> Region:
-    """Return the region of free space whose boundary was ``old`` before a local change."""
+    # Parts of the boundary that are also in ``old`` are not tested again.
     grid = grid_of(bounds)
     rounded = shapely.transform(free, lambda points: np.rint(points / grid) * grid)
     if not shapely.is_valid(rounded):  # rounding may leave a sliver without area

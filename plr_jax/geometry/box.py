@@ -75,7 +75,7 @@ class Box:
         return self.hi - self.lo
 
     def at(self, fraction: Float[np.ndarray, "*n axes"]) -> Float[np.ndarray, "*n dim"]:
-        """Return points at fractions ``(..., dim)`` of the widths; a last axis of length 1 serves for all axes."""
+        """Return points at fractions ``(..., dim)`` of the widths, or ``(..., 1)`` for one fraction for all axes."""
         # All faces of cells and voxels come from this formula, so that equal faces are equal to the bit.
         return np.where(fraction == 1, self.hi, self.lo + self.width * fraction)
 
@@ -93,7 +93,7 @@ class Box:
 
     @property
     def single_rests(self) -> Float[np.ndarray, "2 dim"]:
-        """Distances, rounded down, by which rounding outward to 32 bits moves the lower and the upper corner."""
+        """Distances, ``(2, dim)``, by which :attr:`in_single` lies below ``lo`` and above ``hi``, rounded down."""
         lo, hi = self.in_single
         rests = np.nextafter(np.stack([self.lo - lo, hi - self.hi]).astype(np.float32), np.float32(-1))
         return np.maximum(rests, np.float32(0))
@@ -137,7 +137,7 @@ class Box:
         return wrapped
 
     def image_near(self, x: ArrayLike, reference: ArrayLike) -> Float[np.ndarray, "*batch dim"]:
-        """Move points ``(..., dim)`` by whole periods to their images nearest to reference points; all finite."""
+        """Move finite points ``(..., dim)`` by whole periods to their images nearest to finite reference points."""
         x, reference = self._points("x", x), self._points("reference", reference)
         if not self.is_periodic:
             return np.broadcast_arrays(x, reference)[0]
@@ -189,7 +189,7 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Slice:
-    """A 2-D slice of a box: the coordinates along ``axes`` vary, the others are those of the point ``at``."""
+    """A 2-D slice of a box: coordinates along ``axes`` vary, and all others are those of the point ``at``."""
 
     domain: Box
     axes: tuple[int, int]
@@ -197,7 +197,7 @@ class Slice:
 
     @classmethod
     def of(cls, domain: Box, at: Mapping[int, float | int] | None) -> "Slice":
-        """Return the slice with fixed coordinates ``at``, a mapping of axes to coordinates; None for a 2-D box."""
+        """Return the slice of a box on which coordinates are fixed: ``at`` maps axes to values (None: none)."""
         at = {} if at is None else at
         are_axes = isinstance(at, Mapping) and set(at) <= set(range(domain.dim))
         if not are_axes or any(isinstance(axis, bool | float | np.floating) for axis in at):
@@ -219,7 +219,7 @@ class Slice:
         return Box(self.domain.lo[axes], self.domain.hi[axes], [self.domain.periodic[axis] for axis in axes])
 
     def grid(self, resolution: int) -> Float[np.ndarray, "rows columns dim"]:
-        """Return the cell centers of :meth:`Box.grid` over the slice, as points of the whole domain."""
+        """Return the cell centers of :meth:`Box.grid` over the slice, as points of the box that is sliced."""
         centers = self.box.grid(resolution)
         points = np.broadcast_to(self.at, (*centers.shape[:2], self.domain.dim)).copy()
         points[..., list(self.axes)] = centers

@@ -26,7 +26,7 @@ Indices: TypeAlias = Int[np.ndarray, "cells"]
 
 @dataclass(frozen=True, eq=False)
 class FamilySamples:
-    """At most one sample point for each of several boxes, and the corners where paths from it may turn first."""
+    """Sample points of boxes, one if the box is not blocked, and the corners where paths from them turn first."""
 
     x: Corners  # center of each box, or of its largest free convex piece if a wall meets it; NaN if nothing is free
     weight: Float[np.ndarray, "boxes"]  # free share of each box's area; 0 without a sample
@@ -82,7 +82,7 @@ class FamilySamples:
     def first_turns(
         self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, "corners"]
     ) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance to a goal, and 1 + the index of its first corner (0: none, -1: no path)."""
+        # ``vertex``: 1 + the index of the corner where the path turns first; 0: straight; -1: no path.
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         if len(self.first):
             way = corner_distances[self.corner] + self.length
@@ -145,10 +145,8 @@ def cells_of_goals(
     goal_of: Indices,
     near: Indices,
 ) -> CellSources:
-    """Return, as cell ``i``, where paths from box ``box[i]`` to goal ``goal_of[i]`` may turn first.
-
-    ``near[i]`` is the index of a likely first turn in the goal's ``sources``, or -1. Sources come goal by goal.
-    """
+    # Cell ``i`` is box ``box[i]``, for paths to goal ``goal_of[i]``. A likely first turn is ``near[i]``, an index in
+    # the goal's ``sources``, or -1.
     sight, count = _sight_of_goals(shared.sight, corners, goals), 1 + len(corners.points)
     sources, table = sight.sources, sight.shadows.table
     rows, cell = take_ragged(shared.first_piece, box)

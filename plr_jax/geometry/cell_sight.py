@@ -45,7 +45,7 @@ Entries: TypeAlias = Int[np.ndarray, "entries"]
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Rays past corners, each from a nearer to a farther wall, across which visibility from a viewpoint changes."""
+    """Segments across which visibility from viewpoints changes: on rays past corners, from there to the next wall."""
 
     table: VisibilityTable
     key: Float[np.ndarray, "shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
@@ -77,7 +77,6 @@ class Shadows:
         return Shadows(table, table.key[row[long]], unit[long], start[long], end[long])
 
     def see(self, view: Indices, pieces: Pieces, center: Vectors) -> tuple[OfPieces, OfPieces]:
-        """Return whether viewpoints see centers of pieces, and whether they surely see all or nothing of a piece."""
         # A viewpoint sees all or nothing of a piece if no shadow crosses the piece.
         point, grid = self.table.points[view], grid_at(self.table.tolerance)
         seen, is_whole = self.table.sees(view, center), np.ones(len(view), bool)
@@ -119,7 +118,7 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return the two ways to bend around each corner ``c`` as turn points ``2 * c`` and ``2 * c + 1``."""
+    """Return entries ``2 * c`` and ``2 * c + 1`` for each corner ``c``: the two ways to bend around the corner."""
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
     points = np.repeat(corners.points, 2, axis=0)
@@ -127,7 +126,7 @@ def turns_by_side(corners: ReflexCorners) -> TurnPoints:
 
 
 def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation) -> TriangleLists:
-    """List for each triangle the bends around corners that paths from it can take, as indices in `turns_by_side`."""
+    # Indices ``2 * c`` and ``2 * c + 1`` are the two ways to bend around corner ``c``.
     visits, (right, left) = [], turns_by_side(visibility.corners).bounds
     for side in range(2):
         view, triangle = triangles_within(triangulation, visibility.views, right[side::2], left[side::2])
@@ -137,7 +136,7 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Data to decide to which sources (corners, goals) shortest paths from a convex region may go first."""
+    """Data to decide to which points, corners or goals, a shortest path from a convex region may go first."""
 
     sources: Sources
     view: Int[np.ndarray, "sources"]  # index of each source in the visibility table
@@ -152,7 +151,6 @@ class Sight:
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
-        """Return whether paths from some (``from_all``: all) points of piece ``i`` may turn at ``source[i]``."""
         turn = self.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
@@ -165,11 +163,12 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class CellSources:
-    """The free convex pieces of cells, each with its sources: goal or corners to which paths from it may go first.
+    """The free part of cells as convex pieces, each with *sources*: the goal or corners to which paths may go first.
 
-    If distances of sources are known, the distance of a point ``x`` of a piece is at least the minimum of
-    ``distances[s] + |x - points[s]|`` over its sources ``s``, and at most the minimum over the sources that all of
-    the piece sees, both to within :attr:`slack`. Pieces without a path to the goal are then left out.
+    Let ``distances[s]`` be the distance from source ``s`` to the goal. If these are known, the distance of a point
+    ``x`` of a piece is at least the minimum of ``distances[s] + |x - points[s]|`` over the piece's sources ``s``. It
+    is at most the minimum over the sources that all of the piece sees. Both hold to within :attr:`slack`. Pieces
+    without a path to the goal are then left out.
     """
 
     sight: Sight
@@ -186,7 +185,6 @@ class CellSources:
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
-        """Return boxes as cells: their free convex pieces, with the sources that ``lists`` has for each triangle."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
@@ -203,7 +201,7 @@ class CellSources:
 
     @property
     def slack(self) -> float:
-        """Error of the bounds of distances, since free space is known to a tolerance."""
+        """Error of distance bounds, in workspace units, since free space is known only to a tolerance."""
         return 4 * self.sight.triangulation.tolerance
 
     @property
@@ -251,7 +249,7 @@ class CellSources:
         return replace(self, num_cells=sum(each.num_cells for each in several), pieces=pieces, **columns)
 
     def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, "cells"], lo: Corners, hi: Corners) -> Self:
-        """Return boxes ``lo`` to ``hi`` as cells: parts of cells ``parent`` above or below cuts across ``axis``."""
+        # Part ``i`` is the box ``lo[i]`` to ``hi[i]``, on one side of a cut of cell ``parent[i]`` across ``axis[i]``.
         rows, cell = take_ragged(self.first_piece, parent)
         along, upper = axis[cell], is_upper[cell]
         bound = np.where(upper, lo[cell, along], hi[cell, along])
@@ -264,7 +262,7 @@ class CellSources:
         return part.merge_free_boxes(is_cut, lo, hi)
 
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
-        """Merge the convex pieces of each box that no wall meets into one, then call :meth:`prune_sources`."""
+        # Then prune the sources of merged and of changed pieces.
         cells, found = np.flatnonzero(np.diff(self.first_piece) > 1), self
         rows, of = take_ragged(self.first_piece, cells)
         row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
@@ -292,7 +290,6 @@ class CellSources:
         return replace(found.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
-        """Drop sources (first corners of paths) that no point of a changed piece sees, or where no path turns."""
         # 1. Compute the centers of changed pieces. Paths straight to the old centers bound their distances.
         center, has_goal = self.center.copy(), self.sight.has_goal
         center[changed] = centers(self.pieces[:, changed])
@@ -313,7 +310,6 @@ class CellSources:
         return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
-        """Drop sources (first corners of paths) of changed pieces if no point's shortest path goes through them."""
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
         piece, source = self.piece[pairs], self.source[pairs]
@@ -352,14 +348,14 @@ def goal_sight(
 
 
 def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
-    """List where paths from each triangle may go first: to any goal, or to a corner that sees a part of it."""
+    """List, for each triangle, where paths may go first: all goals, and corners that see a part of the triangle."""
     first, turns = regions.first, regions.turns.vertex[regions.turn]
     goals = np.tile(np.arange(num_goals), len(first) - 1)
     return first + num_goals * np.arange(len(first)), np.insert(turns, np.repeat(first[:-1], num_goals), goals)
 
 
 def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> Sight:
-    """Return the ``Sight`` for paths to any goal; each corner is two sources, one for each way to bend around it."""
+    # Each corner is two sources, one for each way to bend around it.
     turns = turns_by_side(visibility.corners)
     sources = Sources(turns.points, np.full(len(turns.points), np.inf), turns.vertex)
     shadows = Shadows.of(visibility.table)
@@ -367,7 +363,7 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
 
 
 def corners_of_cells(found: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, "entries"]]:
-    """Return pairs of a cell and a corner where paths may turn first, and whether all of the cell sees the corner."""
+    """Return pairs (cell, corner where paths from it may turn first), and whether all of the cell sees it."""
     count = np.int64(len(found.sight.turns.points) // 2)
     of_piece, first = np.unique(found.piece * count + (found.source >> 1), return_index=True)
     piece, corner = np.divmod(of_piece, count)

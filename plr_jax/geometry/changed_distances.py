@@ -16,7 +16,7 @@ Corners = Float[np.ndarray, "4 2"]
 
 @dataclass(frozen=True, eq=False)
 class TriangleSources:
-    """Pairs of a triangle and a source (the goal or a corner where a path may turn) that may see a part of it."""
+    """Pairs of a triangle and a point (goal or corner where a path may turn) that may see a part of it."""
 
     triangle: Int[np.ndarray, "pairs"]
     source: Int[np.ndarray, "pairs"]
@@ -27,7 +27,6 @@ class TriangleSources:
         return TriangleSources(self.triangle[rows], self.source[rows], self.change[rows], self.is_doubted[rows])
 
     def of_triangles(self, is_wanted: Bool[np.ndarray, "triangles"]) -> "TriangleSources":
-        """Select the pairs of the wanted triangles, and sort them by triangle."""
         rows = np.flatnonzero(is_wanted[self.triangle])
         return self[rows[np.argsort(self.triangle[rows], kind="stable")]]
 

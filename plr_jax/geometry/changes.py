@@ -46,7 +46,7 @@ class Change:
         return is_new
 
     def boxes(self, margin: float) -> list[Float[np.ndarray, "corners 2"]]:
-        """Return the bounding box, grown by ``margin``, of each connected group of changed edges as four corners."""
+        """Return the bounding box of each connected group of changed edges, grown by ``margin``, as four corners."""
         segments = np.concatenate([self.old.segments[self.edge < 0], self.new.segments[self.is_new]])
         points, index = np.unique(segments.reshape(-1, 2), axis=0, return_inverse=True)
         start, end = index.reshape(-1, 2).T
@@ -60,7 +60,7 @@ class Change:
 
 
 def changed_triangulation(old: Triangulation, change: Change) -> Triangulation | None:
-    """Return the triangulation after a change; None if rounding keeps new triangles from filling the gap."""
+    """Return the triangulation after a change of walls; None if rounding prevents this and it must be rebuilt."""
     # 1. Keep triangles unless they have a wall that is gone or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
     kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
@@ -175,7 +175,7 @@ def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, 
 def may_see_polygons(
     table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
 ) -> Bool[np.ndarray, "n"]:
-    """Return whether each viewpoint may see a convex polygon: not if every wall in that direction is closer."""
+    """Return whether viewpoint ``view[i]`` may see convex polygon ``hull[i]``; False only if closer walls hide it."""
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]
     (dx, dy), (cx, cy) = np.moveaxis(away, -1, 0), table.cut[view].T[:, :, None]
@@ -203,7 +203,7 @@ def may_see_polygons(
 
 
 def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
-    """Join visibility tables in one; each table comes with the viewpoints to take from it, and their new indices."""
+    # Each part is a table, the viewpoints to take from it, and their indices in the result.
     num = sum(len(which) for _, which, _ in parts)
     points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
     for table, which, place in parts:

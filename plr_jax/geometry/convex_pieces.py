@@ -22,7 +22,7 @@ ROOM = 8  # corners per piece: a triangle cut by a box has at most 7, and clippi
 
 
 def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
-    """Return the part of each convex polygon where a linear function, given by corner values, is at least 0."""
+    """Return where in each convex polygon a linear function, with values ``height`` at its corners, is at least 0."""
     inside = height >= 0  # somewhere in each piece, by assumption
     after = next_corner(height)
     crosses = inside != (after >= 0)
@@ -64,7 +64,7 @@ def boxes_as_pieces(lo: Corners, hi: Corners) -> Float[np.ndarray, "2 n room"]:
 
 
 def contain(pieces: Pieces, x: Float[np.ndarray, "pieces k 2"], tolerance: float) -> Bool[np.ndarray, "pieces k"]:
-    """Return whether each convex polygon contains its ``k`` points, or is within ``tolerance`` of them."""
+    """Return whether convex polygon ``i`` contains each of the points ``x[i]``, or is within ``tolerance`` of it."""
     near = np.ones(x.shape[:2], bool)
     for along, at in zip(pieces, np.moveaxis(x, 2, 0), strict=True):
         near &= at >= lowest(along)[:, None] - tolerance
@@ -81,7 +81,7 @@ def contain(pieces: Pieces, x: Float[np.ndarray, "pieces k 2"], tolerance: float
 
 
 def clip_to_boxes(pieces: Pieces, lo: Corners, hi: Corners) -> tuple[Float[np.ndarray, "2 some room"], Some, Some]:
-    """Intersect convex polygons with boxes; return parts of positive area, with the box and polygon of each."""
+    """Intersect all polygons with all boxes; return parts of positive area, and the box and polygon of each."""
     (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
     at_once, found = max(1, _BOXES_AND_PIECES // max(1, len(x0))), [np.zeros((2, 0), np.int64)]
     for begin in range(0, len(lo), at_once):
@@ -118,7 +118,7 @@ def highest(values: Values) -> Numbers:
 def difference_of_cones(
     pieces: Pieces, apex: Vectors, offset: Numbers, other_apex: Vectors, other_offset: Numbers
 ) -> Extremes:
-    """Return the minimum and maximum on each piece of ``offset + |x - apex| - other_offset - |x - other_apex|``."""
+    """Return the extremes over a piece's ``x`` of ``offset + |x - apex| - other_offset - |x - other_apex|``."""
     lowest, highest = np.empty(len(offset)), np.empty(len(offset))
     is_box = (pieces[:, :, _CORNERS_OF_BOX - 1 :] == pieces[:, :, -1:]).all(axis=(0, 2))
     for count, group in ((_CORNERS_OF_BOX, np.flatnonzero(is_box)), (pieces.shape[2], np.flatnonzero(~is_box))):
@@ -147,7 +147,7 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
 
 
 def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers) -> Extremes:
-    """Return the minimum and maximum on each piece of ``offset + |x - apex| - (slope . x + intercept)``."""
+    """Return the extremes over a piece's ``x`` of ``offset + |x - apex| - (slope . x + intercept)``."""
     # The difference is convex, so largest at a corner, and smallest on an edge or at the apex.
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, (sx, sy) = x - apex[:, 0], y - apex[:, 1], slope.T
@@ -166,7 +166,7 @@ def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vect
 
 
 def _corners_and_edges(pieces: Pieces) -> tuple[Float[np.ndarray, "kept pieces"], ...]:
-    """Return x and y of corners, x and y of unit vectors along edges, and edge lengths, each (corners, pieces)."""
+    """Return x and y of corners, x and y of unit edge vectors, and edge lengths, as arrays ``(corners, pieces)``."""
     x, y = pieces.transpose(0, 2, 1)
     new = ((x[1:] != x[:-1]) | (y[1:] != y[:-1])).any(axis=1)
     count = 1 + int(np.flatnonzero(new).max(initial=0)) + 1

@@ -42,7 +42,7 @@ class ReflexCorners:
         return self.is_tangent_to(corner, self.points[other])
 
     def is_tangent_to(self, corner: Indices, x: Float[np.ndarray, "*#batch 2"]) -> Bool[np.ndarray, "..."]:
-        """Return whether both walls of each corner lie on one side of the line from it to a point."""
+        """Return whether both walls at each corner lie on one side of the line from the corner to a point ``x``."""
         # Along any other line a path could cut off a part of the obstacle, so no shortest path turns there.
         x, y = np.moveaxis(x - self.points[corner], -1, 0)
         opens, closes = (wall[corner, 0] * y - wall[corner, 1] * x for wall in self.walls)
@@ -85,7 +85,7 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return each pair of corners that see one another on a line tangent to the walls at one of the two."""
+    """Return pairs of corners that see one another on a line tangent to the walls at one of them, at least."""
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
     # Visibility is not symmetric: at a point contact, a corner may be seen from a sector that it does not look into.
@@ -96,7 +96,7 @@ def mutually_visible_pairs(
 
 
 def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:
-    """Return the index of the corner at each vertex of a boundary; -1 if paths cannot turn there."""
+    """Return the index in ``views`` of the corner at each boundary vertex; -1 if paths cannot turn there."""
     corner = np.full(len(boundary.vertices), -1)
     corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
@@ -112,7 +112,7 @@ class TurnPoints:
     """The corners at which a shortest path to one goal can turn first, each with the cone from which paths come.
 
     The shortest path from a corner to the goal is known. The cone of a corner lies between the backward extension of
-    that path and the nearer wall at the corner; a path from any other point could be shortened.
+    that path and the nearer wall at the corner. A path from a point outside the cone could be shortened.
     """
 
     vertex: Int[np.ndarray, "turns"]  # index of each corner in a list of goals, then corners
@@ -123,13 +123,13 @@ class TurnPoints:
 
     @property
     def bounds(self) -> tuple[Float[np.ndarray, "turns 2"], Float[np.ndarray, "turns 2"]]:
-        """Unit vectors along the right and left side of each corner's cone; 0 if the cone is the whole plane."""
+        # Right, then left side; 0 if the cone is the whole plane.
         first, second = self.normal
         in_order = (cross_product(first, second) >= 0)[:, None]
         return -turned_left(np.where(in_order, second, first)), turned_left(np.where(in_order, first, second))
 
     def path_lengths(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n turns"]:
-        """Return the length of a path from each point straight to each corner, then to the goal; NaN off its cone."""
+        """Return lengths of paths from each point by each corner to the goal; NaN outside the corner's cone."""
         length = distances_between(x, self.points)
         length += self.distance
         for normal in self.normal:
@@ -138,7 +138,7 @@ class TurnPoints:
         return length
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], sees: Sees) -> FirstVisible:
-        """Return where the shortest path with a turn from each point turns first (-1: no path), and its length."""
+        """Return the first corner on each point's shortest path with a turn (-1: no path), and the path's length."""
         way, length = first_visible_in_parts(
             lambda rows: self.path_lengths(x[rows]), len(x), len(self.vertex), lambda i, k: sees(i, self.vertex[k])
         )
@@ -151,7 +151,7 @@ def find_turn_points(
     parents: Int[np.ndarray, "vertices"],
     num_goals: int = 1,
 ) -> TurnPoints:
-    """Return where shortest paths to goals can turn first; ``parents[v]`` follows vertex ``v`` on its path."""
+    """Return where shortest paths to the goals turn first; ``vertices`` are goals, then corners."""
     vertex = num_goals + np.flatnonzero(np.isfinite(distances[num_goals:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points
@@ -200,7 +200,7 @@ class TurnRegions:
 
 
 def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 visits"]) -> TriangleLists:
-    """List the viewpoints of each triangle, given pairs (viewpoint, triangle), which may repeat."""
+    """List the viewpoints that see each triangle, given pairs (viewpoint, triangle), some of which may repeat."""
     view, triangle = visits
     count = int(view.max(initial=0)) + 1
     triangle, view = np.divmod(_sorted_unique(triangle * np.int64(count) + view), count)
@@ -210,7 +210,7 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
-    """Return the points that are not vertices, and the one or two triangles of each, as (points, first, triangle)."""
+    # Points at vertices are left out. Those in the result have the triangles ``[first[i] : first[i + 1]]``.
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
     held = num_sides < 2

@@ -54,13 +54,13 @@ class Graph:
 def dijkstra(
     graph: Graph, source: int | Int[np.ndarray, "sources"]
 ) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
-    """Return each vertex's distance from the nearest source (``inf``: no path), and predecessor (negative: none)."""
+    """Return each vertex's distance from the nearest source (``inf``: no path) and predecessor (negative: none)."""
     several = np.ndim(source) > 0
     return sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True, min_only=several)[:2]
 
 
 def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.ndarray, "dim"], vertex: int) -> Points:
-    """Return the path from a point through a vertex to the root of a shortest-path tree, without repeated points."""
+    """Return the path from ``start`` straight to ``vertex``, then along ``parents`` to the root; no point repeats."""
     vertices = [vertex]
     while (parent := int(parents[vertices[-1]])) >= 0:
         vertices.append(parent)
@@ -71,9 +71,11 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.nd
 def first_visible(
     lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Return, for each point, the ``count`` visible candidates of least path length (else -1), and their lengths.
+    """Return, for each point, the ``count`` visible candidates of least path length (-1: too few), and the lengths.
 
-    ``lengths`` (NaN: no candidate) are modified in place. The first round tests ``at_once`` candidates of each point.
+    ``lengths[i, k]`` is the length of the path from point ``i`` through candidate ``k`` for its first vertex; NaN
+    excludes the candidate. The array is modified. Visibility is tested in rounds, first of the ``at_once`` shortest
+    paths of each point.
     """
     found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
     pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
@@ -103,7 +105,7 @@ def first_visible(
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Apply :func:`first_visible` to slices of points, to save memory; ``lengths`` gives path lengths of a slice."""
+    """Apply :func:`first_visible` to slices of ``n`` points, to save memory; ``lengths`` computes a slice."""
     found, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
     for begin in range(0, n, step):
@@ -117,9 +119,10 @@ def first_visible_in_parts(
 def first_visible_ragged(
     lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
 ) -> FirstVisible:
-    """Return, for each point, the index in ``lengths`` of its visible candidate of least path length, and the length.
+    """Return, for each point, the index of the shortest visible path in ``lengths`` (-1: none), and its length.
 
-    ``lengths``, modified in place, lists the first point's ``counts[0]`` candidates, then those of the next point.
+    ``lengths``, modified in place, has ``counts[0]`` path lengths of the first point, one for each candidate for the
+    path's first vertex; then ``counts[1]`` of the next point, and so on.
     """
     found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)

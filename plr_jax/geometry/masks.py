@@ -27,7 +27,7 @@ Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 @dataclass(frozen=True, eq=False)
 class PixelRings:
-    """Outlines of pixels as closed rings of corners, free pixels on the left."""
+    """Outlines of areas of free pixels, as closed rings of corners with the free pixels on the left."""
 
     points: Float[np.ndarray, "n 2"]  # corners of ring r: points[start[r] : start[r + 1]]
     start: Int[np.ndarray, "rings_and_1"]
@@ -113,7 +113,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
-    """Return the possible vertices of simplified outlines, and whether two outlines, or one twice, meet at each."""
+    # The second result says whether two outlines, or one twice, meet at a station.
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
     ring, place = ragged_indices(size)
     shift = np.zeros(num_rings, dtype=int)
@@ -148,7 +148,7 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
-    """Return the farthest point ahead to which a segment from each point of an outline may replace the outline."""
+    # The result is the farthest later station to which a link from each station may go.
     # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
     # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
     points, farthest = stations.points, np.minimum(np.arange(len(stations.points)) + 1, stations.end)
@@ -185,7 +185,6 @@ def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Indices
 
 
 def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float | int) -> Bool[np.ndarray, "m"]:
-    """Return which segments of simplified outlines come too near another segment or cut off another outline."""
     first, last = _links(stations, is_kept)
     num_corners = np.append(0, np.cumsum(stations.is_corner))
     is_inexact = num_corners[last] > num_corners[first + 1]
@@ -196,7 +195,7 @@ def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: fl
 
 
 def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
-    """Return which segments come within ``CLEARANCE`` pixels of another one elsewhere than at a common end."""
+    """Return which segments come within ``CLEARANCE`` pixels of another segment, elsewhere than at a common end."""
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
     a, b = a[a < b], b[a < b]
@@ -212,7 +211,7 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
 
 
 def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, "m"]:
-    """Return which segments, from points ``first`` to ``last``, have another outline between them and their own."""
+    """Return which segments have another outline between them and the part of their own outline that they replace."""
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
@@ -279,7 +278,7 @@ def as_mask(free: ArrayLike) -> Mask:
 
 
 def region_of_mask(free: Mask, tolerance: float | int) -> Any:
-    """Return free pixels as a Shapely MultiPolygon with simplified outlines, in units of pixels."""
+    """Return the free pixels as a Shapely MultiPolygon in pixel units, simplified to ``tolerance`` pixels."""
     outlines = pixel_rings(free)
     # Find the component of free pixels on the left of each ring.
     begin = outlines.points[outlines.start[:-1]].astype(int)
@@ -300,7 +299,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
 
 
 def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
-    """Remove blocked, then free components of at most ``num_pixels`` pixels; also return how many were removed."""
+    """Remove components of at most ``num_pixels`` pixels, blocked ones, then free ones; also return their number."""
     count = 0
     for value, structure in ((False, _ALL_AROUND), (True, None)):
         label = _labels(free == value, structure)
@@ -318,7 +317,7 @@ def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> I
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
-    """Split rings where they touch themselves; return Shapely rings, and the index of the original ring of each."""
+    """Split rings where they touch themselves; return Shapely rings, and for each the index of its original."""
     order, ring = np.arange(len(rings.points)), np.repeat(np.arange(len(rings.start) - 1), np.diff(rings.start))
     loop = ring.copy()
     num_loops = len(rings.start) - 1
@@ -336,7 +335,7 @@ def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
 
 
 def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, "n"]) -> list[list[int]]:
-    """Split a ring where it returns to a corner at which two free pixels touch; return indices of points by loop."""
+    """Split a ring at corners that it passes twice, where free pixels touch; return each loop's point indices."""
     loops, path, place = [], [], {}
     for i, (point, meets) in enumerate(zip(map(tuple, points.tolist()), is_contact.tolist(), strict=True)):
         if meets and point in place:

@@ -1,7 +1,7 @@
 """Location and visibility of single points, in plain Python.
 
-A query of one point is ten times faster in Python floats than in NumPy. The arithmetic is that of batches, and where
-rounding could matter, the functions for batches decide. So results are equal to the bit.
+A query of one point is ten times faster in Python floats than in NumPy. The arithmetic is that of the
+functions for batches, which decide where rounding could matter. So both give results that are equal to the bit.
 """
 
 from bisect import bisect_right
@@ -20,7 +20,7 @@ _NEAR = 4  # tolerances. Farther from all vertices of its triangles, rounding ca
 
 
 class Place(NamedTuple):
-    """A point of free space, rounded to the workspace's grid, and the triangles that contain the point."""
+    """A point of free space, rounded to the workspace's grid, and the one or two triangles that contain the point."""
 
     x: float
     y: float
@@ -28,7 +28,7 @@ class Place(NamedTuple):
     beyond: int  # the triangle across a side if the point lies on that side, else `triangle`
 
     def take(self, first: Int[np.ndarray, "_"], entries: Int[np.ndarray, "_"]) -> Int[np.ndarray, "_"]:
-        """Return the entries ``first[t]`` to ``first[t + 1]`` of the triangles ``t`` that contain the point."""
+        """Return ``entries[first[t] : first[t + 1]]`` of the one or two triangles ``t`` that contain the point."""
         own = entries[first[self.triangle] : first[self.triangle + 1]]
         if self.beyond == self.triangle:
             return own
@@ -45,7 +45,7 @@ class PointLocator:
         self._grid, self._tolerance = triangulation.grid, triangulation.tolerance
 
     def place(self, x: float, y: float) -> Place | None:
-        """Locate a point; return None outside free space and close to two sides of a triangle."""
+        """Locate a point; return None outside free space, and if rounding matters: near two sides of a triangle."""
         across, along = (x - self._x0) / self._width, (y - self._y0) / self._height
         if not (0 <= across < self._columns and 0 <= along < self._rows):
             return None
@@ -78,7 +78,7 @@ class PointLocator:
         return Place(x, y, triangle, beyond if side == 0 else triangle)
 
     def is_free_segment(self, start: Place, end: Place) -> bool | None:
-        """Return whether a segment is free; None if it passes too near a vertex to tell."""
+        """Return whether the segment between two points is free; None if it passes too near a vertex to tell."""
         if start.triangle == end.triangle:
             return True
         corners, x, y, dx, dy = self._corners, start.x, start.y, end.x - start.x, end.y - start.y

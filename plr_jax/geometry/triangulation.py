@@ -40,7 +40,7 @@ class Locator:
     lines: Float[np.ndarray, "triangles 3 3"]  # inward unit normal of each side, and distance of its line from 0
 
     def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-        """Return each point's triangle, or one nearby (-1: none), and the signed distance to its nearest side."""
+        """Return each point's triangle, or a nearby one (-1: none), and its signed distance to the nearest side."""
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
         found, best = np.full(len(x), -1), np.full(len(x), -np.inf)
@@ -70,7 +70,7 @@ class LocatedPoints:
 
 @dataclass(frozen=True, eq=False)
 class Triangulation:
-    """Triangles that fill a region, as half-edges: three consecutive ones per triangle, counterclockwise."""
+    """A triangulation of a region: half-edges ``3 t`` to ``3 t + 2`` bound triangle ``t``, counterclockwise."""
 
     boundary: Boundary
     tolerance: float  # points count as inside up to this distance from the region
@@ -106,7 +106,7 @@ class Triangulation:
 
     @cached_property
     def grid(self) -> float:
-        """Spacing of the grid to which vertices are rounded, as are points before they are located."""
+        """Spacing of the grid to which vertices, and points that are to be located, are rounded."""
         return grid_at(self.tolerance)
 
     def on_grid(self, x: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
@@ -115,7 +115,7 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """Return each grid point's triangle, or a nearby one, and 1, 0 or -1: inside, on or outside of each side."""
+        """Return each grid point's triangle, or one nearby, and the signs of its distances from the three sides."""
         turn, pending = np.ones((len(x), 3)), np.arange(len(x))
         if triangle is not None:
             triangle = triangle.copy()
@@ -172,7 +172,7 @@ class Triangulation:
     def are_joined(
         self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
     ) -> Bool[np.ndarray, "n"]:
-        """Return whether a free path within ``tolerance`` of the segment from each ``a`` to ``b`` joins the two."""
+        """Return whether a free path within ``tolerance`` of the segment from ``a`` to ``b`` joins the two points."""
         # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts:
         # without ``squeeze``, only around contacts at which the segment begins or ends.
         lines: Any = shapely.linestrings
@@ -207,7 +207,7 @@ class Triangulation:
 
 
 def next_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Return the next half-edge of the same triangle ``t``, which has half-edges ``3 t`` to ``3 t + 2``."""
+    """Return the next half-edge, counterclockwise, of the same triangle ``t``; it has ``3 t`` to ``3 t + 2``."""
     return half_edge + np.where(half_edge % 3 == 2, -2, 1).astype(half_edge.dtype)
 
 
@@ -260,7 +260,7 @@ def _crossed(triangles: Triangles, edges: Edges, num_vertices: int) -> Int[np.nd
 
 
 class _Mesh:
-    """An editable triangulation: for each half-edge, the third vertex of the triangle on its left."""
+    """An editable triangulation: for each directed edge, the third vertex of the triangle on its left."""
 
     def __init__(self, points: list[tuple[int, int]], triangles: Triangles):
         self.points = points
@@ -291,7 +291,6 @@ class _Mesh:
         self._fill(end, start, on_right)
 
     def _fill(self, start: int, end: int, chain: list[int]) -> None:
-        """Fill the polygon between an edge and a chain of vertices on its left with Delaunay triangles."""
         pending = [(start, end, chain)]
         while pending:
             start, end, chain = pending.pop()
@@ -322,7 +321,7 @@ class _Mesh:
 
 
 def _inside(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[HalfEdges, HalfEdges, HalfEdges]:
-    """Return ``origin``, ``twin``, ``wall`` (see :class:`Triangulation`) of triangles on the free side of walls."""
+    # Keep the triangles on the free side of walls, and number their half-edges.
     half_edges = _half_edges(triangles)
     key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
     wall, twin = index_of(_keys(edges, num_vertices), key), index_of(key, opposite)

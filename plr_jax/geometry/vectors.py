@@ -19,7 +19,7 @@ def cross_product(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#bat
 
 
 def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Batch:
-    """Return cross products; signs are exact if all coordinates are 45-bit integers times one power of two."""
+    """Return 2-D cross products, with exact signs if coordinates are 45-bit integers times a common power of two."""
     # Dekker, "A floating-point technique for extending the available precision" (1971).
     p, q = ux * vy, uy * vx
     result = np.asarray(p - q)
@@ -45,7 +45,7 @@ def left_normal(u: Vectors) -> Vectors:
 
 
 def pseudo_angle(dx: Batch, dy: Batch) -> Batch:
-    """Map directions to [0, 4], increasing with the angle by a half to one per radian; the zero vector gives 0."""
+    """Map directions to [0, 4], growing with the angle, but faster to compute; the zero vector gives 0."""
     length = np.abs(dx) + np.abs(dy)
     slant = np.divide(dx, length, out=np.ones_like(length), where=length > 0)
     return np.where(dy >= 0, 1.0 - slant, 3.0 + slant)
@@ -76,7 +76,7 @@ def turn_between(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batc
 
 
 def arc(center: Vector, start: Vector, end: Vector, num_chords: int | np.integer) -> Float[np.ndarray, "points 2"]:
-    """Return the ends of equal chords of the counterclockwise arc between two offsets from a center."""
+    """Return the ends of equal chords of the arc, counterclockwise, from ``center + start`` to ``center + end``."""
     angle = np.linspace(0.0, turn_between(start, end), num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
     points[-1] = end

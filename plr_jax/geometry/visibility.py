@@ -35,7 +35,7 @@ Visits: TypeAlias = Int[np.ndarray, "2 visits"]  # pairs (viewpoint, triangle)
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """Points that look in all directions, or only into *sectors*, ranges of directions between two walls."""
+    """Points that look in all directions or, on walls, only into *sectors*, directions between two walls."""
 
     points: Vectors
     owner: Int[np.ndarray, "sectors"]  # the point to which each sector belongs: at the start of its edge, or inside
@@ -48,23 +48,22 @@ class Viewpoints:
         return Viewpoints(self.points[rows], place[self.owner[kept]], self.edge[kept])
 
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
-        """Return a vector along the wall at the right of each sector, from the point to which the sector belongs."""
+        """Return a vector from the viewpoint along the right wall of each sector (range of directions)."""
         return boundary.vertices[boundary.edges[self.edge, 1]] - self.points[self.owner]
 
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
         return boundary.vertices[self.closing(boundary)] - self.points[self.owner]
 
     def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, "sectors"]:
-        """Return whether each sector belongs to the start of its edge, not to a point inside of the edge."""
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
     def closing(self, boundary: Boundary) -> Int[np.ndarray, "sectors"]:
-        """Return the vertex at the far end of the wall at the left of each sector."""
+        """Return the vertex at the far end of the left wall of each sector (range of directions between walls)."""
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 
 def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> Viewpoints:
-    """Return distinct points of free space, rounded to the grid, as viewpoints."""
+    """Return points of free space, which must be distinct, as viewpoints; they are rounded to the grid."""
     boundary, place = triangulation.boundary, triangulation.place(x)
     starts, points = (each @ [1, 1j] for each in (boundary.vertices[boundary.edges[:, 0]], place.x))
     owner = index_of(points, starts)
@@ -96,7 +95,7 @@ class _Cones:
 
 
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
-    """Pair viewpoints with the triangles that they partly see between ``right`` and ``left``; some pairs repeat."""
+    """Return pairs (viewpoint, triangle) with a part of it visible between directions ``right`` and ``left``."""
     # The directions span at most half a turn; zero vectors stand for all directions.
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
     # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
@@ -123,7 +122,7 @@ def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, "n"]:
 def _expansion(
     triangulation: Triangulation, views: Viewpoints, first: _Cones
 ) -> Iterator[tuple[_Cones, Seen, Visits]]:
-    """Advance cones of sight through triangles; yield cones that end at walls, vertices seen, triangles visited."""
+    # Yields cones that end at walls, and pairs of a viewpoint with a vertex seen and with a triangle visited.
     pending = [first[begin : begin + _MOST] for begin in range(0, len(first), _MOST)]
     while pending:
         cones = pending.pop()
@@ -188,11 +187,11 @@ class VisibilityTable:
 
     @property
     def blur(self) -> float:
-        """Upper bound of the rounding errors of the pseudo-angles in ``key``."""
+        """Upper bound of the rounding errors in ``key``, whose numbers stand for directions."""
         return _BLUR + np.spacing(8.0 * len(self.points))
 
     def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, "n"]:
-        """Return whether viewpoint ``v[i]`` sees point ``x[i]``; corners grazed on both sides hide points behind."""
+        """Return whether viewpoint ``v[i]`` sees ``x[i]``; corners that touch the line on both sides block it."""
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
         dx, dy = (x - self.points[v]).T
@@ -213,7 +212,7 @@ class VisibilityTable:
         return seen
 
     def _side_of_start(self, row: Indices, v: Indices, x: Points, key: Numbers) -> Numbers:
-        """Return whether points lie left of (positive), on, or right of (negative) the ray where intervals start."""
+        # Positive if the point lies left of the ray at which interval ``row`` starts, 0 on it, negative right of it.
         inside = (row > self.first[v]) & (row < self.first[v + 1])
         side = np.where(row > self.first[v], -1.0, 1.0)
         side[inside] = key[inside] - self.key[row[inside]]
@@ -242,7 +241,7 @@ def joined_tables(tables: Sequence[VisibilityTable]) -> VisibilityTable:
 
 
 def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
-    """Return visibility polygons, and all pairs of a viewpoint and a vertex that it sees, some repeated."""
+    """Return the visibility polygons of viewpoints, and pairs (viewpoint, visible vertex), some of which repeat."""
     tables, seen, num_views = [], [], len(views.points)
     with tqdm(desc="visibility", total=num_views, unit=" corners", delay=3, leave=False, disable=None) as progress:
         for begin in range(0, max(1, num_views), _VIEWS):

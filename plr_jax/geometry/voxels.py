@@ -1,8 +1,8 @@
-"""Voxels of a box in any dimension: their faces, location of points, and counts of blocked voxels in ranges.
+"""Voxels of a box of 1 to 4 dimensions: their faces, location of points, and counts of blocked voxels in ranges.
 
 Coordinates are compared with faces without rounding, so statements about touching are exact. Voxels are numbered from
 1 along each axis, with face ``k`` below voxel ``k``. Number 0 is everything below the bounds and the last number
-everything above, both blocked. Arrays of numbers and coordinates have the axis of space first.
+everything above, both blocked. Arrays of voxel numbers and of coordinates have shape ``(dim, n)``.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class VoxelGrid:
 
     @classmethod
     def of(cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = _AXES) -> "VoxelGrid":
-        """Check arguments and return the grid; without bounds, voxels have side 1 and begin at the origin."""
+        """Check arguments and return the grid; ``bounds=None`` gives voxels of side 1 from the origin on."""
         voxels = np.array(free, order="C")  # flat tables need this order
         if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
             number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
@@ -97,11 +97,11 @@ class VoxelGrid:
         return Sums.of(~self.padded)
 
     def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
-        """Count blocked voxels from ``first`` to ``last`` along every axis; none if ``last`` precedes ``first``."""
+        """Count blocked voxels in ranges from ``first`` to ``last`` along every axis; 0 if ``last < first``."""
         return self._blocked.within(first, last)
 
     def free_range(self, first: Numbers, last: Numbers) -> tuple[Numbers, Numbers]:
-        """Shrink ranges of voxels to the smallest with the same free voxels; ``last < first`` if there are none."""
+        """Shrink each range of voxels to the smallest with the same free voxels; ``last < first`` if it has none."""
         first, last = first.copy(), last.copy()
         for axis in range(self.dim):
             for moved, inward in ((first, 1), (last, -1)):
@@ -119,7 +119,7 @@ class VoxelGrid:
         return first, last
 
     def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, "n"]:
-        """Return whether closed boxes meet an edge or corner where free voxels touch, but no faces connect them."""
+        """Return whether closed boxes meet an edge or corner where free voxels touch, but no faces join them."""
         (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
         touches = np.zeros(lo.shape[1], bool)
         for across, contacts in self._contacts:
@@ -131,7 +131,7 @@ class VoxelGrid:
 
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
-        """Edges and corners where free voxels touch, but no faces connect them, listed by the axes across them."""
+        """Edges and corners where free voxels touch, but no faces join them, counted by the axes across them."""
         found, shape = [], self.padded.shape
         for num_across in range(2, self.dim + 1):
             is_parted = disconnected_sets(num_across)
@@ -173,7 +173,7 @@ class Sums:
 
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
-    """Extend each set ``live`` of voxels around a point by the free voxels that are connected to it through faces."""
+    """Extend sets ``live`` of the voxels around points by the ``free`` voxels that are joined to a set by faces."""
     # The last axis is in the order of ``itertools.product((0, 1), repeat=dim)``.
     flat = live.shape
     shape = (-1, *[2] * (flat[1].bit_length() - 1))
@@ -187,7 +187,7 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
-    """Return whether each set of the ``2**num_axes`` voxels around a point has parts that share no face."""
+    """Return whether each set of the ``2**num_axes`` voxels around a point has parts that no faces join."""
     num = 2**num_axes  # bit i of a set's index says whether voxel i belongs to the set
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     one = np.zeros_like(free)

@@ -51,7 +51,8 @@ class Workspace:
 
     Coordinates are rounded to a thousandth of ``tolerance``, so walls that touch up to rounding do touch. Walls and
     gaps thinner than a hundredth of ``tolerance`` vanish from ``free_space``, on which all distances and proofs are
-    based. Where several meet, any thinner than half of ``tolerance`` may vanish; far from the origin, than twice.
+    based. Where several thin walls or gaps meet, those thinner than half of ``tolerance`` may vanish; far from the
+    origin, those thinner than twice ``tolerance``.
 
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
@@ -138,8 +139,8 @@ class Workspace:
             row0: ``"bottom"`` if the first row has the lowest ``y``; ``"top"`` if the highest, as in images.
             tolerance: Largest distance, in pixels, between the simplified and the exact outline, either way. Half a
                 pixel makes inclined walls straight; 0 keeps every corner.
-            drop_specks: Blocked components of at most this many pixels become free, then free ones become blocked.
-            squeeze: As for the class.
+            drop_specks: Blocked components of at most this many pixels become free, then such free ones blocked.
+            squeeze: Whether a path may pass between two obstacles that touch in a single point.
         """
         region = placed_region(free, resolution, origin, row0=row0, tolerance=tolerance, drop_specks=drop_specks)
         x0, y0, x1, y1 = region.bounds

@@ -19,7 +19,7 @@ _BATCH_SIZES = (*(1 << k for k in range(8)), *range(256, 4097, 256))
 
 @dataclass(frozen=True, eq=False)
 class SumOverRobots:
-    """A heuristic of a team, the sum of one term per robot (see :class:`plr_jax._types.HeuristicFn`)."""
+    """A heuristic for a team: the cost-to-go of a joint configuration is estimated as a sum of one term per robot."""
 
     per_robot: Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # the terms, never NaN
     is_lower_bound: bool = False  # whether the sum never exceeds the true cost-to-go
@@ -142,7 +142,7 @@ def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations
 
 
 def _joint_configurations(q: ArrayLike, num_robots: int | None = None, dof: int | None = None) -> JointConfigurations:
-    """Check and convert joint configurations; None allows any number of robots, or both 2 and 3 coordinates."""
+    """Check and convert joint configurations, of any number of robots or coordinates where the argument is None."""
     expected = f"shape (n, {num_robots or 'robots'}, {dof or 'dof'})"
     q = as_numbers("Joint configurations", q, f"numbers of {expected}")
     if q.ndim != 3 or q.shape[1] != (num_robots or q.shape[1]) or q.shape[2] not in ((dof,) if dof else (2, 3)):

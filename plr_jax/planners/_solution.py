@@ -84,9 +84,9 @@ class Solution:
         status: Reason why the planner ended. Any status may come with a path.
         stats: Effort of the planner.
         samples: Joint configurations ``(nodes, robots, dof)`` of the search nodes, in the order of creation. For
-            ``bl_plan``, nodes on the last lattices, of the search (LaCAM or best-first) that has more.
-        motions_factor: Proven upper bound of the cost of the path before shortening, over the cost of the cheapest
-            path made of the same lattice motions. ``inf`` if nothing is proven.
+            ``bl_plan``, nodes of LaCAM or best-first search, whichever has more, on the lattices searched last.
+        motions_factor: Proven upper bound of a ratio: the cost of the path before shortening, over the cost of
+            the cheapest path made of motions on the same lattices. ``inf`` if nothing is proven.
         times: Time at which the path reaches each row, ``(steps,)``, from 0 to the makespan. None without a path.
     """
 
@@ -340,7 +340,7 @@ class SearchBudget:
 
 
 class MemoryUse:
-    """A count of the bytes of one data structure, which is part of ``budget.memory`` until :meth:`release`."""
+    """A counter of one data structure's bytes, which also count in ``budget.memory`` until :meth:`release`."""
 
     def __init__(self, budget: SearchBudget):
         self.budget, self.num_bytes = budget, 0

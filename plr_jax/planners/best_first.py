@@ -34,7 +34,7 @@ Table: TypeAlias = Float[np.ndarray, "_"]  # the estimate at each node of a robo
 
 
 class Successors(NamedTuple):
-    """The best children (next joint configurations) of ``n`` joint configurations, the best first."""
+    """The best successors (next joint configurations) of each of ``n`` joint configurations, by ascending score."""
 
     score: Float[np.ndarray, "n m"]  # sum of the robots' terms; inf for children that collide
     primitive: UInt8[np.ndarray, "n m robots"]
@@ -46,10 +46,11 @@ class Successors(NamedTuple):
 def best_successors(
     joint: JointLattice, terms: Sequence[Float[np.ndarray, "_ _"]], state: State, width: int
 ) -> Successors:
-    """Find the best children of joint states by beam search, adding one robot at a time.
+    """Find the best next joint configurations (children) of joint states by beam search, one robot at a time.
 
-    Before a robot joins, only the ``width`` best joint motions of the robots before it are kept. ``terms[robot]``
-    is the score of each motion primitive at each node of the robot's lattice, ``inf`` if it is blocked.
+    Only the ``width`` best joint motions of the first robots are kept before the next robot's motions are added.
+    ``terms[robot]`` is the score of each primitive (motion to a neighboring cell, or a stay) at each node of the
+    robot's lattice, ``inf`` if it is blocked.
     """
     score = np.zeros((len(state), 1), np.float32)
     primitive = np.zeros((len(state), 1, 0), np.uint8)
@@ -201,7 +202,7 @@ class BestFirstSearch:
                 self.budget.num_expansions += len(some)
 
     def _add_child(self, node: int) -> None:
-        """Add a node's best child that is not in the tree; queue the node again with the score of its next child."""
+        # Queue the node again, with the score of its next child.
         successors, is_added = self.successors[node], False
         for child in range(successors.next_index, len(successors.score)):
             state, score = successors.state[child].copy(), successors.score[child]

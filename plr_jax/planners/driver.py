@@ -157,7 +157,7 @@ class Run:
         self._mark = now
 
     def try_sequential_path(self) -> Status | None:
-        """Compute a lower bound of the cost; move robots one after the other; return SOLVED if that path suffices."""
+        # A path on which robots move one after the other suffices if its cost is accepted.
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             path = sequential_path(self.problem)
             self.end_phase("search")
@@ -195,7 +195,7 @@ class Run:
                 return Status.EXHAUSTED
 
     def _search_lattices(self, step: float, weight: float, searchers: Sequence[str]) -> tuple[Status, float]:
-        """Search finer and finer lattices; return why the search ended, and the last or the next cell size."""
+        """Search lattices of cell size ``step`` and finer; return why this ended, and a cell size to go on with."""
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
         is_complete = True
@@ -245,7 +245,7 @@ class Run:
                 searches.release()
 
     def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
-        """Build lattices of cell size ``step`` or half of it; None if a goal is unreachable on them or time is up."""
+        """Build lattices of cell size ``step`` or finer; None if a goal is unreachable on them or time is up."""
         problem = self.problem
         straight = motion_costs(problem, problem.starts, problem.goals)
         try:
@@ -292,7 +292,6 @@ class Run:
             self.record(path, found_by, factor)
 
     def _replanned(self, searches: "Searches", state: State) -> State:
-        """Return a path (lattice nodes of all robots) of no higher cost: replan single robots, then small groups."""
         joint, budget, (found_by, _) = searches.joint, self.budget, searches.found
         rows = np.concatenate([state, np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)])
         if budget.memory + num_bytes_of_table(joint, len(rows)) >= budget.max_memory:
@@ -322,7 +321,7 @@ class Run:
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Return the path through lattice nodes, and its cost divided by the sum of the robots' least costs."""
+        """Return the path through lattice nodes ``state``, and its cost divided by the robots' least costs."""
         path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
@@ -387,7 +386,7 @@ class Searches:
         self.turn = 1.0  # length of the next turn, as a multiple of the first
 
     def run(self, bar: tqdm) -> Status | None:
-        """Run each search for a while, longer at every call; return why a search ended, None if both may go on."""
+        """Run each search for a while, longer at every call; return why one ended, or None if both may go on."""
         budget, status = self.budget, None
         num_robots, finds_all = len(self.joint.lattices), "lacam" in self.running
         if finds_all:
@@ -413,7 +412,7 @@ class Searches:
 
     @property
     def found(self) -> tuple[str, State]:
-        """Name of the search that reached the goals, and the lattice nodes of all robots, ``(steps, robots)``."""
+        """Name of the search that reached the goals, and its path: each robot's lattice node, ``(steps, robots)``."""
         return next((name, each.solution_states) for name, each in self.running.items() if each.found is not None)
 
     @property

@@ -34,7 +34,7 @@ _ROUNDING = 1e-9
 
 
 class Moves(NamedTuple):
-    """The motion primitives of all robots from a joint configuration, and which of them collide."""
+    """The primitives of all robots from a joint configuration (motions to neighboring cells), and which collide."""
 
     child: list[list[int]]  # the node that each primitive of each robot leads to
     ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first
@@ -94,7 +94,6 @@ class TeamMoves:
     def _add_between_cells(
         self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
-        """Add to ``neighbors`` the collisions of robots ``i`` with robots ``j``, which are ``cells`` cells away."""
         known, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
         if new := list({*keys, *back} - known.keys()):
@@ -113,7 +112,6 @@ class TeamMoves:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
-        """Yield, for each pair of kinds (shapes) of robots, the robots near enough to collide in a step."""
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
@@ -134,7 +132,7 @@ def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
 
 
 class PIBT:
-    """A search for one step of the team: the motion primitives chosen so far, and those still allowed."""
+    """A search for one collision-free step of the team: the motions chosen so far, and those still allowed."""
 
     def __init__(self, moves: Moves):
         self.moves = moves
@@ -146,7 +144,7 @@ class PIBT:
         self._changes: list[tuple[int, Bits]] = []  # robots, and their allowed primitives before each change
 
     def find(self, order: Sequence[int], constraints: Sequence[tuple[int, int]]) -> list[int] | None:
-        """Return one primitive per robot, free of collisions, or None. A constraint fixes a robot's primitive."""
+        # A constraint fixes a robot's primitive.
         in_the_way = []
         for robot, primitive in constraints:
             if not self.allowed[robot] >> primitive & 1:
@@ -175,7 +173,7 @@ class PIBT:
         return False
 
     def _choose(self, robot: int, primitive: int) -> list[int]:
-        """Choose a robot's motion and disallow others that collide with it; return robots that can no longer stay."""
+        # Return the robots that can then no longer stay in place.
         chosen, allowed, in_the_way = self.chosen, self.allowed, []
         chosen[robot] = primitive
         self._robots.append(robot)
@@ -211,9 +209,9 @@ class Node:
 
 
 class LaCAM:
-    """A depth-first search, in which the newest node makes one more step of the team, by PIBT.
+    """A depth-first search over joint configurations: the newest node makes one more step of the whole team.
 
-    Each time a node is expanded again, the motions of more of its robots are prescribed.
+    Each time a node is expanded again, the motions of more of its robots are prescribed; PIBT finds all others.
     """
 
     def __init__(self, joint: JointLattice, moves: TeamMoves, budget: SearchBudget):
@@ -230,7 +228,7 @@ class LaCAM:
         self._add(start, None)
 
     def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
-        """Search until ``max_idle`` steps in a row bring no progress; return why, None if the search may go on."""
+        """Search until ``max_idle`` steps in a row bring no progress; return why, or None if it may go on."""
         self.num_idle = 0
         while self.found is None and self.open and self.num_idle < max_idle:
             if limit := self.budget.exceeded():

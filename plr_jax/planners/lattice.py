@@ -58,9 +58,10 @@ class Kind:
     """The lattice motions of robots of equal shape and rotation weight, as a table and as edges of a graph.
 
     Nodes are one free configuration per cell, then starts and goals. The table (``child`` and ``cost``) has a row per
-    node and a column per *primitive*, a motion to a neighboring cell; primitive 0 stays in place, and a blocked one
+    node and a column per *primitive*, a motion to a neighboring cell. Primitive 0 stays in place, and a blocked one
     leads to its own node at infinite cost. No primitive leads to a start or goal. Edges, from nodes ``begin`` to
-    ``end``, are the table's free motions, each robot's motions into its start and goal, and a dummy (``num_edges``).
+    ``end``, are the table's free motions, then each robot's motions into its start and goal, then a dummy of infinite
+    cost.
     """
 
     robot: Robot
@@ -88,7 +89,7 @@ class Kind:
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return each primitive's end node and cost, from nodes of robot ``row`` or from one node of each robot."""
+        """Return each primitive's end node and cost, from nodes of robot ``row``; by default, from one per robot."""
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
@@ -108,7 +109,7 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, for each node, the edges into it that robot ``row`` may use, padded with the dummy edge."""
+        """Return, for each node, the edges into it that robot ``row`` may use, padded with ``num_edges``."""
         into, own = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
         into[:, self.terminals.cell[row]] = self.num_edges
         for node in self.terminals.node[row]:
@@ -210,7 +211,7 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return the rows of ``state`` in which two robots are near, and which of their motions collide there."""
+        """Return the rows of ``state`` in which two robots are near, and which of their motions there collide."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
@@ -237,7 +238,7 @@ class CellGrid(NamedTuple):
     def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
-        """Return the motions of robots ``members`` of this shape, with their starts and goals as additional nodes."""
+        """Return the motions of robots ``members`` of a team, with their starts and goals as additional nodes."""
         num_robots, ends = len(starts), np.concatenate([starts, goals])
         # The cells of starts and goals; outside the grid, the nearest cells.
         index, size = np.floor((ends - self.lo) / self.side).astype(np.intp), np.array(self.shape)

@@ -60,7 +60,7 @@ class ReservationTable:
             raise
 
     def reserve(self, i: int, change: int = 1) -> None:
-        """Count robot ``i``'s path as blocking all edges that collide with it; ``change=-1`` removes the path."""
+        """Count robot ``i``'s path as blocking all motions that collide with it; ``change=-1`` undoes that."""
         a = self.kind_and_row[i][0]
         motions = self.kinds[a].edges_along(self.state[:, i])
         for b, blocked in enumerate(self.blocked):
@@ -69,7 +69,7 @@ class ReservationTable:
             blocked[step, np.concatenate(colliding)] += change  # correct, as no pair of indices occurs twice
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
-        """Return, for each edge of robots of kind ``a``, the edges of robots of kind ``b`` that collide with it."""
+        """Return, for each edge (motion) of robots of kind ``a``, the edges of kind ``b`` that collide with it."""
         known, (ours, others) = self._colliding_edges[a, b], (self.kinds[a], self.kinds[b])
         tree, order, first = self._near[b]
         missing = np.array(sorted({*edges.tolist()} - known.keys()), dtype=np.intp)
@@ -96,7 +96,7 @@ class ReservationTable:
         return [known[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
-        """Move robot ``i``, its path unreserved, to its cheapest unblocked path up to ``max_cost``; False if none."""
+        """Move robot ``i``, now without reservations, to its cheapest free path up to ``max_cost``; False if none."""
         k, row = self.kind_and_row[i]
         kind, blocked = self.kinds[k], self.blocked[k]
         start, goal = kind.terminals.node[row].tolist()

@@ -123,7 +123,7 @@ class Routes(NamedTuple):
 
 
 def sequential_path(problem: Problem) -> Path | None:
-    """Move discs one after the other; None if that fails, or for more than 8 discs or 48 walls."""
+    """Return a path on which discs move one after the other, or None; tried for up to 8 discs and 48 walls."""
     robots, workspace = problem.robots, problem.workspace
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
@@ -144,7 +144,6 @@ def sequential_path(problem: Problem) -> Path | None:
         return not any(_comes_within(route, at[j], reach[i][j]) for j in range(len(robots)) if j not in ignored)
 
     def is_ready(i: int, *ignored: int) -> bool:
-        """Return whether robot ``i`` can go to its goal and then blocks no waiting robot, except ``ignored`` ones."""
         others = [j for j in waiting if j not in ignored]
         goal = all_routes[i].goal
         return clears(i, chosen[i], ignored) and not any(_comes_within(chosen[j], goal, reach[i][j]) for j in others)
@@ -156,7 +155,7 @@ def sequential_path(problem: Problem) -> Path | None:
                 rows.append(at.copy())
 
     def make_way(i: int, j: int) -> bool:
-        """Let robot ``i`` step aside into a corner and robot ``j`` pass to its goal; return whether both can."""
+        """Let robot ``i`` step aside into a corner, and robot ``j`` pass to its goal; return whether it worked."""
         if i in aside or not is_ready(j, i, j):
             return False
         routes = all_routes[i]

@@ -67,7 +67,8 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
 ) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
-    """Return the rows left by robot ``i``'s best shortcuts (``begin`` to ``end``), and the robots that block some."""
+    # Each shortcut leads from a row in ``begin`` to a row in ``end``. Return the rows that the best ones do not skip,
+    # and the robots that block some.
     # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
     q, own = trajectory.path[:, i], end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
@@ -106,7 +107,7 @@ def _with_shortcuts(
 
 
 def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, width: float) -> Path:
-    """Replace motions of one robot, or of two that touch, by cheaper ones at most ``width`` beside them."""
+    """Shift configurations of one robot, or of two that touch, in steps of at most ``width``, to lower the cost."""
     trajectory, cost = TeamTrajectory(test.robots, path), path_cost(problem, path)
     narrowest, diagonal = width / 2**_NARROWINGS, False
     with suppress(TimeoutError):
@@ -155,7 +156,7 @@ def _shortened_in_corridors(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    """Return robots' cheapest free configurations in their corridors for ``rows``, whose first and last row stay."""
+    # The first and the last of the rows stay.
     require_time(test.deadline, "all corridors were searched")
     path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
@@ -206,7 +207,7 @@ def _joint_costs(
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
-    """Return the configurations to try in each row of robot ``i``'s path ``q``: its own, then others."""
+    """Return the configurations to try in each row of robot ``i``'s path ``q``: its own, then some ``width`` away."""
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
     offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))
     offsets[:, :2] = width * _PLUS_PATTERN @ axes
@@ -233,7 +234,7 @@ def _least_cost_through(cost: Costs) -> Costs:
 
 
 def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
-    """Return the index of each row's configuration on the cheapest path, for costs as in ``_least_cost_through``."""
+    # Paths begin and end at configuration 0, as in ``_least_cost_through``.
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0

@@ -52,7 +52,7 @@ class Timetable:
         return self._trajectory.path[: int(self.ends.max()) + 1]
 
     def move(self, i: int, q: Motion) -> None:
-        """Replace robot ``i``'s motion by ``q``, of any number of rows; the robot is no longer ignored."""
+        """Replace robot ``i``'s motion by ``q``, of any number of rows; others must respect it from now on."""
         if len(q) > self._last + 1:
             more = np.repeat(self._trajectory.path[-1:], len(q) - self._last - 1, axis=0)
             self._last, path = len(q) - 1, np.concatenate([self._trajectory.path, more])
@@ -66,7 +66,7 @@ class Timetable:
     def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return whether robot ``i`` meets no other on straight motions of ``count`` time steps from ``row`` on."""
+        """Return whether robot ``i`` meets nobody on straight motions of ``count`` time steps from ``row`` on."""
         owner, step = ragged_indices(count)
         share = count[owner, None]
         first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
@@ -76,14 +76,14 @@ class Timetable:
         return fits
 
     def meetings(self, i: int, q: Motion) -> Meetings:
-        """Return when (time steps) robot ``i`` meets others on motion ``q`` or at rest after it, and which robots."""
+        """Return the time steps at which robot ``i`` meets others, on motion ``q`` or at rest after it, and whom."""
         row = np.arange(max(self._last + 1, len(q)))
         first, last = (q[np.minimum(row + ahead, len(q) - 1)] for ahead in (0, 1))
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, "rows"]:
-        """Return for each time step the next step from which ``q`` stays free for ``patience`` steps, or ``inf``."""
+        """Return, for each time step, the next one from which ``q`` is free for ``patience`` steps, or ``inf``."""
         # Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
@@ -186,7 +186,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """Skip waypoints ``q`` by straight motions where possible, and reach no other waypoint later than its row."""
+    """Skip waypoints ``q`` by straight motions where possible; reach each remaining one no later than its ``row``."""
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:

@@ -143,7 +143,7 @@ def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]
     timetable.ignored.update(todo)
 
     def make_way(i: int, motion: Motion) -> None:
-        """Queue for replanning the robots that collide with this motion of robot ``i``; ignore them until then."""
+        # Replan the robots that collide with this motion, and ignore them until then.
         others = sorted({*timetable.meetings(i, motion)[1].tolist()} - fixed)
         timetable.ignored.update(others)
         todo.extend(others)

@@ -104,7 +104,7 @@ def shorter_turn(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batc
 
 
 def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*batch"]:
-    """Return the angles between headings, from 0 to pi: a metric, so that a detour is never cheaper."""
+    """Return the angles between headings, from 0 to pi; a turn by way of a third heading is never shorter."""
     turns = (theta1 - theta0) / (2 * np.pi)
     return 2 * np.pi * np.abs(turns - np.rint(turns))
 
@@ -112,14 +112,14 @@ def smaller_angle(theta0: Headings, theta1: Headings) -> Float[np.ndarray, "*bat
 def between(
     q0: Configurations, q1: Configurations, t: Float[np.ndarray, "*#batch 1"]
 ) -> Float[np.ndarray, "*batch dof"]:
-    """Return configurations at shares ``t`` of straight motions, turning the shorter way, from ``q0`` to ``q1``."""
+    """Return configurations at shares ``t`` from 0 to 1 of straight motions, which turn the shorter way."""
     change = q1 - q0
     change[..., 2:] = shorter_turn(q0[..., 2:], q1[..., 2:])
     return q0 + t * change
 
 
 def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return a path's rows before and after given times, and the share of the motion between both that is done."""
+    """Return a path's rows before and after given times, and the share of the motion between them that is done."""
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
     row = np.minimum(np.searchsorted(times, when, side="right") - 1, max(last - 1, 0))
@@ -129,7 +129,7 @@ def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple
 
 
 def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "dof"]) -> Float[np.ndarray, "n 2"]:
-    """Return the positions of points of the robot's frame when the robot is at a configuration."""
+    """Return the positions in the workspace of points in the robot's frame, for the robot at ``q``."""
     if robot.dof == 2:
         return q[:2] + points
     cos, sin = np.cos(q[2]), np.sin(q[2])
@@ -137,7 +137,7 @@ def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, 
 
 
 def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
-    """Return the core of a robot at a configuration, without the radius around it, as a Shapely geometry."""
+    """Return the core of a robot at configuration ``q``, without the radius around it, as a Shapely geometry."""
     corners = placed(robot, robot.core, q)
     return (shapely.Point, shapely.LineString, shapely.Polygon)[min(len(corners), 3) - 1](corners)
 
@@ -152,7 +152,7 @@ class PolygonRobot(Robot):
 
     Args:
         vertices: From 3 to 1,000 corners ``(n, 2)``, in workspace units, in either order, closed or not; stored
-            counterclockwise, the first one first. ``ValueError`` if collinear, not convex, or beside the origin.
+            counterclockwise from the first one on. ``ValueError`` if collinear, not convex, or the origin is outside.
     """
 
     vertices: Float[np.ndarray, "n 2"]
