@@ -129,8 +129,8 @@ def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> b
 
 def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
-) -> GridEstimate:
-    """Estimate the cost-to-go on a grid of at least 16 nodes for each leaf (piece) of a PLR; goals must differ."""
+) -> GridEstimate:  # goals must differ
+    """Estimate the cost-to-go on a grid of at least 16 nodes for each of the ``num_leaves`` pieces of a later PLR."""
     domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
     box, shape = _grid(space, cost_map, is_isotropic, num_leaves * _NODES_A_LEAF)
@@ -323,7 +323,7 @@ def _shortest_grid_paths(
     goal: GoalIndex,  # of that motion
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    """Return the cost of a shortest path from each grid node over edges of a few steps, and the index of its goal."""
+    # Edges are a few steps long, and change the coordinates of one group of axes.
     domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
     # Edges from nodes whose whole stencil is free need no test.

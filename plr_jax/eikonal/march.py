@@ -33,7 +33,7 @@ def balls(
     radius: float,
     side: Sides,
 ) -> tuple[Costs, float]:
-    """Return exact costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost from which to march on.
+    """Return exact costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost at which to start marching.
 
     ``straight`` is the cost of the straight motion from a node to the goal of index ``goal``; ``inf`` and -1 if none
     is known. ``slowness`` is the cost per unit of length at each node, and ``at_goal`` that at its nearest goal,
@@ -104,7 +104,7 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
 
 
 def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, side: Sides) -> Costs:
-    """Return costs without the error proportional to the step, extrapolated (Richardson) from every second node."""
+    # Remove the error proportional to the step, by Richardson extrapolation from every second node.
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]
     twice = marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))

@@ -109,7 +109,7 @@ class Mesh:
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:
-        """Convert fractions of the domain to local coordinates of cells, of the nearest image along periodic axes."""
+        """Convert fractions of the domain to local coordinates; along periodic axes, of the nearest image."""
         t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
 

@@ -53,7 +53,7 @@ class NodePaths:
 
 
 def graph_costs(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> Costs:
-    """Return costs of shortest paths from the corners of a mesh's cells along edges within free cells, or ``inf``."""
+    """Return costs of shortest paths from corners of cells along edges within free cells; ``inf`` without a path."""
     return _path_costs(*_FreeGraph(mesh, costs, goals, space).cheapest_edges())[: len(mesh.nodes)]
 
 

@@ -73,7 +73,7 @@ class CellCosts:
         return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
 
     def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
-        """Return upper bounds of costs of straight motions in cells; local middles, if given, tighten the bounds."""
+        # Upper bounds. The middles of motions, in local coordinates of the cells, tighten them.
         factor = self.upper[cell]
         if middle is not None:
             factor = np.minimum(self.most[cell] + np.sum(self.slope[cell] * (middle - 0.5), axis=1), factor)
@@ -323,8 +323,8 @@ class _Splitting:
     """The alternating direction method of multipliers for a :class:`SlopeProgram`.
 
     The unknowns are the degrees of freedom ``u``, the gradients ``z``, projected to their sets, and the scaled
-    multipliers ``y``, so that ``penalty * y`` is the flow. Values at several goals are treated like gradients; their
-    set: at most 0.
+    multipliers ``y``, so that ``penalty * y`` is the flow. With several goals, the values there, which must be at
+    most 0, have projections and multipliers too.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):

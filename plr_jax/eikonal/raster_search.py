@@ -43,7 +43,7 @@ Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 
 
 def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
-    """Return two odd numbers, for rows and columns: into how many parts to divide each cell of a small raster."""
+    # Odd numbers for rows and columns, larger for a small raster.
     scale = max(np.sqrt(_FINE_CELLS / cost.size * side.min() / side.max()), 1.0)
     wanted = side[::-1] / side.min() * ((scale - 1) // 2 * 2 + 1)
     return (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
@@ -51,7 +51,7 @@ def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
 
 @dataclass(frozen=True)
 class PathTree:
-    """Shortest paths from the centers of a raster's cells, or of parts of cells, to the nearest of given sources."""
+    """Shortest paths from the centers of a raster's cells, or of parts of cells, to the nearest of given points."""
 
     next_node: Int[np.ndarray, "nodes"]  # of corners, if any, of centers, and of sources; negative if there is none
     shape: tuple[int, int]  # rows and columns of parts of cells
@@ -59,7 +59,7 @@ class PathTree:
     ends: Points  # where paths reach the sources
 
     def path(self, center: Float[np.ndarray, "2"]) -> Points:
-        """Return the path from a cell's center to its nearest source: both ends and all turns, or no points."""
+        """Return the vertices of the path from a cell's center: both ends and all turns; none without a path."""
         (rows, columns), first_source = self.shape, len(self.next_node) - len(self.ends)
         num_corners, vertices = first_source - rows * columns, []
         row, column = (center / self.side).astype(int)[::-1]
@@ -139,7 +139,7 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
 
 
 def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, int]) -> Int[np.ndarray, "*k 2"]:
-    """Return the row and column of the raster cell of each point; points are relative to the lower corner."""
+    """Return the row and column of the raster cell of each point, given relative to the raster's lower corner."""
     return np.minimum((points / side).astype(np.int64)[..., ::-1], np.array(shape) - 1)
 
 
