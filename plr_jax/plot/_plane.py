@@ -300,7 +300,7 @@ def free_points(
 def _split_by_reachability(
     workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split free space into parts connected to a goal and other parts; all are connected if no goal is free."""
+    """Split free space into parts connected to a goal and other parts; all count as connected if no goal is free."""
     parts, label = connected_parts(workspace)
     reached = np.isin(label, label[shapely.distance(parts, shapely.MultiPoint(goals)) <= workspace.tolerance])
     return (list(parts[reached]), list(parts[~reached])) if reached.any() else (list(parts), [])
