@@ -1,4 +1,4 @@
-"""Bounds of the cost-to-go on a mesh, an estimate between them, and a PLR with both."""
+"""Proven bounds of the cost-to-go on a mesh of cells, an estimate between them, and a PLR that stores both."""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -107,7 +107,7 @@ class CostToGoField:
 
     @cached_property
     def estimate(self) -> MeshEstimate:
-        """The estimate, clipped to the bounds; where it is unknown, nearby values are continued."""
+        # Where the estimate is unknown, its excess over the lower bound continues that of nearby corners.
         mesh, lower, upper = self.mesh, self._lower_at_corners, self._upper_at_corners
         node, cell = mesh.corners[mesh.open_cells], mesh.open_cells
         excess = np.where(np.isfinite(self.nodal_estimate), self.nodal_estimate, np.nan)[node] - lower[cell]
@@ -145,11 +145,12 @@ class CostToGoField:
         return float((self._upper_at_corners - self._lower_at_corners)[known].mean()) if known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Return bounds of the cost-to-go minus multilinear functions, over boxes in cells that are not blocked.
+        """Return lower and upper bounds of the cost-to-go minus a multilinear function, for each of ``n`` boxes.
 
-        Boxes are in local coordinates of their cells; ``corners`` are the functions' values at the boxes' corners.
-        The bounds include points just outside that rounding may place in a box. Upper bounds are ``inf`` if paths are
-        not known from all free points of a box.
+        A box from ``lo`` to ``hi`` lies in the mesh cell of index ``cell``, which is not blocked, in coordinates from
+        0 to 1 along each axis of the cell; ``corners`` are the function's values at the corners of the box. The
+        bounds also hold at points slightly outside of the box, which rounding may assign to it. An upper bound is
+        ``inf`` if paths are not known from all free points of the box.
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
@@ -189,7 +190,7 @@ class CostToGoField:
         return below, above
 
     def _below_straight(self, lo: Points, hi: Points) -> AtCorners:
-        """Return, at corners of boxes, lower bounds of the cost to the nearest goal, concave over each box."""
+        # Values at the corners of boxes of a function below the cost to the nearest goal, concave over each box.
         costs, domain, bits = self.program.costs, self.mesh.domain, corner_bits(self.mesh.dim)
         if domain.is_periodic:  # costs of motions either way around are not convex
             return np.zeros((len(lo), len(bits)))
@@ -206,7 +207,7 @@ class CostToGoField:
 
     @cached_property
     def _targets(self) -> Int[np.ndarray, "targets cells"]:
-        """For each cell, three nodes ahead on paths to a goal; -1 if not every straight motion there is free."""
+        # Three nodes ahead of each cell on paths to a goal; -1 if not every straight motion from the cell is free.
         mesh, paths = self.mesh, self.paths
         if self.program.costs.cost_map is not None:
             return np.full((0, len(mesh.state)), -1)
@@ -225,7 +226,7 @@ class CostToGoField:
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, "cells"]:
-        """A margin of bounds for rounding: of values, and of points just outside a cell that count as inside."""
+        # A margin for rounding: of values, and of points just outside a cell that count as inside.
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
         way = costs.motion.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
@@ -234,7 +235,7 @@ class CostToGoField:
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
-        """Whether all straight motions to a cell's corner are free, from the cell and from points just outside."""
+        # Whether all straight motions to a corner are free, from the cell and from points just outside.
         mesh, (lo, hi) = self.mesh, self.mesh.grown_boxes
         free = np.flatnonzero(mesh.state == CellState.FREE)
         is_clear = self.space.classify(lo[free], hi[free]) == CellState.FREE
@@ -258,7 +259,7 @@ class CostToGoField:
 
 
 def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> CellCorners:
-    """Replace NaN at nodes by averages of known values in the same cells, repeatedly; 0 where nothing is known."""
+    # Average the known values of a cell at its unknown corners, and such averages at a node, until nothing changes.
     values, num = values.copy(), int(node.max()) + 1
     while True:
         known = np.isfinite(values)
@@ -274,7 +275,6 @@ def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> Cell
 
 
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
-    """Return a PLR with a leaf for each cell, continuous between open cells; None if its file is too large."""
     mesh = estimate.mesh
     closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
     step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
@@ -289,7 +289,6 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    """Build a PLR of at most ``max_bytes`` with a partition of its own; with proven bounds if ``field`` is given."""
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     limits = check_limits(
@@ -355,7 +354,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
 
 
 def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
-    """Return goal, rate and margin of the lower bound ``rate * |x - goal| - margin``; None if it does not apply."""
+    # Goal, rate and margin of the lower bound `rate * |x - goal| - margin`, relative to the domain's lower corner.
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
     (_, weight), *others = costs.motion.blocks
@@ -375,7 +374,7 @@ def _above_voxel_paths(
     coefficients: Float[np.ndarray, "leaves corners"],
     across: Float[np.ndarray, "leaves dim"],
 ) -> Float[np.ndarray, "leaves"]:
-    """Bound the cost-to-go minus each leaf's function from above by paths along centers of voxels, or by ``inf``."""
+    # Upper bounds of the cost-to-go minus each leaf's function, by paths along centers of voxels, or inf.
     grid = space.grid
     above = np.full(len(cells), np.inf)
     if grid.dim != 3 or space.radius > 0 or space.free.size > _MOST_VOXELS:

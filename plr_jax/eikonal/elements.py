@@ -23,7 +23,7 @@ _TO_BERNSTEIN = {1: np.eye(2), 2: np.array([[1, 0, 0], [-0.5, 2, -0.5], [0, 0, 1
 
 @dataclass(frozen=True, eq=False)
 class FunctionSpace:
-    """The continuous piecewise polynomials on a mesh, of degree 1 or 2 along every axis."""
+    """A finite-element space: polynomials of degree 1 or 2 in each mesh cell, continuous between unblocked cells."""
 
     mesh: Mesh
     degree: int
@@ -33,11 +33,11 @@ class FunctionSpace:
     node_of: Int[np.ndarray, "dofs"]  # a node of each degree of freedom, numbered like the rows of `values`
 
     def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
-        """Return the matrix from degrees of freedom to values at points ``t``, in their cells' local coordinates."""
+        """Return the matrix from degrees of freedom to values at points of cells; ``t`` is from 0 to 1 in a cell."""
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
     def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
-        """Return, by axis, the matrix from degrees of freedom to Bernstein coefficients of the derivative / scale."""
+        # By axis, the matrix from degrees of freedom to Bernstein coefficients of the derivative, divided by `scale`.
         # Rows are `number * nodes_of_cell + control point` for the cells that are not blocked.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
         rows = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
@@ -65,7 +65,7 @@ class FunctionSpace:
 
 
 def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n nodes"]:
-    """Evaluate the basis functions of a cell's nodes at points ``t``, in local coordinates from 0 to 1."""
+    """Evaluate a cell's Lagrange basis functions, of degree 1 or 2, at points with coordinates ``t`` from 0 to 1."""
     if degree == 1:
         along = np.stack([1 - t, t], axis=-1)
     else:
@@ -77,7 +77,7 @@ def basis(degree: int, t: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n no
 
 
 def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
-    """Return the matrix from a polynomial's values at the nodes of a cell to its Bernstein coefficients."""
+    """Return the matrix from a polynomial's values at a cell's equally spaced nodes to its Bernstein coefficients."""
     return reduce(np.kron, [_TO_BERNSTEIN[degree]] * dim)
 
 

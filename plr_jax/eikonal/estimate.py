@@ -2,7 +2,8 @@
 
 If motions cost the same in every direction, a front marches over the grid from all goals (``march.py``). If costs
 depend on the direction, or are the sum of norms of several groups of axes (as for a body that turns), the estimate is
-the cost of shortest paths over edges of several steps, up to a few percent too long. Walls move to the nearest nodes.
+the cost of shortest paths over edges of up to three grid steps along an axis, up to a few percent too long. Walls
+move to the nearest nodes.
 """
 
 from dataclasses import dataclass
@@ -55,7 +56,7 @@ Rates = tuple[Float[np.ndarray, "places"], Float[np.ndarray, "2 places dim"] | N
 
 @dataclass(frozen=True, eq=False)
 class GridEstimate:
-    """The cost-to-go at the nodes of a grid, interpolated between them."""
+    """An estimate of the cost to the nearest of several goals, interpolated between the nodes of a regular grid."""
 
     space: ConfigurationSpace
     goals: Goals
@@ -66,7 +67,6 @@ class GridEstimate:
     unseen: Int[np.ndarray, "unseen"]  # indices of the goals that no node sees
 
     def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
-        """Return the estimate at points of the domain; ``inf`` if no path leads from an adjacent node to a goal."""
         ratio, is_open = self.ratio.interpolated(x)
         beside = np.flatnonzero(~is_open & np.isfinite(ratio))
         ratio[beside[~self.space.is_free(x[beside])]] = np.inf
@@ -87,12 +87,12 @@ class GridEstimate:
         return goal
 
     def which_reached(self, x: Points) -> Int[np.ndarray, "n"]:
-        """Return what :meth:`which` returns, but -1 at points where the estimate is ``inf``."""
+        """Return the index of the goal to which each point's path leads, -1 where the estimate is ``inf``."""
         return np.where(np.isfinite(self(x)), self.which(x), -1)
 
     @cached_property
     def node_goal(self) -> GoalIndex:
-        """The goal to which the path of each node leads; for nodes without a path, the goal of the nearest node."""
+        # Nodes without a path get the goal of the nearest node that has a path.
         side = self.ratio.bounds.width / self.cost.shape
         goal = carried_goals(self.cost, self.known_goal, side, self.space.domain.periodic, len(self.goals))
         if (goal < 0).all():
@@ -111,7 +111,7 @@ def _straight_costs(
 
 
 def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Points) -> Float[np.ndarray, "n"]:
-    """Return distances or straight costs to the nearest goal, by which costs-to-go are divided to remove kinks."""
+    # The cost-to-go has a kink at each goal. Its quotient by the straight cost to the nearest goal has none.
     if _is_euclidean(space, goals, at_goals):
         return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
     least = np.full(len(x), np.inf)
@@ -129,8 +129,8 @@ def _is_euclidean(space: ConfigurationSpace, goals: Goals, at_goals: Rates) -> b
 
 def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
-) -> GridEstimate:
-    """Estimate the cost-to-go on a grid of at least 16 nodes for each of ``num_leaves`` leaves. Goals must differ."""
+) -> GridEstimate:  # goals must differ
+    """Estimate the cost-to-go on a grid of at least 16 nodes for each of the ``num_leaves`` pieces of a later PLR."""
     domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
     box, shape = _grid(space, cost_map, is_isotropic, num_leaves * _NODES_A_LEAF)
@@ -209,7 +209,7 @@ def grid_estimate(
             is_beyond = is_open & (~sees_nearest | (lengths >= 2 * radius))
             cost = extrapolated(cost, is_open, slowness, float(cost[is_beyond].min(initial=np.inf)), side)
     else:
-        cost, known = _over_stencil(space, cells, is_open, node, (factor, pulls), straight, known, side)
+        cost, known = _shortest_grid_paths(space, cells, is_open, node, (factor, pulls), straight, known, side)
     divisor = _divisors(space, goals, at_goals, flat).reshape(shape)
     at_goal = at_nearest.copy() if _is_euclidean(space, goals, at_goals) else np.ones(shape)
     ratio = np.divide(cost, divisor, out=at_goal, where=divisor > 0)
@@ -219,11 +219,11 @@ def grid_estimate(
 def _grid(
     space: ConfigurationSpace, cost_map: CostMap | None, is_isotropic: bool, num_nodes: int
 ) -> tuple[Box, Shape]:
-    """Return a box and its number of cells along each axis; the centers of these cells are the nodes of the grid.
+    """Choose a regular grid: return its box and its number of cells along each axis; nodes are the cells' centers.
 
-    There are at least ``num_nodes``, up to rounding. Nodes are centers of the space's voxels or the cost map's cells,
-    each divided into an odd number of parts along each axis. Without such cells, the outermost nodes lie on the
-    domain's faces, and steps are round decimals if these fit: walls often have round coordinates.
+    The grid has at least ``num_nodes``, up to rounding. Voxels of the space, or cells of the cost map, are divided
+    into an odd number of grid cells along each axis. Without such cells, the outermost nodes lie on the domain's
+    faces, and steps are round decimals if these fit: walls often have round coordinates.
     """
     domain = space.domain
     # 1. The centers of given cells, unless these are too many.
@@ -256,7 +256,7 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return each grid cell's state, whether paths may pass its center, and whether the center is off all walls."""
+    """Return each grid cell's state, whether paths may pass its center, and whether this center is off all walls."""
     domain = space.domain
 
     def classified(lo, hi):
@@ -294,7 +294,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
 def _close_beside_walls(
     space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
 ) -> None:
-    """Close one of each two neighbor nodes with a wall between them: the node nearer to the wall."""
+    """Set ``is_open`` to False at one of two neighbor nodes with a wall between them: the node nearer to the wall."""
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
         other = np.roll(is_open, -1, axis)
@@ -313,20 +313,17 @@ def _close_beside_walls(
     is_open &= ~closed
 
 
-def _over_stencil(
+def _shortest_grid_paths(
     space: ConfigurationSpace,
     cells: CellStates,
     is_open: IsOpen,
     node: Nodes,
     costs: tuple[Costs, Float[np.ndarray, "2 *shape dim"] | None],
-    straight: Costs,
-    goal: GoalIndex,
+    straight: Costs,  # of a motion from each node to a goal near it, inf if none is free
+    goal: GoalIndex,  # of that motion
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
-    """Return costs and goals of shortest paths over edges of a few steps, each within one group of axes.
-
-    The last edge of a path is a straight motion from a node to a goal, of given cost (``straight``) and index.
-    """
+    # Edges are a few steps long, and change the coordinates of one group of axes.
     domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
     # Edges from nodes whose whole stencil is free need no test.

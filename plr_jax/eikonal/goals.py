@@ -21,9 +21,9 @@ _CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 def nearest_goals(
     goals: Goals, domain: Box, motion: MotionCost, x: Points, count: int = 1
 ) -> tuple[Float[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
-    """Return Euclidean distances to the ``count`` nearest goals, nearest first, and the indices of these goals.
+    """Return distances from each point to its ``count`` nearest goals, nearest first, and these goals' indices.
 
-    Each axis is scaled by its cost per unit of length, so no motion costs less than the returned distance. If there
+    Distances are Euclidean, with each axis scaled by its cost per unit of length, so no motion costs less. If there
     are fewer goals, the remaining distances are ``inf`` and the remaining indices are the number of goals.
     """
     scale = motion.scale
@@ -49,14 +49,12 @@ def carried_goals(
     periodic: tuple[bool, ...],
     num_goals: int,
 ) -> GoalIndex:
-    """Return the goal to which each node's path leads, -1 without a path, given the goals of some nodes of a grid.
+    """Return the index of the goal to which each grid node's cheapest path leads; -1 without a path.
 
-    A path divides among the node's cheapest neighbors along the axes, in shares: the fall of the cost over the
-    squared step. Bits of goal indices, as numbers 1 and -1, are averaged with these shares. The averages' signs are
-    the bits of the goal to which more than half of the path leads. If check bits show that there is no such goal, the
-    node takes the goal of the neighbor with the largest share.
+    ``cost`` is the cost-to-go of each node, ``known`` the goal's index where it is known and else -1, and ``side``
+    the grid step along each axis.
     """
-    # 1. Shares of neighbors, in the order of costs.
+    # 1. A path divides among the cheapest neighbors along the axes: by the fall of the cost over the squared step.
     open_ = np.flatnonzero(np.isfinite(cost))
     order = open_[np.argsort(cost.ravel()[open_], kind="stable")]
     place = np.full(cost.size, -1)
@@ -77,7 +75,8 @@ def carried_goals(
     shares = np.stack(share)
     total = shares.sum(axis=0)
     shares = np.divide(shares, total, out=np.zeros_like(shares), where=total > 0)
-    # 2. Average the bits of the codes.
+    # 2. Average the bits of goals, as 1 and -1. The signs are the bits of a goal that gets over half of the path, if
+    #    one does: check bits tell.
     index, bits = np.arange(num_goals), max((num_goals - 1).bit_length(), 1)
     code = index + ((hash64(index) & np.uint64((1 << _CHECK_BITS) - 1)).astype(np.int64) << bits)
     digit = np.arange(bits + _CHECK_BITS if num_goals > 2 else 1)

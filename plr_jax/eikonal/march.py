@@ -1,4 +1,4 @@
-"""Fast marching over a regular grid by scikit-fmm, from exact costs around the goals, without the error at corners.
+"""Fast marching over a regular grid by scikit-fmm, from exact costs around the goals, with errors extrapolated.
 
 Stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner. Reference: Sethian, "A
 fast marching level set method for monotonically advancing fronts", 1996.
@@ -33,11 +33,11 @@ def balls(
     radius: float,
     side: Sides,
 ) -> tuple[Costs, float]:
-    """Return the cost-to-go of nodes in balls around the goals, ``inf`` elsewhere, and the cost at which to march on.
+    """Return exact costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost at which to start marching.
 
-    Nodes of a ball see its goal, and have about the goal's slowness (cost per unit of length). Motions of cost
-    ``straight`` lead from nodes to ``goal``. ``at_goal``, ``sees_nearest`` and ``lengths`` are the slowness at each
-    node's nearest goal, whether the node sees this goal, and the distance to it.
+    ``straight`` is the cost of the straight motion from a node to the goal of index ``goal``; ``inf`` and -1 if none
+    is known. ``slowness`` is the cost per unit of length at each node, and ``at_goal`` that at its nearest goal,
+    which is ``lengths`` away; ``sees_nearest`` says if the motion there is free.
     """
     differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
     stops = is_open & (~sees_nearest | differs | (lengths >= radius))
@@ -56,11 +56,7 @@ def balls(
 def marched(
     is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
 ) -> Costs:
-    """Return the costs of nodes by marching from the nodes whose known costs, ``start``, are at most ``level``.
-
-    scikit-fmm starts at a surface between nodes, and computes times of nodes beside the surface with a large error.
-    So these nodes get the slowness for which their times are right.
-    """
+    """Return costs of grid nodes by fast marching from the nodes whose costs ``start`` are at most ``level``."""
     is_core = start <= level
     known, inverse_square = start.copy(), np.zeros(is_open.shape)
     for axis, wraps in enumerate(periodic):
@@ -78,6 +74,7 @@ def marched(
     if not front.any():
         return np.where(is_core, start, np.inf)
     time = np.where(is_core[front], level - known[front], known[front] - level)
+    # scikit-fmm starts at a surface between nodes, and errs beside it: nodes there get the slowness that corrects it.
     slowness = slowness.copy()
     slowness[front] = np.maximum(time, _NO_TIME * slowness[front] * side.min()) * np.sqrt(inverse_square[front])
     found = skfmm.travel_time(
@@ -91,7 +88,7 @@ def marched(
 
 
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
-    """Return whether every second node makes a grid with the same walls, and costs do not jump between its nodes."""
+    """Return whether every second node along each axis makes a grid with the same walls and no jumps of the cost."""
     if any(n % 2 == 0 for n in is_open.shape):
         return False
     for axis in range(is_open.ndim):
@@ -107,7 +104,7 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
 
 
 def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, side: Sides) -> Costs:
-    """Remove the error proportional to the step, by Richardson extrapolation (1927) from every second node."""
+    # Remove the error proportional to the step, by Richardson extrapolation from every second node.
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]
     twice = marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))

@@ -1,4 +1,4 @@
-"""The mesh of a configuration space: dyadic cells that are proven free, proven blocked, or mixed."""
+"""The mesh of a configuration space: dyadic cells that are proven free, proven blocked, or mixed (unproven)."""
 
 import copy
 from dataclasses import dataclass
@@ -30,11 +30,11 @@ Mask: TypeAlias = Bool[np.ndarray, "cells"]
 
 @dataclass(eq=False)
 class Mesh:
-    """The dyadic cells of a domain, in the order of the tree's traversal: each proven free, proven blocked, or mixed.
+    """Cells of a domain, made by repeated halving: each proven free, proven blocked, or mixed (unproven).
 
     Points are *fractions* of the domain, or *local* coordinates of a cell, both from 0 to 1 along each axis. A
-    blocked cell is *flush* if it borders on free space: rounding may place free points in it, so it answers as the
-    open (not blocked) cells beside it do.
+    blocked cell is *flush* if it borders on free space. Rounding may place free points in it, for which the bounds of
+    the open (not blocked) cells beside it count. Cells are numbered in the order in which ``tree`` is traversed.
     """
 
     domain: Box
@@ -60,7 +60,7 @@ class Mesh:
 
     @cached_property
     def grown_boxes(self) -> Corners:
-        """Lower and upper corners of boxes around all points that rounding may place in the cells."""
+        # Boxes around all points that rounding may place in the cells.
         return _grown_boxes(self.cells, self.domain)
 
     @cached_property
@@ -84,14 +84,14 @@ class Mesh:
 
     @cached_property
     def _descent(self) -> Int[np.ndarray, "2 nodes"]:
-        """For each tree node, its lower child (a leaf's own index), and the coordinate bit that chooses the child."""
+        # For each tree node, its lower child (a leaf's own index), and the coordinate bit that chooses the child.
         tree, node = self.tree, np.arange(len(self.tree.child))
         bit = self._finest[tree.axis] - tree.cells.depth[node, tree.axis] - 1
         return np.where(tree.child < 0, [node, np.full_like(node, _NO_BIT)], [tree.child, bit])
 
     @property
     def nodes(self) -> Float[np.ndarray, "nodes dim"]:
-        """Corners of all cells, as fractions of the domain, below 1 along periodic axes."""
+        """The distinct corners of all cells, as fractions of the domain; below 1 along periodic axes."""
         return self._corners[0]
 
     @property
@@ -109,12 +109,12 @@ class Mesh:
         return np.ldexp(x, self.cells.depth[cell]) - self.cells.position[cell]
 
     def within(self, cell: CellIndex, x: Fractions) -> Fractions:
-        """Convert fractions of the domain to local coordinates, by the shorter way around periodic axes."""
+        """Convert fractions of the domain to local coordinates; along periodic axes, of the nearest image."""
         t, turn = self.local(cell, x), np.ldexp(1.0, self.cells.depth[cell])
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
 
     def locate(self, x: Fractions) -> CellIndex:
-        """Return the cell at each point: the upper cell on a face, the nearest cell outside of the domain."""
+        """Return the index of each point's cell: the upper one on a face, the nearest one outside the domain."""
         most = (1 << self._finest) - 1
         slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most).ravel()
         first, node, (child, bit) = self.dim * np.arange(len(x)), np.zeros(len(x), np.int64), self._descent
@@ -137,12 +137,12 @@ class Mesh:
 
     @property
     def flush_pairs(self) -> Int[np.ndarray, "2 pairs"]:
-        """Pairs of a flush blocked cell (row 0) and a cell that is not blocked and touches the first (row 1)."""
+        # Row 0: a flush blocked cell; row 1: a cell that is not blocked and touches it.
         flush = np.flatnonzero(self.is_flush & (self.state == CellState.BLOCKED))
         return touching_leaves(self.tree, flush, self.open_cells, self.domain.periodic)
 
     def shared_boxes(self, cell: CellIndex, other: CellIndex) -> tuple[Fractions, Fractions, Fractions]:
-        """Return corners of the box that each two touching cells share, and its shift (in periods) into ``other``."""
+        # Lower and upper corners, in fractions of the domain, and the box's shift, in periods, into `other`.
         (lo, hi), (low, high) = (
             [self.fractions(c, np.full(self.dim, end)) for end in (0.0, 1.0)] for c in (cell, other)
         )
@@ -161,7 +161,7 @@ class Mesh:
         return mesh
 
     def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
-        """Return the mesh with the cells ``which`` halved, in this order, while ``room`` for more cells is left."""
+        """Return the mesh with cells ``which`` halved, in this order, as long as at most ``room`` cells are added."""
         parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
         while num < len(which) and room >= most:
             batch = which[num : num + room // most]
@@ -208,7 +208,7 @@ class Mesh:
 
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:
-    """Return a mesh of equal cells about as wide as long: at least ``num_cells``, if ``max_cells`` allows."""
+    """Return a mesh of at most ``max_cells`` equal, nearly cubic cells, and of at least ``num_cells`` if possible."""
     domain, scale = space.domain, space.motion_cost.scale
     width = domain.width * scale
     least = np.where(domain.periodic, _LEAST_PERIODIC, 0)
@@ -240,7 +240,6 @@ def _mesh(domain: Box, cells: Cells, state: States, is_flush: Mask) -> Mesh:
 
 
 def _classify(cells: Cells, domain: Box, space: ConfigurationSpace) -> tuple[States, Mask]:
-    """Return the state of cells, and whether each is flush: blocked, but rounding may place free points in it."""
     state = as_states(space.classify(*cells.boxes(domain)), len(cells))
     is_flush, blocked = np.zeros(len(cells), bool), np.flatnonzero(state == CellState.BLOCKED)
     is_flush[blocked] = space.classify(*_grown_boxes(cells[blocked], domain)) != CellState.BLOCKED
@@ -253,9 +252,10 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Count a blocked cell as mixed if open (not blocked) cells touch one another only in its edge or corner.
+    """Return a mesh in which a blocked cell counts as mixed if open cells touch only in its edge or corner.
 
-    A path may begin on either side of this edge or corner, and may pass if the space lets robots squeeze through.
+    Open cells are those that are not blocked. A path may begin on either side of this edge or corner, and may pass if
+    the space lets robots squeeze through.
     """
     dim, periodic = mesh.dim, mesh.domain.periodic
     signs, shares = (np.array(list(product(ends, repeat=dim))) for ends in ((-1, 1), (0.0, 0.5, 1.0)))
@@ -289,6 +289,6 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
 
 
 def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, "edges"]:
-    """Return whether the open places around each edge or corner of cells fall into parts that share no face."""
+    # Whether the open ones among the places around an edge or corner are not all connected through faces.
     is_first = is_open & (np.cumsum(is_open, axis=1) == 1)
     return np.asarray((is_open & ~spread(is_first, is_open)).any(axis=1))

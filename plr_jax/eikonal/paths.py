@@ -37,7 +37,7 @@ EdgeCosts: TypeAlias = Float[np.ndarray, "_"]
 
 @dataclass(frozen=True, eq=False)
 class NodePaths:
-    """Paths to the nearest goal from the corners of a mesh's cells (the nodes)."""
+    """Paths from the corners of a mesh's cells (the nodes) to the nearest goal, through free cells."""
 
     points: Float[np.ndarray, "nodes dim"]  # the nodes as fractions of the domain, then the goals
     cost: Costs  # of each node's path, rounded up; inf if none was found
@@ -45,7 +45,7 @@ class NodePaths:
 
     @property
     def ends(self) -> Nodes:
-        """The goal to which each node's path leads, as an index of ``points``; the first goal if there is no path."""
+        """The goal at the end of each node's path, as an index of ``points``; the first goal if there is no path."""
         ends = self.next
         while (ends != ends[ends]).any():
             ends = ends[ends]
@@ -53,15 +53,15 @@ class NodePaths:
 
 
 def graph_costs(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> Costs:
-    """Return costs of shortest paths from the corners of a mesh's cells along edges within free cells, or ``inf``."""
-    return _along(*_FreeGraph(mesh, costs, goals, space).cheapest_edges())[: len(mesh.nodes)]
+    """Return costs of shortest paths from corners of cells along edges within free cells; ``inf`` without a path."""
+    return _path_costs(*_FreeGraph(mesh, costs, goals, space).cheapest_edges())[: len(mesh.nodes)]
 
 
 def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> NodePaths:
-    """Find short paths through free cells from the cells' corners to the nearest goal, in fractions of the domain."""
+    """Find short paths from the corners of a mesh's cells (nodes) to the nearest goal, through free cells alone."""
     graph = _FreeGraph(mesh, costs, goals, space)
     next_, leg = graph.cheapest_edges()
-    cost, node = _along(next_, leg), np.arange(len(next_))
+    cost, node = _path_costs(next_, leg), np.arange(len(next_))
     tested, found = np.full((2, len(next_)), -1), np.full((2, len(next_)), np.inf)  # last targets, and their costs
     for _ in range(_ROUNDS):
         before = cost
@@ -74,15 +74,15 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
             tested[kind, some] = ahead[some]
             better = straight + cost[ahead] < (1 - _GAIN) * cost
             next_, leg = np.where(better, ahead, next_), np.where(better, straight, leg)
-            cost = _along(next_, leg)
+            cost = _path_costs(next_, leg)
         known = np.isfinite(cost)
         if np.sum(before[known] - cost[known]) <= _ENOUGH * np.sum(cost[known]):
             break
     return NodePaths(graph.points, (1 + _ROUNDING) * cost, next_)
 
 
-def _along(next_: Nodes, leg: Costs) -> Costs:
-    """Sum edge costs along each node's path; ``leg`` is the cost of the edge from a node to the next node."""
+def _path_costs(next_: Nodes, leg: Costs) -> Costs:
+    # leg: cost of the edge from each node to the next node of its path.
     cost = leg
     while (next_ != next_[next_]).any():
         cost, next_ = cost + cost[next_], next_[next_]
@@ -90,7 +90,7 @@ def _along(next_: Nodes, leg: Costs) -> Costs:
 
 
 class _FreeGraph:
-    """A graph of the corners of free cells and the goals; edges are straight motions within a cell."""
+    """A graph of the corners of cells and the goals, whose edges are straight motions that are proven free."""
 
     def __init__(self, mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace):
         self.mesh, self.costs, num = mesh, costs, len(mesh.nodes)
@@ -119,8 +119,7 @@ class _FreeGraph:
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
-        """Yield begins, ends and costs of all edges within free cells; ``homes`` are the cells of the goals."""
+    def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:  # homes: the cells of the goals
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
         nodes, cells = [self.goals[is_free[homes]]], [homes[is_free[homes]]]
@@ -160,7 +159,7 @@ class _FreeGraph:
             yield a[order].astype(np.int32), b[order].astype(np.int32), cost[order]
 
     def cheapest_edges(self) -> tuple[Nodes, Costs]:
-        """Return the end and the cost of the first edge of each node's shortest path to a goal."""
+        """Return the second node of each node's shortest path to a goal, and the cost of the edge to it."""
         num = len(self.points)
         graph = csc_array((self.cost, self.end, np.searchsorted(self.begin, np.arange(num + 1))), (num, num))
         cost, previous, _ = dijkstra(graph, indices=self.goals, return_predecessors=True, min_only=True)
@@ -171,7 +170,7 @@ class _FreeGraph:
         return next_, leg
 
     def next_of_neighbors(self, cost: Costs, next_: Nodes) -> Nodes:
-        """Return, for each node, the best successor of a neighbor: the path through it costs least, walls ignored."""
+        # The node after a neighbor on its path: of all neighbors, the cheapest way on if walls are ignored.
         best, bounds = next_.copy(), np.append(self.first, len(self.end))
         counts = np.diff(bounds)
         for some in parts(counts, _EDGES_AT_ONCE):
@@ -187,7 +186,7 @@ class _FreeGraph:
         return self.costs.motion.norm(self._changes(begin, end)) * self.costs.least_rate
 
     def upper_bounds(self, begin: Edges, end: Edges) -> EdgeCosts:
-        """Return upper bounds of the costs of straight motions between nodes; ``inf`` if one leaves free cells."""
+        """Return upper bounds of the costs of straight motions between nodes; ``inf`` if one is not in free cells."""
         x = self.points[begin]
         change = self._changes(begin, end)
         mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))

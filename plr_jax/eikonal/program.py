@@ -1,9 +1,9 @@
 """A convex program for the largest lower bound of the cost-to-go in a finite-element space.
 
 A function is a lower bound if it is at most 0 at the goals, continuous across every face that is not proven blocked,
-and nowhere steeper than a step costs. The alternating direction method of multipliers maximizes the function's
-integral; the multipliers are a flow along cheapest paths. At last the values are rescaled until they satisfy the
-constraints, rounding included. So the bound is proven after any number of iterations.
+and along every motion rises by no more than the motion costs. The alternating direction method of multipliers
+maximizes the function's integral; the multipliers are a flow along cheapest paths. At last the values are rescaled
+until they satisfy the constraints, rounding included. So the bound is proven after any number of iterations.
 
 References: Benamou and Carlier, "Augmented Lagrangian methods for transport optimization, mean field games and
 degenerate elliptic equations", 2015. Eckstein and Bertsekas, 1992, for over-relaxation.
@@ -44,7 +44,7 @@ class CellCosts:
 
     A motion by the vector ``dq`` costs from ``lower |dq| + p`` to ``upper |dq| + p``. Here ``|dq|`` is the norm
     ``motion``, and ``p`` the larger scalar product of ``dq`` with one of two vectors, the ``pulls``. Without pulls,
-    ``p`` is 0, and the factor of ``|dq|`` also lies between two linear functions of the place.
+    ``p`` is 0, and the factor of ``|dq|`` also lies between two linear functions of the position in the cell.
     """
 
     motion: MotionCost
@@ -58,7 +58,7 @@ class CellCosts:
 
     @property
     def midway(self) -> "CellCosts":
-        """Costs for estimates instead of bounds: the mean of lower and upper bounds replaces the upper bounds."""
+        """Costs whose upper bounds are the means of the lower and the upper bounds, to estimate costs of paths."""
         lower, least = self.lower, self.least
         if self.pulls is not None:  # no cost is negative
             longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
@@ -67,13 +67,13 @@ class CellCosts:
 
     @cached_property
     def least_rate(self) -> float:
-        """A lower bound, at least 0, of the cost of any motion whose norm is 1."""
+        """A lower bound, at least 0, of the cost of any motion whose norm is 1, in any cell."""
         if self.pulls is None:
             return float(self.lower.min())
         return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
 
     def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
-        """Return upper bounds of the costs of straight motions in cells; local middles, if known, tighten them."""
+        # Upper bounds. The middles of motions, in local coordinates of the cells, tighten them.
         factor = self.upper[cell]
         if middle is not None:
             factor = np.minimum(self.most[cell] + np.sum(self.slope[cell] * (middle - 0.5), axis=1), factor)
@@ -117,11 +117,11 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
 def rescaling_of(
     lowest: Numbers, highest: Numbers, factor: Numbers
 ) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-    """Return breakpoints and values of a piecewise linear function that makes a too steep function a lower bound.
+    """Return breakpoints and values of a piecewise linear function ``g`` that makes a function less steep.
 
-    In each cell, the too steep function has values from ``lowest`` to ``highest``, and a slope of ``factor`` times
-    the largest admissible slope. The returned function maps 0 to 0, and its slope between these values is at most
-    ``1 / factor``.
+    In cell ``i``, the function ``u`` has values from ``lowest[i]`` to ``highest[i]``, and is up to ``factor[i]``
+    times as steep as a lower bound may be. The slope of ``g`` between these values is at most 1, and at most
+    ``1/factor[i]``. So ``g(u)`` is nowhere too steep. ``g(0)`` is 0.
     """
     order = np.argsort(factor, kind="stable")
     order = order[factor[order] > 1]
@@ -136,7 +136,7 @@ def rescaling_of(
 
 @dataclass(frozen=True, eq=False)
 class SlopeSets:
-    """The convex sets for the gradient of a lower bound, one for each of its Bernstein coefficients in each cell.
+    """The convex sets in which Bernstein coefficients of a lower bound's gradient must lie, one for each coefficient.
 
     The gradient lies in a ball if costs are lengths, and in a product of balls if costs are sums of norms over groups
     of axes (``blocks``). If costs depend on the direction, minus the gradient lies in a ball around a point of the
@@ -165,7 +165,7 @@ class SlopeSets:
         return first + np.clip(t, 0.0, 1.0) * along
 
     def factors(self, g: Vectors) -> PerControl:
-        """Return the factors by which to divide vectors so that they are in their sets; at most 1 if they are."""
+        """Return the factor by which to divide each vector so that it lies in its set; at most 1 if it lies there."""
         g = g - self._nearest_offset(g)
         length = np.max(self.lengths(g), axis=0)
         if self.pulls is None:
@@ -174,7 +174,7 @@ class SlopeSets:
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
-        """Return the costs of motions by the vectors ``-flow``."""
+        # Of motions by the vectors -flow.
         norm = np.sum(self.lengths(flow), axis=0)
         if self.pulls is None:
             return self.radius * norm
@@ -194,7 +194,7 @@ _MOST_FACTORED, _COARSEST_GRID = 100_000, 100
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """An iterate of the solver: the values of the lower bound, and multipliers, a flow along cheapest paths."""
+    """An iterate of the solver: values of the lower bound, and multipliers, which are a flow along cheapest paths."""
 
     values: Dofs  # of the degrees of freedom
     flow: Vectors  # at the control points of gradients
@@ -215,7 +215,6 @@ class SlopeProgram:
 
     @classmethod
     def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goals: Motions) -> "SlopeProgram":
-        """Build the convex program for the part of a mesh that is connected to goals (in fractions of the domain)."""
         homes, state = mesh.locate(goals), mesh.state.copy()
         state[homes[state[homes] == CellState.BLOCKED]] = CellState.MIXED  # goals are free to a tolerance
         mesh = with_open_contacts(mesh.with_state(state), space)
@@ -252,14 +251,14 @@ class SlopeProgram:
         return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
     def gradients(self, u: Dofs) -> Vectors:
-        """Return Bernstein coefficients of a gradient, each axis divided by its weight in the cost of motions."""
+        # Bernstein coefficients, with each axis divided by its weight in the cost of motions.
         return (self.gradient @ u).reshape(self.dim, -1)
 
     def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
     def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-        """Return the result of :func:`rescaling_of` for ``u``, which makes it a lower bound, rounding included."""
+        # See `rescaling_of`: it makes `u` a lower bound, rounding included.
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
         control = nodal @ to_bernstein(space.degree, mesh.dim).T
@@ -267,10 +266,10 @@ class SlopeProgram:
         return rescaling_of(control.min(axis=1), control.max(axis=1), factor)
 
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """Estimate the integral of the true cost-to-go minus the lower bound, as a sum of one loss for each cell.
+        """Estimate the integral of cost-to-go minus lower bound, as a sum of a loss for each unblocked cell.
 
         A cell's loss is its volume times the excess, at least 0, of the cost of the iterate's flow over the rise of
-        the lower bound along this flow. The rise counts as 0 in cells that are neither proven free nor blocked.
+        the lower bound along this flow. The rise counts as 0 in cells that are not proven free.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
@@ -281,7 +280,7 @@ class SlopeProgram:
         return mesh.volumes[mesh.open_cells] * np.maximum(cost - gain, 0.0)
 
     def losses_at_goals(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
-        """Return :meth:`losses` of the goals' cells as if all flow there went straight to the goal; 0 for others."""
+        # Losses of the goals' cells as if all flow there went straight to the goal; 0 for other cells.
         space, mesh, domain = self.space, self.space.mesh, self.space.mesh.domain
         nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion, domain.at(space.points))[1][:, 0]
         change = domain.difference(domain.width * self.at[nearest], domain.width * space.points)
@@ -293,7 +292,7 @@ class SlopeProgram:
         return np.where(np.isin(mesh.open_cells, self.goal_cells), gap[mesh.open_cells], 0.0)
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
-        """Run iterations of :class:`_Splitting`; before those in ``factor_at``, penalties are fitted to the flow."""
+        # Before the iterations in `factor_at`, penalties are fitted to the flow.
         if start is None:
             flow, inflow = np.zeros((self.dim, len(self.volume))), np.full(len(self.at), self.weight.sum())
             start = Iterate(np.zeros(len(self.weight)), flow, inflow)
@@ -323,8 +322,9 @@ class SlopeProgram:
 class _Splitting:
     """The alternating direction method of multipliers for a :class:`SlopeProgram`.
 
-    The unknowns are ``u``, the projected gradients ``z``, and the scaled multipliers ``y``; so ``penalty * y`` is the
-    flow. Values at several goals are treated like gradients, and must be at most 0.
+    The unknowns are the degrees of freedom ``u``, the gradients ``z``, projected to their sets, and the scaled
+    multipliers ``y``, so that ``penalty * y`` is the flow. With several goals, the values there, which must be at
+    most 0, have projections and multipliers too.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
@@ -368,7 +368,7 @@ class _Splitting:
 
 
 class _Poisson:
-    """The Poisson equation for ``u`` in each iteration of :class:`_Splitting`, with its factored matrix."""
+    """The linear system, a Poisson equation, of each iteration of :class:`_Splitting`, with its factored matrix."""
 
     def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, "goals"]):
         # All flow enters a single goal. The solution is then unique up to a constant, and the first unknown is 0.

@@ -43,7 +43,7 @@ Slope = Callable[[Float[np.ndarray, "..."]], Float[np.ndarray, "..."]]
 
 
 def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
-    """Return odd numbers of parts into which to divide each cell of a small raster, along rows and columns."""
+    # Odd numbers for rows and columns, larger for a small raster.
     scale = max(np.sqrt(_FINE_CELLS / cost.size * side.min() / side.max()), 1.0)
     wanted = side[::-1] / side.min() * ((scale - 1) // 2 * 2 + 1)
     return (np.ceil((wanted - 1.5) / 2) * 2 + 1).astype(int)
@@ -51,7 +51,7 @@ def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
 
 @dataclass(frozen=True)
 class PathTree:
-    """Shortest paths from the centers of a raster's cells, or of parts of cells, to their nearest sources."""
+    """Shortest paths from the centers of a raster's cells, or of parts of cells, to the nearest of given points."""
 
     next_node: Int[np.ndarray, "nodes"]  # of corners, if any, of centers, and of sources; negative if there is none
     shape: tuple[int, int]  # rows and columns of parts of cells
@@ -59,7 +59,7 @@ class PathTree:
     ends: Points  # where paths reach the sources
 
     def path(self, center: Float[np.ndarray, "2"]) -> Points:
-        """Return the path from a cell's center to its nearest source, with both ends and all turns, or no points."""
+        """Return the vertices of the path from a cell's center: both ends and all turns; none without a path."""
         (rows, columns), first_source = self.shape, len(self.next_node) - len(self.ends)
         num_corners, vertices = first_source - rows * columns, []
         row, column = (center / self.side).astype(int)[::-1]
@@ -83,7 +83,7 @@ class PathTree:
 def search_finely(
     cost: Raster, side: Sides, points: Points, parts: Int[np.ndarray, "2"], bounds: bool
 ) -> tuple[list[np.ndarray], PathTree]:
-    """Search over a raster whose cells are divided; return distances, sources, bounds if asked for, and paths."""
+    # Results for whole cells: costs of paths, indices of sources, perhaps lower and upper bounds.
     fine, of_part = cost.repeat(parts[0], axis=0).repeat(parts[1], axis=1), side / parts[::-1]
     distance, at_corners, nearest, tree = search(fine, of_part, points)
     results = [distance, nearest]
@@ -94,11 +94,11 @@ def search_finely(
 
 
 def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
-    """Return proven lower bounds of distances at the centers of cells, given path costs at centers and corners.
+    """Return a proven lower bound of the least cost of a path from each cell's center to the sources ``points``.
 
     The center divides a cell into four triangles. A function that is linear in each triangle, nowhere steeper than
-    the cost of the cell and at most 0 at the sources, is a lower bound. Path costs are projected to nearly such a
-    function, and :func:`rescaling_of` does the rest.
+    the cost of the cell and at most 0 at the sources, is a lower bound. The costs of known paths, from centers and
+    corners, are projected to nearly such a function, and then rescaled.
     """
     # 1. The triangles, one at each side of a cell: the ends of the side, its axis, and the most cost there.
     least = cost.min()  # costs are divided by the least, so that squares neither overflow nor vanish
@@ -139,7 +139,7 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
 
 
 def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, int]) -> Int[np.ndarray, "*k 2"]:
-    """Return rows and columns of the cells of points in a raster, relative to its lower corner."""
+    """Return the row and column of the raster cell of each point, given relative to the raster's lower corner."""
     return np.minimum((points / side).astype(np.int64)[..., ::-1], np.array(shape) - 1)
 
 
@@ -166,7 +166,7 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
 
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
-    """Return the source that steepest descent reaches from each cell; takes less memory than ``carried_goals``."""
+    """Return the index of the source that steepest descent of the distance reaches from each cell of a raster."""
     # 1. The next node: of sixteen around it, the one through which the distance is least.
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
     number, least = toward.copy(), np.full(distance.shape, np.inf)
@@ -199,10 +199,11 @@ def search(
     slope_fn: Slope = np.ones_like,
     from_sources: bool = False,
 ) -> tuple[Raster, AtCorners | None, Nearest, PathTree]:
-    """Find shortest paths to the sources ``points``, for raster cells of width and height ``side``.
+    """Find shortest paths from raster cells to the nearest of the sources ``points``.
 
-    With heights, costs are multiplied by ``slope_fn`` of the slope, toward or ``from_sources``. Return the paths'
-    costs at the centers and at the corners (None with heights) of cells, the nearest sources, and the paths.
+    ``side`` is the width and height of a cell. With heights, costs are multiplied by ``slope_fn`` of the slope of a
+    motion toward the sources, or away from them if ``from_sources``. Return the paths' costs at the centers and at
+    the corners (None with heights) of cells, the indices of the nearest sources, and the paths.
     """
     # 1. Costs and heights with a rim of barriers. Barriers get the height of the nearest cell.
     points, first = np.unique(points, axis=0, return_index=True)  # of equal sources, the first counts
@@ -278,10 +279,10 @@ def _straight_costs(
     cost: Float[np.ndarray, "padded_rows padded_columns"],
     side: Sides,
     points: Points,
-    home: Int[np.ndarray, "k 2"],
-    near: Int[np.ndarray, "nodes 2"],
+    home: Int[np.ndarray, "k 2"],  # row and column of each point's cell
+    near: Int[np.ndarray, "nodes 2"],  # offsets from the center of that cell, in half cells
 ) -> Float[np.ndarray, "k nodes"]:
-    """Return costs of straight motions from points to nodes ``near`` half cells off the centers of their cells."""
+    """Return costs of straight motions from points to nodes around them; ``inf`` if a barrier stops the motion."""
     begin = points[:, None, ::-1] / side[::-1]
     change = home[:, None] + 0.5 + near / 2 - begin
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -307,7 +308,7 @@ def _mean_factor(
     slope_fn: Slope,
     from_sources: bool,
 ) -> np.ndarray:
-    """Return the mean cost factor of the slopes along a motion by ``(i, j)`` cells, or back if ``from_sources``."""
+    # Of motions from all cells by (i, j) cells if `from_sources`, else of the motions back.
     heights, count = [], max(abs(i), abs(j))
     for part in range(count + 1):
         (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
@@ -322,10 +323,11 @@ def _mean_factor(
 
 
 def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
-    """Return the mean cost along a straight motion by ``(i, j)`` half cells; ``inf`` if barriers stop the motion.
+    """Return the mean costs along straight motions from many cells, ``inf`` where barriers stop the motion.
 
-    The motion begins in the center of a cell (``half`` 1) or in its lower corner (0). ``cost_at`` returns the costs
-    of the cells at an offset in rows and columns.
+    Each motion is by ``i`` half cells across rows and ``j`` across columns. It begins in the center of a cell
+    (``half`` 1) or in its lower corner (0). ``cost_at`` returns the costs of the cells at an offset in rows and
+    columns.
     """
     # 1. Cut the motion where it enters another cell.
     ends = {0.0, 1.0}

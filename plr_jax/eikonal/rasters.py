@@ -1,4 +1,4 @@
-"""Cost distance over a raster: the least accumulated cost between each cell and the nearest source."""
+"""Cost distance over a raster: the least accumulated cost between each cell and the nearest of given points."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -31,7 +31,7 @@ _REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray t
 
 
 def tobler(slope: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Return a hiker's seconds per horizontal meter at slopes (Tobler, NCGIA Technical Report 93-1, 1993)."""
+    """Return a hiker's seconds per horizontal meter at slopes, rise over run (Tobler, NCGIA report 93-1, 1993)."""
     return 0.6 * np.exp(3.5 * np.abs(slope + 0.05))
 
 
@@ -186,7 +186,7 @@ def _require_aligned(name: str, raster: Any, costs: Any) -> None:
 
 
 def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tuple[slice, slice]]:
-    """Return costs by ascending coordinates, ``inf`` in barriers, their box, and slices that restore the order."""
+    # Returns costs by ascending coordinates, inf in barriers; their box; and slices that restore the given order.
     cost = raster_values("costs", costs)
     if cost.ndim != 2 or cost.size == 0:
         raise ValueError(
@@ -210,7 +210,7 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
 
 
 def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, slice]) -> Points:
-    """Check sources, and return them relative to the lower corner of the raster."""
+    """Check the sources, points or a mask, and return points relative to the lower corner of the raster."""
     side = box.width / cost.shape[::-1]
     if np.dtype(getattr(sources, "dtype", float)).kind == "b":
         if np.shape(sources) != cost.shape:

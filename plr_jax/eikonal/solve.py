@@ -55,12 +55,12 @@ def solve_eikonal(
         plr = plr_jax.solve_eikonal(cost.space(radius=0.3), goal=(5, 1), cost_map=cost, max_bytes=8192)
         plr(points)  # costs-to-go (n,) of points (n, dim); plr.bounds(points) are proven
 
-    Here ``space`` is that of a ball among the unblocked cells. ``plr(x)`` is an estimate between the lower and the
+    Here the space is that of a ball among the unblocked cells. ``plr(x)`` is an estimate between the lower and the
     upper bounds, which hold for every point from which the goal can be reached:
 
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
-      every face that is not proven blocked, and nowhere steeper than a step costs. If costs are lengths and no axis
-      is periodic, the straight line to a single goal is a lower bound too.
+      every face that is not proven blocked, and along every motion rises by no more than the motion costs. If costs
+      are lengths and no axis is periodic, the straight line to a single goal is a lower bound too.
     - The upper bound is the cost of paths through cells that are proven free, and in voxel spaces also of paths from
       voxel to voxel. It is ``inf`` where no path was found.
 
@@ -188,7 +188,8 @@ def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells
     """Return each leaf's priority to be split: its error, or more if it is large and cut off from the goal.
 
     The error is the geometric mean of the largest error and the error's L2 norm over the leaf, for a small mean error
-    of the PLR. A cut-off leaf must be small, because it answers the function of an adjacent leaf instead of ``inf``.
+    of the PLR. A large leaf with free points that is cut off is split, as it answers an adjacent leaf's function
+    instead of ``inf``.
     """
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()
     norm = np.sqrt(np.ldexp(mean_square, -fit.cells.depth.sum(axis=1)))  # the volume is 2**-(sum of halvings)
@@ -254,7 +255,7 @@ _INSET = 1e-9  # distance of points from the faces of a cell, as a share of its 
 
 
 class SlopeSolver:
-    """A solver of the largest lower bound of the cost-to-go, on meshes that it refines where the bound is loose."""
+    """A solver of the largest lower bound of the cost-to-go, on a mesh that it refines where the bound is loose."""
 
     def __init__(
         self, space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, max_cells: int, tolerance: float
@@ -313,7 +314,7 @@ class SlopeSolver:
             )
 
     def mesh_without_mixed(self) -> Mesh:
-        """Return the mesh with each mixed cell counted as free or blocked, by whether a motion through it is free."""
+        # A mixed cell counts as free or blocked, by whether a motion through it is free.
         mesh = self.mesh
         mixed = np.flatnonzero(mesh.state == CellState.MIXED)
         new = mixed[self._through[mixed] == CellState.MIXED]
@@ -328,7 +329,7 @@ class SlopeSolver:
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
     def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
-        """Return cells to refine, most urgent first, and how many new cells to allow, at most ``parts`` from each."""
+        # Cells to refine, most urgent first, and how many new cells to allow, at most `parts` from each.
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)
         # 1. If costs differ across a mixed cell by more than a motion through it costs, it holds a thin wall. A flow
@@ -363,7 +364,7 @@ _NUM_SAMPLES, _NUM_OF_MOTION = 8, 33  # numbers of samples of a box, and of a mo
 
 @dataclass(frozen=True, eq=False)
 class SampledSpace(CheckedSpace):
-    """A space that only tests configurations: samples classify its boxes and motions, so nothing is proven."""
+    """A configuration space that classifies boxes and motions by testing samples, so nothing is proven."""
 
     seed: int
 

@@ -56,7 +56,7 @@ def player(problem: Problem, motion: Timeline, seconds: float) -> str:
 
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
-    """Return the data of a path that ``player.js`` reads, rounded by at most 1/20 of a pixel."""
+    """Return the data of a path for ``player.js``, with positions rounded by at most 1/20 of a pixel."""
 
     def short(value: float, digits: int) -> float | int:
         rounded = round(float(value), digits)
@@ -82,7 +82,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
 
 
 def _svg(problem: Problem, motion: Timeline) -> str:
-    """Return an SVG picture of obstacles, goals, tracks, and bodies at the origin, which a script then moves."""
+    """Return an SVG picture of obstacles, goals and paths, with bodies at the origin for a script to move."""
     bounds, scale = problem.workspace.bounds, pixel_scale(problem.workspace.bounds)
     width, height = scale * bounds.width
     obstacles = f'<path d="{obstacles_path(problem.workspace, bounds)}" class="obstacle" fill-rule="evenodd"/>'
@@ -238,7 +238,7 @@ def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"
 
 
 class _Actor:
-    """The parts of a robot's picture that move: body, heading bar, number and trail."""
+    """The moving artists of one robot in an animation: body, heading bar, number and trail."""
 
     def __init__(self, ax: Axes, problem: Problem, i: int):
         q = problem.starts[i]

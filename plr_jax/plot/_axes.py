@@ -43,7 +43,7 @@ def save(ax: Axes, path: str | os.PathLike[str]) -> None:
 
 
 def prepare_axes(ax: Axes | None, shown: Slice, *, room_for_colorbar: bool = True) -> Axes:
-    """Set limits, ticks, labels and colors of given or new axes that show a slice of a box; return the axes."""
+    """Return axes, given or else new, with the limits, ticks, labels and colors for a plane slice of a box."""
     box, kinds = shown.box, [is_angle(shown.domain, axis) for axis in shown.axes]
     same_unit = kinds[0] == kinds[1]
     ax = ax or new_axes(box if same_unit else SQUARE, (0.6, 0.5), (1.0 if room_for_colorbar else 0.15, 0.3))
@@ -84,7 +84,7 @@ def _in_multiples_of_pi(angle: float, _: int | None = None) -> str:
 
 
 def new_axes(box: Box, before: tuple[float, float], after: tuple[float, float], dpi: int = DPI) -> Axes:
-    """Return axes in a new figure, with margins (left, bottom) ``before`` and (right, top) ``after``, in inches."""
+    """Return axes of the box's shape in a new figure, with margins in inches: (left, bottom) and (right, top)."""
     size = _PANEL * box.width / box.width.max()
     total = size + np.add(before, after)
     figure = Figure(figsize=tuple(total), dpi=dpi, facecolor="white")

@@ -39,7 +39,7 @@ def asset(name: str) -> str:
 
 
 def html_document(title: str, style: str, body: str, script: str) -> str:
-    """Assemble a web page; ``style`` and ``script`` are added to the style that all pages share."""
+    """Assemble a web page from its parts; ``style`` is CSS added to that of all pages, ``script`` is JavaScript."""
     filled = {
         "style": asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
         "body": body,
@@ -150,7 +150,7 @@ def _is_plain_cone(container: Container) -> bool:
 
 
 def _module(data: bytes) -> str:
-    """Return a JavaScript object: a reader of the PLR (``read``), and its size, kind and proven error."""
+    """Return a JavaScript object with a reader of the PLR file ``data``, and its size, kind and proven error."""
     plr = NumpyPLR(data)
     text, leaves = plr.js_module(), f"{plr.num_leaves:,} cells"
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")

@@ -24,7 +24,7 @@ from plr_jax.robots.robot import Robot, motions_under_way, placed, shorter_turn
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Joint ``configurations`` at nondecreasing ``times`` from 0 to the makespan, with headings that never wrap."""
+    """A path of all robots: configurations at nondecreasing times from 0 to the makespan; headings never wrap."""
 
     times: Float[np.ndarray, "steps"]
     configurations: Float[np.ndarray, "steps robots dof"]
@@ -45,7 +45,7 @@ class Timeline:
 
 
 def timeline(problem: Problem, path: ArrayLike) -> Timeline:
-    """Return a path and its times, without steps in which nothing moves."""
+    """Return a path with the times of its configurations, without steps in which no robot moves."""
     path = as_path(problem, path)
     broken = np.argwhere(~np.isfinite(path))
     if broken.size:
@@ -82,7 +82,7 @@ def ink_on(color: str) -> str:
 
 
 def body_outline(robot: Robot, bounds: Box) -> Float[np.ndarray, "corners 2"]:
-    """Return the corners of a robot's body in its own frame, counterclockwise; a point is a small disc."""
+    """Return the corners of a robot's body in its own frame, counterclockwise; a point robot is a small disc."""
     radius = drawn_rounding(robot, bounds)
     if radius == 0:
         return robot.core
@@ -96,7 +96,7 @@ def drawn_rounding(robot: Robot, bounds: Box) -> float:
 
 
 def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
-    """Return the ends of a bar near the front of a robot's body, in its own frame, that shows the heading."""
+    """Return the ends of a bar across a robot's body near its front, in its own frame; it shows the heading."""
     corners = body_outline(robot, bounds)
     x = corners[:, 0].max() - 0.2 * np.ptp(corners, axis=0).min()
     across = shapely.LineString([(x, corners[:, 1].min()), (x, corners[:, 1].max())])
@@ -107,7 +107,7 @@ def heading_bar(robot: Robot, bounds: Box) -> Float[np.ndarray, "2 2"]:
 
 
 def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
-    """Return the points of the outline that faces forward, in the robot's own frame."""
+    """Return the part of a robot's outline that faces forward, as points in the robot's own frame."""
     corners = body_outline(robot, bounds)
     sides = np.roll(corners, -1, axis=0) - corners
     facing = sides[:, 1] / np.hypot(*sides.T)
@@ -150,7 +150,10 @@ def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text
 
 
 def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"]) -> None:
-    """Number the robots at ``ends``, their bodies and then perhaps goals: inside if there is room, else beside."""
+    """Write each robot's number inside its outline if there is room, else beside it.
+
+    ``ends`` are configurations of all drawn bodies, perhaps followed by those of all goals.
+    """
     bounds, num_robots = problem.workspace.bounds, len(problem.robots)
     robots = (problem.robots * 2)[: len(ends)]
     shapes = [shapely.Polygon(outline(robot, q, bounds)) for robot, q in zip(robots, ends, strict=True)]
@@ -221,8 +224,8 @@ def plot_path(
     """Draw a path ``(steps, robots, dof)`` or a part of it, as in Fig. 3 of the paper (Putman et al.).
 
     The part lasts from ``begin`` to ``end``, shares of the makespan. Each robot leaves a line in its color and
-    ``num_poses`` faded bodies at equal times, fewer if it waits. At the end of the part it is solid and numbered. An
-    invalid path or number raises ``ValueError``.
+    ``num_poses`` faded bodies at equal times, fewer if it waits. Its body at the end of the part is solid and
+    numbered. An invalid path or number raises ``ValueError``.
     """
     if not 0 <= begin < end <= 1:
         raise ValueError(f"begin and end must be shares with 0 <= begin < end <= 1, got {begin!r} and {end!r}.")

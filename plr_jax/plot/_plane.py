@@ -78,7 +78,7 @@ def plot_surface(
 
 
 def _pieces(plr: FunctionsOfLeaves, workspace: Workspace | None) -> list[Float[np.ndarray, "_ 3"]]:
-    """Return polygons in space: each cell, or its free parts, with the leaf's values as heights."""
+    """Return polygons of a surface in space: each cell, or its free parts, at the heights of the leaf's values."""
     cells = _cells_of(plr, Slice.of(plr.domain, None))
     parts = [[cell] if workspace is None else _free_parts(cell, workspace) for cell in cells]
     pieces = [corners for of_leaf in parts for corners in of_leaf]
@@ -154,7 +154,7 @@ def plot_contours(
             drawn, such as ``{2: 0.5}``. Angles are in radians.
         label: The quantity, such as "time to the goal".
         unit: The unit, such as "s".
-        resolution: Number of samples along the longer side of the domain; no lines if the shorter side gets only one.
+        resolution: Number of samples along the longer side of the domain; contour lines need two along the other.
 
     Raises:
         ValueError: If ``at`` does not leave two axes or is outside the domain, the workspace or space has other axes,
@@ -198,7 +198,7 @@ def draw_values(
     num_levels: int,
     closed: Bool[np.ndarray, "rows columns"] | None,
 ) -> AxesImage:
-    """Draw values as colors from 0 to ``largest``, about ``num_levels`` contours, and points ``closed`` in gray."""
+    """Draw values on a slice: as colors from 0 to ``largest``, with contours; gray where points are ``closed``."""
     image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
     has_lines = min(values.shape) > 1
@@ -307,7 +307,7 @@ def _split_by_reachability(
 
 
 def _cells_of(plr: PiecewiseFunction, shown: Slice) -> Float[np.ndarray, "some 4 2"]:
-    """Return the four corners, counterclockwise, of each cell that meets a slice."""
+    """Return the corners, counterclockwise, of the rectangles in which cells meet a slice."""
     lo, hi = (np.asarray(corner) for corner in plr.leaf_boxes)
     others = [axis for axis in range(shown.domain.dim) if axis not in shown.axes]
     ends = hi[:, others] == shown.domain.hi[others]

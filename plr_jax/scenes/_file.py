@@ -28,7 +28,7 @@ _KEYS = ("workspace", "robots", "starts", "goals")
 def save(problem: Problem, path: str | os.PathLike[str]) -> None:
     """Write a problem as a scene file, usually ``.json``; an interrupted write leaves no partial file.
 
-    A robot's shape that the format does not support raises ``ValueError``, a file that cannot be written ``OSError``.
+    ``ValueError`` is raised if the format lacks a robot's shape, ``OSError`` if the file cannot be written.
     """
     weight = problem.rotation_weight
     entries = [_robot_entry(i, robot) for i, robot in enumerate(problem.robots)]

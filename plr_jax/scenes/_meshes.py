@@ -47,10 +47,10 @@ def read_mesh(path: Path) -> Triangles:
 
 
 def triangulated(polygons: Polygons) -> Triangles:
-    """Cut plane polygons in space, all with the same number of corners, into triangles, without new corners.
+    """Cut plane polygons in space, all with the same number of corners, into triangles.
 
     Polygons may be concave, and outlines may touch themselves. If an outline crosses itself, the regions that it
-    encloses are cut into triangles; if it encloses none, its triangles have no area.
+    encloses are cut into triangles. An outline that encloses nothing gives triangles without area.
     """
     if polygons.shape[1] == 3:
         return polygons

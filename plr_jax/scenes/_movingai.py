@@ -33,9 +33,9 @@ def read_map(path: str | os.PathLike[str], *, squeeze: bool = False) -> Workspac
 
 
 def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]:
-    """Read which cells of a Moving AI ``.map`` grid are free, in the order of the file, for :class:`GridGraph`.
+    """Read which cells of a Moving AI ``.map`` grid are free, as a boolean array for :class:`GridGraph`.
 
-    Cells and errors are as for :func:`read_map`.
+    Rows are in the order of the file. Cells and errors are as for :func:`read_map`.
     """
     path = Path(path)
     with errors_named(path):

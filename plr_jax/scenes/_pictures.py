@@ -60,12 +60,12 @@ def read_image(
 
     Args:
         path: A PNG, PGM, PBM, PPM, BMP, GIF (first frame), JPEG, TIFF or WebP file with 8 or 16 bits per channel. At
-            most 16,777,216 pixels, or 12,582,912 in color; above 4,194,304 at most 4,096 per byte of the file.
+            most 16,777,216 pixels, or 12,582,912 in color; if above 4,194,304, at most 4,096 per byte of the file.
         resolution: Side of a pixel, in workspace units.
         origin: Position of the outer corner of the lower left pixel.
         threshold: Lightness above which a pixel is free, from 0 to less than 1.
         tolerance: Tolerance of the outline, in pixels, as for :meth:`Workspace.from_mask`.
-        drop_specks: Components of at most this many pixels are dropped.
+        drop_specks: Blocked components of at most this many pixels become free, then free ones blocked.
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
     Raises:
@@ -79,7 +79,7 @@ def read_image(
 
 
 def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
-    """Return which pixels of a picture, or of a map of ROS's ``map_server``, are free; row 0 is at the top."""
+    """Return which pixels of a picture, or of a map of ROS's ``map_server``, are free; row 0 is the top row."""
     if path.suffix.lower() in YAML_ENDINGS:
         return _MapServer.read(path).free(unknown_is_free=False)
     with open_picture(path) as picture:
@@ -92,7 +92,7 @@ def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "r
 
 @contextmanager
 def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
-    """Yield a checked picture, upright; ``numbers`` also allows a TIFF of one channel of numbers."""
+    """Open a picture upright and check it; ``numbers`` also allows a TIFF with one channel of numbers."""
     from PIL import Image, ImageOps
 
     with path.open("rb") as file, warnings.catch_warnings():
@@ -134,7 +134,7 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
 
 
 def _require_plain(picture: Any, numbers: bool) -> None:
-    """Reject pixels whose lightness or opacity Pillow does not decode reliably."""
+    # Pillow does not decode the lightness or opacity of other pixels reliably.
     raw = str(picture.tile[0][3]) if picture.tile else ""
     tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # gray of more than 8 bits
     is_plain = tags is None or _SIGNED not in tags.get(_SAMPLE_FORMAT, ())
@@ -152,7 +152,7 @@ def _require_plain(picture: Any, numbers: bool) -> None:
 
 
 def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
-    """Yield rows of a picture, their lightness, that of white, and their opacity up to 255 (None if all opaque)."""
+    """Yield bands of rows: their slice, their lightness, that of white, and opacity up to 255, None if all opaque."""
     step = max(1, _BAND // picture.width)
     for top in range(0, picture.height, step):
         bottom = min(top + step, picture.height)
@@ -224,8 +224,8 @@ def read_cost_map(
     Pixels of a ``.yaml`` map, in meters and without rotation, become values of an occupancy grid, by mode:
 
     - ``trinary``: 0 where :func:`read_map_server` finds free pixels, 100 where occupied, -1 where unknown.
-    - ``scale``: the same, but between the thresholds values rise linearly from 0 to 100, rounded. Only pixels that
-      are not opaque are unknown; so gray 205, which means unknown elsewhere, is free.
+    - ``scale``: as ``trinary``, but between the thresholds values rise linearly from 0 to 100, rounded. Only pixels
+      that are not opaque are unknown; so gray 205, which means unknown elsewhere, is free.
     - ``raw``: the percentages themselves, without thresholds.
 
     Occupied cells are blocked. If a map has no other costs, ``read_cost_map(path).inflated(inscribed_radius)`` gives
@@ -341,7 +341,7 @@ class _MapServer:
     def cells(
         self, value_of: Callable[[Float[np.ndarray, "rows columns"]], Shaped[np.ndarray, "rows columns"]], dtype: Any
     ) -> Shaped[np.ndarray, "rows columns"]:
-        """Apply ``value_of`` to the occupancy of all pixels, which is NaN where unknown; row 0 is at the top."""
+        """Apply ``value_of`` to the occupancy (0 to 1, NaN where unknown) of all pixels; row 0 is the top row."""
         with errors_named(self.image), open_picture(self.image) as picture:
             cells = np.empty((picture.height, picture.width), dtype)
             for rows, light, full, alpha in bands(picture):

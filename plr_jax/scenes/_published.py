@@ -20,8 +20,9 @@ _ATTEMPTS = 1000
 def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Problem:
     """Return a variant of a problem with its starts and goals moved slightly, all still free.
 
-    Positions move by at most ``distance``, in workspace units, and headings by at most ``distance`` over the robot's
-    circumscribed radius. An argument out of range, or no free variant, raises ``ValueError``.
+    Positions move by at most ``distance``, in workspace units, and headings by at most ``distance / r`` radians,
+    where ``r`` is the robot's circumscribed radius. An argument out of range, or no free variant, raises
+    ``ValueError``.
     """
     as_finite("distance", distance, positive=True)
     require_integer("seed", seed, 0)

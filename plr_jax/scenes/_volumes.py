@@ -42,7 +42,7 @@ def read_volume(
               blocked and 1 for free. No pickles.
             - ``.3dmap``: voxels of the Moving AI benchmarks (Brewer and Sturtevant, SoCS 2018). The first line is
               ``voxel nx ny nz``; each other line has the indices ``x y z`` of a blocked voxel. At most 32 MiB and
-              268,435,456 voxels, but above 16,777,216 voxels at most 256 per byte of the file.
+              268,435,456 voxels; if above 16,777,216, at most 256 voxels per byte of the file.
             - ``.stl``, ``.obj``, ``.ply``: a mesh of plane polygons, text or binary; at most 64 MiB and 16,777,216
               voxels. A voxel is blocked if the surface meets or touches it, up to a millionth of a voxel.
         pitch: Side of a voxel, in units of the mesh; for meshes only, which need it.
@@ -154,11 +154,8 @@ def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: b
 
 
 def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
-    """Mark all voxels that triangles meet or touch as blocked; coordinates are in units of voxels.
-
-    Triangles are cut into slabs between planes of the grid, and slabs into rows along a second axis. In each row, a
-    piece of a triangle meets a range of voxels, given by the extent of the piece's outline.
-    """
+    # Cut triangles into slabs between planes of the grid, and slabs into rows along a second axis. In each row, the
+    # outline of a piece gives the range of voxels that the piece meets. Coordinates are in units of voxels.
     if not (np.abs(triangles) <= _FARTHEST).all():
         raise ValueError(f"expected triangles within {_FARTHEST:,} voxels of the bounds, got one farther away.")
     order = np.argsort(blocked.shape, kind="stable")  # ranges of voxels run along the longest axis
@@ -181,7 +178,7 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
 def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
 ) -> Iterator[tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
-    """Yield, in batches, pairs of a polygon and a layer of the grid that the polygon reaches along one axis."""
+    # Batches of pairs: the indices of a polygon and of a layer of voxels that it reaches along one axis.
     first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
         piece, place = ragged_indices(count[part])
@@ -196,7 +193,7 @@ def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.nd
 
 
 def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
-    """Clip each edge to a layer of the grid along the first axis, and drop that axis; NaN if nothing is left."""
+    """Clip edges to a layer of voxels along the first axis, and drop this axis; NaN if nothing of an edge is left."""
     begin, end = edges[0]
     change, floor, ceiling = end - begin, layer - _TOUCHES, layer + 1 + _TOUCHES
     change[change == 0] = np.nan  # an edge parallel to the layer lies in it as a whole or not at all
@@ -208,7 +205,7 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
 
 
 def _outlines(edges: Edges) -> Edges:
-    """Return the outlines of clipped triangles: the clipped edges, and segments that join their ends."""
+    """Return the outlines of clipped triangles: the clipped edges, and segments that join ends of these edges."""
     return np.concatenate(
         [edges, *(np.stack([of, np.roll(of, -1, axis=1)], axis=1) for of in (edges[:, 0], edges[:, 1]))], axis=2
     )
