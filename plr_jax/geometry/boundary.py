@@ -153,7 +153,7 @@ def boxes_near(
     return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)
 
 
-def grown_boundary(boundary: Boundary, radius: float, tolerance: float) -> Any:
+def grown_boundary(boundary: Boundary, radius: float) -> Any:
     """Return the part of a region within ``radius`` of its boundary, as a Shapely geometry; chords replace arcs."""
     offset = radius * boundary.normal
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)

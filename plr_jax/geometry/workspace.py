@@ -265,7 +265,7 @@ class Workspace:
             return self
         if (self.bounds.width <= 2 * radius).any():
             raise ValueError(f"Inflating by {radius:g} leaves no free space in {self.bounds}; use a smaller radius.")
-        grown = grown_boundary(self.boundary, radius, grid_of(self.bounds))
+        grown = grown_boundary(self.boundary, radius)
         free = shapely.difference(self.free_space, grown)
         if shapely.area(free) == 0:
             raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")
