@@ -155,8 +155,8 @@ def construct(
         max_depth: Largest number of splits between the root and a leaf, at most 60. Query tables limit the halvings
             along one axis as well: in the plane to between 7 (files of 2 KB) and 14, in ``dim`` > 2 dimensions to
             ``28 // dim``.
-        tolerance: Largest error, in units of distance, of a cell that is not split: as ``options.should_split`` says
-            or, for cones and certified planes, the proven error.
+        tolerance: Error, in units of distance, up to which cells are not split. The error of a cell is its priority
+            from ``options.should_split`` or, for cones and certified planes, its proven error.
         certified: True proves ``plr.max_error`` and ``plr.bounds(x)`` for all points that reach the goal.
             ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that *answers for whole
             cells*, as ``VisibilityGraph`` does: see :func:`certify`.
@@ -174,10 +174,10 @@ def construct(
         - ``"best"``: builds several models and keeps the one with the smallest error: the largest proven error if
           certified, else the geometric mean of the mean and the largest error at random points. It tries all models
           if certified, else cones, ``"continuous"`` and ``"smooth"``. If the distance function does not answer for
-          whole cells, it builds only ``"continuous"``, or ``"plane"`` in more than 6 dimensions. At 7 bytes a corner,
-          it tries only cones if all corners take at most half of ``max_bytes`` and neither ``max_leaves``,
-          ``max_depth`` nor rules of your own are given. If corners take over 4 times ``max_bytes``, it tries no cones
-          and, uncertified, no ``"smooth"``.
+          whole cells, it builds only ``"continuous"``, or ``"plane"`` in more than 6 dimensions. A corner
+          takes about 7 bytes. If all corners take at most half of ``max_bytes``, and neither ``max_leaves``,
+          ``max_depth`` nor rules of your own are given, it tries only cones. If they take over 4 times ``max_bytes``,
+          it tries no cones and, uncertified, no ``"smooth"``.
 
     A distance function with ``symmetries``, such as ``ReedsShepp``, is *folded*: its PLR stores only
     ``folded_domain`` and mirrors points into it. Cones and certified PLRs are not folded.

@@ -49,9 +49,9 @@ def construct_many(
 
     Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
     chosen by their mean errors at a grid of up to 512 x 512 points that all goals share. This is faster than
-    :func:`construct`, and mean errors are mostly smaller; files stay below ``max_bytes`` if these points have no
-    error. All other PLRs are built one by one with :func:`construct`, also cones of a family if a tolerance is given
-    or the limits allow more than about 8,000 leaves.
+    :func:`construct`, and mean errors are mostly smaller. Once a PLR is exact at all these points, it grows no
+    further, so its file may stay below ``max_bytes``. All other PLRs are built one by one with :func:`construct`,
+    also cones of a family if a tolerance is given or the limits allow more than about 8,000 leaves.
 
     Args:
         oracles: The distance functions, of any kind.

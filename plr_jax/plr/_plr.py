@@ -88,7 +88,7 @@ class PLR(FileBacked):
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
-        """Proven lower and upper bounds (rows) of distance minus answer, by leaf or for all; None if unproven."""
+        """Proven bounds of distance minus PLR (rows: lower, upper), a column per leaf or one for all; or None."""
         if (certificate := self._contents.certificate) is None:
             return None
         bounds = certificate.bounds().astype(np.float32)
@@ -97,7 +97,7 @@ class PLR(FileBacked):
 
     @cached_property
     def _straight(self) -> Float[Array, "_"] | None:
-        """Goal, rate and margin of a lower bound of the distance, ``rate * |x - goal| - margin``, if stored."""
+        # Goal (from the domain's lower corner), rate and margin of a lower bound ``rate * |x - goal| - margin``.
         certificate = self._contents.certificate
         if certificate is None or certificate.straight is None:
             return None
@@ -234,8 +234,8 @@ class PLR(FileBacked):
     def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
         """Return the index of the goal that is nearest to each point ``(n, dim)``; -1 where the PLR is not finite.
 
-        Where two goals are about equally near, the index may be wrong. Of a goal that was given twice, it is the
-        first index. A file stores goals only if the PLR has cones and was built from a :class:`NearestGoal` of
+        Where two goals are about equally near, the index may be wrong. If a goal was given twice, its first index is
+        returned. A file stores goals only if the PLR has cones and was built from a :class:`NearestGoal` of
         visibility graphs. Other PLRs of several goals lose them in a file and in a jitted function; see
         :meth:`with_nearest_goal`. Call this method outside of ``jit``. ``ValueError`` if the PLR does not know its
         goals, or points have another shape.
@@ -265,8 +265,9 @@ class PLR(FileBacked):
                 file's size.
 
         Raises:
-            ValueError: If this PLR has no cones or no proof, the oracles are no visibility graphs of one goal, the
-                old oracle is unknown or ``before`` is found to be another one, or as for :func:`construct`.
+            ValueError: If this PLR has no cones or no proof, the oracles are not visibility graphs with the same
+                goal, ``before`` is None although the old oracle is unknown, distances of ``before`` contradict the
+                bounds of this PLR, or as for :func:`construct`.
         """
         require_updatable(self._contents)
         inputs = self.build_inputs

@@ -3,7 +3,7 @@
 A stack finds a point's leaf in a *trie*, level by level. The tables of the trie, *pages*, have an entry for each cell
 of a grid: the first page of each PLR covers its domain, any other page a cell of the level above with several leaves.
 An odd entry ``2 * i + 1`` leads to the page that starts at entry ``i``, an even entry ``2 * i`` to row ``i`` of the
-leaf parameters. Entry ``i`` is ``2 * i`` for each row ``i``, so that a found row does not change at later levels.
+leaf parameters. For each row ``i``, entry ``i`` is ``2 * i``: later levels do not change a row that was found.
 Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
 """
 
@@ -117,7 +117,7 @@ def _page_entries(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class _SameShapeGroup:
-    """Merged lookup tables of PLRs that have one leaf model, and equal array shapes for domain and symmetries."""
+    """The merged lookup tables of those PLRs in a stack that have the same leaf model, periodic axes and mirrors."""
 
     arrays: tuple[AnyArray, ...]  # of domains and symmetries: one that all PLRs share, or those of all, flattened
     trie: Trie
@@ -322,10 +322,10 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
 
     Returns:
         Distances of shape ``(...)``. A PLR never tests collision: points of the closed domain mostly get a finite
-        value, also in obstacles. The value is ``inf`` in a leaf from which the goal cannot be reached and that
-        touches no leaf from which it can; cones are always finite. NaN coordinates give NaN. The upper edge of the
-        domain belongs to the last cell; along a periodic axis it is the lower edge. Near the goal, values may be
-        slightly negative.
+        value, also in obstacles. A leaf from which the goal cannot be reached continues the plane of a neighbor that
+        reaches it; without such a neighbor, its value is ``inf``. PLRs of cones are finite in the whole domain. NaN
+        coordinates give NaN. The upper edge of the domain belongs to the last cell; along a periodic axis it is the
+        lower edge. Near the goal, values may be slightly negative.
 
     Raises:
         ValueError: If the last axis of ``x`` is not ``dim`` long, ``x`` is not real, or ``outside`` is invalid; or if

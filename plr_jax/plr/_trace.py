@@ -70,10 +70,10 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     """Return paths to the goal from many starts, read from a PLR of cones.
 
     A cone measures distances from its *source*, the goal or a corner. The first segment leads to the source of the
-    start's leaf, every further segment to the next source on the shortest path from there. A path is as long as the
-    PLR says. Segments between sources cross no wall, but for rounding. The first segment may cross a wall, if the
-    start does not see the source of its leaf; from a start in an obstacle, or cut off from the goal, it does. At a
-    source, the first segment leads to the next source.
+    start's leaf, every further segment to the next source on the shortest path from there. A path that ends at the
+    goal is as long as the PLR's value at the start. Segments between sources cross no wall, but for rounding. The
+    first segment may cross a wall, if the start does not see the source of its leaf. It does cross a wall if the
+    start is in an obstacle or cut off from the goal. From a source, the first segment leads to the next source.
 
     With a workspace, no path that arrives crosses a wall. If a start does not see its leaf's source, or the path from
     that source does not lead to the goal, the start gets the shortest path through another source that it sees.

@@ -89,10 +89,10 @@ def cost_if_halved(peak: Float[np.ndarray, "boxes"], price: float) -> Float[np.n
 
 
 def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits, margin: float = np.inf) -> None:
-    """Compute the halves of all boxes that the tree of least cost may split, and add them to ``levels``.
+    """Halve all boxes that the tree of least cost might split, and add the halves to ``levels``.
 
-    A tree costs ``price`` per leaf, plus each leaf's integral of the error and ``share`` times its largest error. Of
-    a box halved along both axes, the halves that cost over ``margin`` times the other halves are dropped.
+    Each leaf of a tree costs ``price``, plus the integral of its error, plus ``share`` times its largest error. If a
+    box was halved along both axes, a pair of halves is dropped if it costs over ``margin`` times the other pair.
     """
     costs: dict[int, TreeCosts] = {}
 
@@ -214,7 +214,7 @@ class PriceSearch:
         return replace(tree, is_final=self._is_finest(tree, 1.0))
 
     def next(self, now: PricedTree) -> PricedTree | None:
-        """Return a tree within the limits that is usually larger than ``now``; None if ``now`` is the last tree."""
+        """Return the next tree within the limits, usually larger than ``now``; None if ``now`` is the last one."""
         if now.is_final:
             return None
         price, share = self._next_price(now)

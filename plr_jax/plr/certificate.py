@@ -24,8 +24,8 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, "n"], cones_ab
 
     ``visible`` has the *sources* of each piece: corners (or the goal) to which shortest paths from the piece go
     first. A source's cone is its distance to the goal plus ``|x - source|``. The distance is at least the least cone,
-    and at most the cone of a source that all of the piece sees, or the distance of the piece's center plus the
-    straight path to it.
+    and at most the cone of any source that the whole piece sees. If there is no such source, the distance at ``x`` is
+    at most the distance at the piece's center plus the straight line from ``x`` to the center.
     """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
@@ -176,8 +176,8 @@ _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of th
 def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
     """Group leaves into classes that share error bounds, so that these take at most ``max_bits`` bits in a file.
 
-    ``codes`` stand for each leaf's own bounds, ``bound_of_code`` has the bound of each code, and ``volume`` weights
-    the leaves. Return the codes of the bounds that each leaf shares.
+    ``codes`` encodes each leaf's own lower and upper bound; ``bound_of_code[i]`` is the bound that code ``i`` means.
+    ``volume`` has the leaves' volumes, by which loose bounds count. Return the codes of each leaf's shared bounds.
     """
     # A class has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width
     # between bounds plus a price per bit; bisection finds the lowest price at which the classes fit.

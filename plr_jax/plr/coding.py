@@ -150,7 +150,7 @@ class BitReader:
         return member
 
     def read_members(self, size: int) -> Int[np.ndarray, "members"]:
-        """Read the members of a subset of ``range(size)``, sorted; ``size`` may be huge, as no mask is made."""
+        """Read a subset of ``range(size)`` as a sorted array of its members, in memory independent of ``size``."""
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
             raise ValueError(f"it names {num_members} members of {size}")

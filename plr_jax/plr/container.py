@@ -114,7 +114,10 @@ class Header:
 
 @dataclass(frozen=True)
 class Container:
-    """The header and *layers* (encoded leaves and proof) of a file; only distances between pairs may have several."""
+    """The content of a file: its header and its *layers*, each of which has encoded leaves and a proof.
+
+    A PLR file has one layer. A file of distances between any two points may have several.
+    """
 
     domain: Box
     layers: tuple[Layer, ...]
@@ -145,7 +148,7 @@ class Container:
 
     @staticmethod
     def from_bytes(data: bytes) -> "Container":
-        """Decode a file; ``ValueError`` if it is invalid. A file that was cut off after any layer is valid."""
+        """Decode a file; ``ValueError`` if it is invalid. Of several layers, the last ones may be missing."""
         if len(data) > MOST_BYTES:
             raise ValueError(f"it has more than {MOST_BYTES:,} bytes")
         header = Header.read(data)

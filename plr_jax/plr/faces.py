@@ -233,7 +233,7 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
 
 
 def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Bool[np.ndarray, "leaves corners"]]:
-    """Return, for each corner of each leaf, the ends of the edge in whose middle a split created the corner.
+    """Return, for each corner of each leaf, the two ends of the edge that a split halved to create the corner.
 
     Ends are corners of leaves, numbered ``leaf * 2**dim + corner``. The second result is False for corners of the
     domain, which no split created.

@@ -29,7 +29,7 @@ class Folding:
 
     @cached_property
     def pivots(self) -> tuple[int, ...]:
-        """For each mirror, an axis that is not periodic and whose sign no other mirror changes."""
+        """A non-periodic axis for each mirror, reversed by no other; points on its negative side are mirrored."""
         alone = np.sum(self.mirrors, axis=0) == 1
         may_be = np.array(self.mirrors, bool).reshape(-1, self.domain.dim) & alone & ~np.array(self.domain.periodic)
         if not may_be.any(axis=1).all():
@@ -95,7 +95,7 @@ class Folding:
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
     ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
-        """Return the corners of leaves and of their mirror images in the domain, and the leaf of each box."""
+        """Return the boxes of leaves and their mirror images: lower and upper corners, and the leaf's index."""
         if self.is_turned:
             raise ValueError(
                 "Leaf boxes need symmetries along the axes of the domain, but this PLR is folded along rotated axes. "

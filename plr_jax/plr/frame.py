@@ -40,7 +40,7 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nda
 
 
 def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
-    """Return how many pairs of a leaf and a cell of a coarse grid, ``2**block_bits`` cells by axis, overlap."""
+    """Return the number of overlapping pairs of a leaf and a cell of a grid of ``2**block_bits`` cells per axis."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
@@ -49,10 +49,11 @@ def slots_in_blocks(
 ) -> tuple[
     Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
-    """Return all pairs of a leaf and a cell of a coarse grid that overlap, and the overlap in the cell's finer grid.
+    """Return all pairs of a leaf and a block (a cell of a coarse grid) that overlap, and where they overlap.
 
-    The overlap is its first cell in the finer grid, and its number of cells along each axis. The coarse grid has
-    ``2**block_bits`` cells along each axis, the finer grid in each of its cells ``2**shape`` (:func:`block_shapes`).
+    The results are the index of the leaf, the row-major index of the block, and the first cell and the number of
+    cells of the overlap along each axis of the finer grid in this block. The coarse grid has ``2**block_bits`` cells
+    along each axis, the finer grid in each block ``2**shape`` (:func:`block_shapes`).
     """
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
@@ -64,7 +65,10 @@ def slots_in_blocks(
 def leaves_in_blocks(
     cells: Cells, block_bits: Int[np.ndarray, "dim"]
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
-    """Return all pairs of a leaf and a cell of a coarse grid, ``2**block_bits`` cells by axis, that overlap."""
+    """Return all overlapping pairs of a leaf (its index) and a cell of a coarse grid (its integer coordinates).
+
+    The grid has ``2**block_bits`` cells along each axis.
+    """
     first = np.where(
         cells.depth >= block_bits,
         cells.position >> np.maximum(cells.depth - block_bits, 0),
@@ -76,7 +80,7 @@ def leaves_in_blocks(
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
-    """Return integer points ``p`` of boxes ``first <= p < first + count``, after the index of each point's box."""
+    """Enumerate integer points ``p`` of boxes ``first <= p < first + count``; return each one's box, and ``p``."""
     box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
@@ -86,7 +90,7 @@ def enumerate_boxes(
 
 
 def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
-    """Distribute ``most`` halvings over the axes, each to the axis with the most of its ``bits`` halvings left."""
+    """Distribute ``most`` halvings over axes that need ``bits``; each goes to the axis that lacks the most."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
         chosen[np.argmax(bits - chosen)] += 1
@@ -107,12 +111,12 @@ def byte_class(num_bytes: int) -> int:
 
 
 def rows_of_class(of_class: int, least_bytes: int | float) -> int:
-    """Return how many leaves, of at least ``least_bytes`` bytes each, fit a file of ``2**of_class`` bytes."""
+    """Return how many leaves of ``least_bytes`` bytes each fit into a file of ``2**of_class`` bytes."""
     return int((1 << of_class) / least_bytes)
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Return log2 of the fewest entries of a lookup table for a file in which ``rows`` leaves fit."""
+    """Return log2 of the least size, after padding, of a lookup table for a file with room for ``rows`` leaves."""
     return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
 
 
@@ -151,9 +155,10 @@ def as_outside(outside: str) -> Outside:
 
 
 class Frame(IntEnum):
-    """Names of the rows of an array ``(7, dim)`` that describes a domain in 32-bit floats.
+    """The rows of an array ``(7, dim)`` that describes a domain in 32-bit floats.
 
-    The mantissa bits of ``(x - LO) * SCALE + START``, a number from 1 to below 2, locate a point ``x``.
+    To locate a point ``x`` of the domain, a query computes ``(x - LO) * SCALE + START``, a float from 1 to below 2.
+    Its mantissa bits are the point's position, a binary fraction of the domain's width.
     """
 
     LO = 0  # lower corner, rounded outward
@@ -230,11 +235,11 @@ def folding_numbers(
     Float[np.ndarray, "dim dim"] | None,
     tuple[tuple[int, tuple[int, ...]], ...],
 ]:
-    """Return the center, corners, axes and mirrors of mirror symmetries, for points relative to ``origin``.
+    """Return a folding's center, corners, axes and mirrors in 32-bit floats, for points relative to ``origin``.
 
-    The center is a sum of two floats. The corners of the box of mirrored points are infinite along periodic axes,
-    else rounded inward. Axes are None if they are the domain's own. A mirror is the axis on whose negative side it
-    mirrors points, and all axes that it reverses.
+    The center is the sum of its two rows. The corners are the ends of the box of folded points: infinite along
+    periodic axes, else rounded inward. Axes are None if the folding does not rotate points. A mirror is a pair of a
+    *pivot* axis and all axes that it reverses; it mirrors the points whose coordinate along the pivot is negative.
     """
     exact = folding.center - origin
     center = exact.astype(np.float32)

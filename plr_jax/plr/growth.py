@@ -53,7 +53,7 @@ class Limits:
     frame_bytes: int  # size of a file without its bit stream of leaves and proof
 
     def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
-        """Return the largest size in bytes of a file with its proof, if its leaves take ``num_bits`` bits."""
+        """Return the largest size in bytes of a file whose leaves take ``num_bits`` bits, including its proof."""
         of_proof = self.proof.num_bits(num_leaves, body_size(dim, num_leaves, num_bits))
         return self.frame_bytes + body_size(dim, num_leaves, num_bits + of_proof)
 
@@ -189,7 +189,7 @@ def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
 
 
 def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return ``inf`` for each cell, or 0 if no sample reaches the goal, so that cells are split breadth first."""
+    """Return priority ``inf``, or 0 if no sample reaches the goal, so that cells are split breadth first."""
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 
@@ -249,7 +249,7 @@ class Encoding:
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, "cells"]], Nodes]) -> FitNodes:
-    """Return a function that samples and fits cells and turns the fits into tree nodes by ``nodes_of``."""
+    """Return a function that samples and fits cells and returns ``nodes_of(fits, priorities of the parents)``."""
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
     def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
@@ -273,7 +273,10 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 def grow_best_first(
     root: Nodes, fit_nodes: FitNodes, limits: Limits, encoding: Encoding
 ) -> tuple[Nodes, Leaves, int]:
-    """Split leaves of highest priority up to a limit; return all nodes, indices of leaves, and bits per value."""
+    """Split the leaves of highest priority first, until a limit is reached.
+
+    Return all nodes, the indices of those that are leaves of the PLR, and the number of bits of each coefficient.
+    """
 
     def split_some(nodes: Nodes) -> Nodes | None:
         # Split half of the leaves that would be split next, since their children may be more urgent than the rest.

@@ -60,7 +60,8 @@ def bounds_of_tables(
     """Return proven lower bounds (at least 0) and upper bounds of the distance at each point, rounded outward.
 
     ``band`` has bounds of (distance - PLR's value) in two rows, a column for each leaf or one for all leaves. If
-    ``straight`` is not None, it has goal, rate and margin of a further lower bound ``rate * |x - goal| - margin``.
+    not None, ``straight`` has goal (from the domain's lower corner), rate and margin of a further lower bound
+    ``rate * |x - goal| - margin``.
     """
     value = evaluate_tables(tables, x)
     xp = value.__array_namespace__()

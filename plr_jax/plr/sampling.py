@@ -185,7 +185,7 @@ class CellFit(Rows):
 
     @property
     def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
-        """Whether so few samples of a cell reach the goal that a plane may fit them by chance, and hide its error."""
+        """Whether so few samples of a cell reach the goal that a plane may fit them all and be wrong elsewhere."""
         return self.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + self.cells.dim)
 
     @property
@@ -239,7 +239,10 @@ class Sampler:
         return replace(self, pattern=self.dense_pattern)(cells)
 
     def root(self, pieces_suffice: bool = False) -> CellFit:
-        """Sample the whole domain as one cell; ``ValueError`` if the goal is reached from nowhere."""
+        """Sample the whole domain as one cell; ``ValueError`` if no sample reaches the goal.
+
+        With ``pieces_suffice``, it is enough that the oracle knows free space from which the goal can be reached.
+        """
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces):

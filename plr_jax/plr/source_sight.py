@@ -43,8 +43,8 @@ class SourceSight:
     ) -> tuple[Int[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
         """Return the source (corner or goal) to which each start's path goes first, and whether the path is free.
 
-        It is ``first``, that of the start's leaf, if the path is free and reaches the goal; else that of the shortest
-        free path, if there is one.
+        ``first``, the source of the start's leaf, stays if the path through it is free and reaches the goal.
+        Otherwise the source of the shortest free path to the goal replaces it, if there is such a path.
         """
         first, is_free = first.copy(), self._is_clear[first] & self._sees(first, x)
         failing = np.flatnonzero(~(is_free & self._arrives[first]))

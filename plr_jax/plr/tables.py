@@ -69,7 +69,7 @@ class Trie:
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
-    """Small arrays of equal shape, one per query point, in one flat array; ``t[i, j]`` is an entry of each."""
+    """Small arrays, one for each query point, in one flat array; ``t[i, j]`` reads that entry for all points."""
 
     flat: AnyArray
     shape: tuple[int, ...]  # of each point's array
@@ -106,9 +106,9 @@ class FoldedDomain:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The coarse level of a lookup table: each block, a cell of a coarse grid, has a finer table of its own.
+    """The coarse level of a lookup table: each cell of a coarse grid, a *block*, has a table for a finer grid.
 
-    A block's *word* has, from its lowest bit, how many bits along each axis index its table, then the table's start
+    A block's *word* has, from its lowest bit, log2 of the finer grid's size along each axis, then the table's start
     in ``leaf_of_slot``. Axes that do not fit go into further words, each of which costs a query one more read.
     """
 
@@ -136,9 +136,9 @@ def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"], shi
 
 
 def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
-    """Choose how often a coarse grid halves each axis, for the smallest lookup table with finer grids in its cells.
+    """Choose how often a coarse grid halves each axis, so that its cells' lookup tables take the least memory.
 
-    ``bits`` are the halvings of the finest leaves. ``ValueError`` if every choice takes over ``max_entries``.
+    ``bits`` has the halvings of the finest leaves by axis. ``ValueError`` if all tables exceed ``max_entries``.
     """
     best, fewest = None, np.inf
     for most in range(1, 1 + min(_MAX_BLOCK_BITS, int(bits.sum()))):
@@ -175,12 +175,12 @@ def leaves_of_slots(
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Pages:
-    """The coarse level of a lookup table whose *slots*, its entries, hold the parameters of a leaf.
+    """The coarse level of a lookup table whose entries, called *slots*, each hold the parameters of a leaf.
 
-    The first slots are the leaves themselves. A block, a cell of a coarse grid, that lies in one leaf points to the
-    slot of this leaf. Any other block has a *page*: slots for a grid as fine as its leaves need. A point's slot is
-    the page's start plus some bits of the point's position, selected by a mask. If these bits are not adjacent, the
-    page's slots have gaps, which other pages fill.
+    The first slots hold all leaves in order. A *block*, a cell of a coarse grid, refers to one of these slots if it
+    lies in one leaf. Any other block has a *page*: slots for a finer grid that separates the leaves in the block. A
+    point's slot is the page's start plus some bits of the point's position, which a mask selects. If these bits are
+    not adjacent, the page has gaps, which slots of other pages fill.
     """
 
     words: UInt32[AnyArray, "blocks"]  # mask of the fraction bits that index the page and, above it, the page's start
@@ -188,9 +188,9 @@ class Pages:
 
 
 def build_pages(cells: Cells, most_slots: int) -> tuple[Pages, PerAxis, Int[np.ndarray, "slots"]] | None:
-    """Build a lookup table with pages (:class:`Pages`) of at most ``most_slots`` entries; None if that fails.
+    """Build a lookup table with pages (:class:`Pages`); None if leaves are too many or too deep for such a table.
 
-    The results are the pages, how often their coarse grid halves each axis, and the leaf in each entry.
+    Return the pages, how often their grid halves each axis, and the leaf in each of up to ``most_slots`` entries.
     """
     bits = cells.depth.max(axis=0)
     for most_bits in _BLOCK_BITS:
@@ -279,7 +279,7 @@ class Tables:
         return self.frame.shape[1]
 
     def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
-        """Return tables for points relative to ``origin`` that a query first maps by mirror symmetries."""
+        """Return tables whose queries first fold points, which are relative to ``origin``, by mirror symmetries."""
         if folding is None:
             return self
         domain, (*arrays, mirrors) = folding.domain.moved(-origin), folding_numbers(folding, origin)

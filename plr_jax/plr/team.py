@@ -15,10 +15,10 @@ from plr_jax.plr.tables import AnyArray, Tables
 
 @dataclass(frozen=True, eq=False)
 class PointPlacement:
-    """A function that wraps 64-bit points around periodic axes, then subtracts ``corner`` if there is one."""
+    """A function that wraps 64-bit points around periodic axes, then makes them relative to ``corner``."""
 
     domain: Box
-    corner: Float[np.ndarray, "dim"] | None
+    corner: Float[np.ndarray, "dim"] | None  # lower corner of a domain far from the origin; None: no change
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
         x = self.domain.wrapped(x)
@@ -33,10 +33,10 @@ _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps wi
 
 @dataclass(frozen=True, eq=False)
 class TableStack:
-    """A function of joint configurations made of one PLR per robot: distances or, with ``bands``, lower bounds."""
+    """A function that maps joint configurations to each robot's distance, or a lower bound of it, by its PLR."""
 
     tables: tuple[Tables, ...]
-    bands: Bands
+    bands: Bands  # arguments of :func:`bounds_of_tables` for a robot's lower bound; None for its distance
     placements: tuple[PointPlacement | None, ...]
     small_batches: SmallBatches = field(default_factory=SmallBatches)
 
