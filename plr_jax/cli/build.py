@@ -208,9 +208,9 @@ def _print_errors(
 def _binding_contacts(
     workspace: "Workspace", oracle: "DistanceFn", max_error: float
 ) -> tuple[Float[np.ndarray, "contacts 2"], Float[np.ndarray, "contacts"]]:
-    """Return points where walls touch, and half of the jump of the distance there, if it explains ``max_error``.
+    """Return the points where walls touch and force an error of 40 to 100 % of ``max_error``, and these errors.
 
-    The leaf at such a point covers both sides of the walls, so its error is at least half of the jump between them.
+    The leaf at such a point covers both sides of the walls, so its error is at least half of the distance's jump.
     """
     boundary = workspace.boundary
     contacts = boundary.vertices[boundary.contacts]

@@ -112,7 +112,7 @@ def option_of(key: str) -> str:
 
 @dataclass(frozen=True)
 class NamedMap:
-    """A map, goal and options (None: defaults), as on the command line; as text, the label of files built from it."""
+    """A map, goal and options (None: defaults), as on the command line; ``str`` returns the label in files."""
 
     name: str
     goal: str | None = None

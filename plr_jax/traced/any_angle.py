@@ -1,8 +1,9 @@
 """Any-angle shortest paths on a grid that JAX may trace; they bend only at convex corners of blocked cells.
 
-Segments run between points inside free cells, at a :func:`margin` from the cells' sides. A segment also crosses all
-cells to which it comes closer than a fourth of this margin. A segment that grazes a corner may thus count as blocked;
-the path through that corner is as long. Cells are bits of words, so a whole grid row is tested at once.
+Segments run between points inside free cells, at a :func:`margin` from the cells' sides. In each row of cells, the
+part of a segment inside the row is extended along the row by a fourth of this margin at both ends. A segment that
+grazes a corner may thus count as blocked; the path through that corner is as long. Cells are bits of words, so a
+whole grid row is tested at once.
 """
 
 from collections.abc import Iterator
@@ -26,7 +27,7 @@ MAX_LATTICE = 2**8  # tables have room for all corners of cells if there are at 
 
 
 def margin(shape: Shape, dtype: Any) -> float:
-    """Return the distance to keep from a cell's sides for points moved into it: 32 rounding errors of coordinates."""
+    """Return how far points that are moved into a cell stay from its sides: 32 rounding errors of a coordinate."""
     return 32 * float(jnp.finfo(dtype).eps) * max(shape)
 
 
@@ -58,7 +59,7 @@ def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) ->
 
 
 def _columns(xp: Any, shape: Shape, slack: float, a: Any, b: Any) -> Iterator[tuple[Any, Any, Any]]:
-    """Yield, for each row of cells, the first and last column that segments cross, and whether they cross the row."""
+    """Yield for each row the first and last column within ``slack`` of each segment, and whether it meets the row."""
     h, w = shape
     (x0, y0), (x1, y1) = (xp.moveaxis(point, -1, 0) for point in (a, b))
     dx, dy = x1 - x0, y1 - y0
@@ -96,11 +97,11 @@ def cell_centers(shape: Shape) -> Float[np.ndarray, "cells 2"]:
 
 @lru_cache(maxsize=16)
 def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words n corners"]:
-    """Return the cells, as bits, that segments cross from each cell corner (or cell center) to each cell corner.
+    """Return the cells, as bits, that segments cross between corners inside the grid, or from cell centers to them.
 
-    A segment through a corner crosses all four cells there: if one is blocked, a path through the corner is as long.
-    A segment along a grid line runs on its left: two corners see each other if the segment in one of both directions
-    is free.
+    A segment through another corner crosses all four cells there: if one is blocked, the segments to that corner
+    and on are as long. A segment along a grid line runs on the left of the line: two corners see each other if the
+    segment in one of both directions is free.
     """
     a, b = (cell_centers(shape) if from_centers else lattice(shape))[:, None], lattice(shape)[None]
     along = b - a

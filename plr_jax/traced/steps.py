@@ -41,7 +41,7 @@ def single_cell(shape: Shape, row: Int32[Array, ""], column: Int32[Array, ""]) -
 
 
 def neighbors_of(words: Grids) -> Grids:
-    """Return the cells that share a side with a given cell; grids are packed, 32 cells of a row in each word."""
+    """Return all cells that share a side with any of the given cells; each word holds 32 cells of a row as bits."""
     in_row = (words << 1) | (words >> 1)
     if words.shape[1] > 1:
         none = jnp.zeros_like(words[:, :1])

@@ -142,7 +142,10 @@ def check_limits(
     proof: Proof,
     frame_bytes: int,
 ) -> Limits:
-    """Check the limits that :func:`construct` was given, and replace each None by its default; sizes are in bytes."""
+    """Check the limits that :func:`construct` was given, and return them with defaults in place of None.
+
+    ``proof`` is the kind of error bounds in the file. The file without leaves and bounds takes ``frame_bytes`` bytes.
+    """
     for name, value, least in (
         ("max_depth", max_depth, 0),
         ("max_leaves", max_leaves, 1),

@@ -44,7 +44,7 @@ _RESIDUAL, _MOST_STEPS = 1e-10, 200
 
 
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
-    """Solve ``normal @ x = moments`` for a sparse symmetric positive definite matrix, in a domain of ``dim`` axes."""
+    """Solve ``normal @ x = moments``, symmetric positive definite, by a method for the domain's dimension ``dim``."""
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
 
@@ -81,7 +81,7 @@ _INSET = 0.998  # test points fill this share of the face, since its ends belong
 
 
 class FaceTests:
-    """A cached test which faces of leaves are free: distances are finite on both sides of a point of the face."""
+    """A test of which faces between leaves are free: distances are finite on both sides of some point of the face."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
         self._distance_fn = distance_fn
@@ -295,7 +295,10 @@ class _Rounds:
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
 ) -> tuple[Float[np.ndarray, "free_dofs"], Float[np.ndarray, "leaves k"]]:
-    """Fit a finite-element function to samples of leaves; return its degrees of freedom, and all residuals."""
+    """Fit a finite-element function by least squares to the samples of leaves, each with its ``weight``.
+
+    Return the free degrees of freedom, and the distance minus the function at each sample (0 if its weight is 0).
+    """
     from scipy.sparse import bsr_array, diags_array
 
     coefficients = coefficient_matrix(order, space)

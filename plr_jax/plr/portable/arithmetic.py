@@ -70,7 +70,7 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
-    """Convert a coordinate minus the domain's lower end to an integer multiple of ``2**-23`` of the width."""
+    """Convert an ``offset`` from the domain's lower end to units of ``2**-23`` of the width; see :class:`Frame`."""
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
@@ -154,7 +154,7 @@ class Program:
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Evaluate the leaf with parameters ``numbers`` at points minus the lower corner of the leaves' domain."""
+        """Evaluate the leaf with parameters ``numbers`` at points, given by the result of :meth:`offsets`."""
         if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, offsets, do.root)
         # Before the leaf's parameters come two numbers for each axis: how many cells as long as the leaf's cell the
@@ -168,7 +168,7 @@ class Program:
         return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
     def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
-        """Return the proven lower bound ``rate * |x - goal| - margin`` of the distance; None if the file has none."""
+        """Return the proven lower bound ``rate * |x - goal| - margin`` of the distance; None if none is stored."""
         certificate = self.contents.certificate
         if certificate is None or certificate.straight is None:
             return None

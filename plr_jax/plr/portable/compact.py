@@ -1,7 +1,8 @@
 """Compact bytes of a PLR, which the C decoder ``decoder.h`` queries without unpacking them.
 
-``FORMAT.md`` describes the bytes. This module also computes the leaf parameters as the decoder will, and stores those
-that differ from the parameters of the PLR file, if only by rounding. So all answers are equal, bit for bit.
+``FORMAT.md`` describes the bytes. The decoder computes leaf parameters from them, and rounding may make some differ
+from those that a query of the PLR file uses. This module finds such parameters and stores them too. So all answers
+are equal, bit for bit.
 """
 
 import math
@@ -227,7 +228,10 @@ def _by_record(of_splits: Shaped[np.ndarray, "splits fields"]) -> Shaped[np.ndar
 
 
 class _Middles:
-    """Values at midpoints of cell edges that splits halve, coded by differences from the mean of the edge's ends."""
+    """Values at the midpoints of cell edges, coded as differences from the mean of the values at the edge's ends.
+
+    Each split halves edges of its cell: from the domain's corners down, midpoints become corners of smaller cells.
+    """
 
     # ``mark`` says how an edge's middle is stored. 0: both halves of the split have the mean; 1: both have the value
     # of ``narrow``; 2: both have the value of ``wide``; 3: each half has its own ``wide``, as at walls. ``narrow`` is
@@ -327,7 +331,7 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """Derivatives at corners of smooth leaves as the C decoder computes them; NaN where its result is unknown."""
+    """Values and derivatives at corners of smooth leaves, as the C decoder computes them; NaN if unpredictable."""
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
         self.child, self.axis = tree.child.tolist(), tree.axis.tolist()

@@ -54,7 +54,7 @@ class JavaScriptEmitter(Emitter):
 
 
 class _ConesFromTables(Program):
-    """A query that works for any file of cones: JavaScript variables stand for the constants of a file."""
+    """A query of any file of cones: the constants of a file are JavaScript variables such as ``scale0``."""
 
     def __init__(self) -> None:
         domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
@@ -80,7 +80,7 @@ def js_file_reader() -> str:
 
 
 def js_cone_reader() -> str:
-    """Return the JavaScript function ``coneReader``, which makes queries from what ``readCones`` (file.js) reads."""
+    """Return the JavaScript function ``coneReader``: it makes queries from the tables of ``readCones`` (file.js)."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
     program, rows = _ConesFromTables(), np.zeros((2, 5), np.float32)
     tree = CodedTree(program.contents.tree, np.zeros(2, int))
@@ -183,7 +183,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
-    """Generate the JavaScript function that finds a point's leaf and, if ``of_cells``, the leaf's cell."""
+    """Generate the JavaScript function ``leaf``: it finds a point's leaf and, if ``of_cells``, where its cell is."""
     mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),

@@ -53,7 +53,7 @@ class PythonEmitter(Emitter):
 
 
 class LeafTable:
-    """A lookup table with a leaf for each cell of a grid, or a node of the tree where leaves are smaller."""
+    """A lookup table over a grid: for each grid cell, the deepest node (or leaf) of the tree that contains it."""
 
     def __init__(self, tree: CodedTree) -> None:
         self.tree, self.kind = tree, (1 << tree.kind_bits) - 1
@@ -97,8 +97,9 @@ def point_query(
 ) -> Callable[..., Any]:
     """Generate a Python function of the coordinates of a single point, fast because all constants are in its code.
 
-    The function returns the distance, or the leaf's index if ``of_leaf``. It returns None if only exact rounding
-    decides whether the point is inside the domain.
+    ``numbers`` are the parameters of all leaves. The function returns the distance, or the leaf's index if
+    ``of_leaf``. It returns None if the query of arrays must answer: for NaN, for a point that must be wrapped along a
+    periodic axis, and if rounding decides whether the point is inside the domain.
     """
     do, domain, tree = PythonEmitter(), program.domain, table.tree
     children, depth = table.children.data, tree.depth.data  # memoryviews, which return Python integers

@@ -1,9 +1,10 @@
 """Find the cone leaves to keep after a change of the map: leaves in which all distances changed by the same number.
 
 The cone of a source (a corner, or the goal) is the straight distance to the source plus the source's distance to the
-goal. A shortest path from a leaf can go to a source first only if the cone is somewhere in the leaf as low as the
-proven upper bound of distances. If the distances of all such sources rose by one number, and no change blocks the way
-to them, no distance in the leaf rose more. If no source of the new map gives shorter paths, no distance rose less.
+goal. A shortest path from a leaf can go to a source first only if, at some point of the leaf, the source's cone does
+not exceed the proven upper bound of the distance. If the distances of all such sources rose by one number, and no
+change blocks the way to them, no distance in the leaf rose more. If no source of the new map gives shorter paths, no
+distance rose less.
 """
 
 from dataclasses import dataclass

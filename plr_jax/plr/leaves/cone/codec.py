@@ -32,7 +32,7 @@ _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048
 
 @dataclass(frozen=True, eq=False)
 class StoredSources:
-    """Apexes of cones (obstacle corners and goals) as a file stores them, in two groups sorted by coordinates."""
+    """Apexes of cones (corners, goals) as in a file: fine ones, then ones on the lattice, sorted by coordinates."""
 
     num_fine: int  # size of the first group: sources that are not on the map's lattice
     exponent: int  # coordinates in the first group are multiples of 2**exponent
@@ -117,7 +117,7 @@ def store_sources(
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
-    """Return whether each point has a coordinate that is no multiple of ``1 / n``, for each ``n`` of a fixed list."""
+    """Return which points are off the lattice of multiples of ``1 / n``: a column for each ``n`` in ``_LATTICES``."""
     # The tolerance is a little more than the rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     is_off = np.zeros((len(points), len(_LATTICES)), bool)
@@ -262,7 +262,7 @@ class ConeFiles:
         self._cache: dict[bytes, tuple[StoredSources, np.ndarray, int]] = {}
 
     def of_goal(self, sources: Sources) -> "ConeFiles":
-        """Return an encoder for another goal: ``sources`` must list it, then the corners in this encoder's order."""
+        """Return an encoder for another goal; ``sources`` are that goal, then the same corners in the same order."""
         files = copy(self)
         files._sources, files._cache, files._is_off = sources, {}, self._is_off.copy()
         files._is_off[:1] = off_lattices(sources.points[:1], self._domain)

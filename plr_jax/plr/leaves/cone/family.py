@@ -37,9 +37,10 @@ Shape: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True)
 class Lattice:
-    """The boxes that come from halving a domain up to ``halvings`` times along each axis, unless they are narrow.
+    """The boxes that come from halving a domain up to ``halvings`` times along each axis, except narrow boxes.
 
-    Boxes are numbered from large to small, and row by row if their shapes are equal. Each smallest box has a sample.
+    A box was halved at most ``MAX_ASPECT_BITS`` times more along one axis than along the other. Boxes are numbered
+    from large to small, and row by row if their shapes are equal. Each smallest box has a sample.
     """
 
     halvings: int
@@ -121,7 +122,7 @@ def goal_samples(oracle: FamilyFn, shared: Any) -> GoalSamples:
 
 @dataclass(frozen=True, eq=False)
 class BoxFits:
-    """For every box of a lattice, the cone ``distance of source + |x - source|`` of least error at samples."""
+    """The cone ``distance of source + |x - source|`` fitted to each box of a lattice, and its errors at samples."""
 
     goal: GoalSamples
     negligible: float  # largest error up to which a box counts as exact
@@ -166,7 +167,7 @@ def option_errors(
 
 
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
-    """Find each box's best cone ``distance of source + |x - source|`` among the best cones of its halves."""
+    """Find each box's best cone among the best cones of its halves; errors up to ``negligible`` count as 0."""
     num = lattice.num_boxes
     source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
     integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)
@@ -200,10 +201,10 @@ def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits
 
 
 class SampledTree(NamedTuple):
-    """A tree of boxes: its split axes by level (-1 for a leaf), and the box number of each leaf in tree order."""
+    """A tree whose leaves are boxes of a :class:`Lattice`."""
 
-    axes: list[Int[np.ndarray, "_"]]
-    box: Int[np.ndarray, "leaves"]
+    axes: list[Int[np.ndarray, "_"]]  # split axis of each node, level by level; -1 for a leaf
+    box: Int[np.ndarray, "leaves"]  # number of each leaf's box in the lattice, in tree order
 
 
 def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float, max_depth: int) -> SampledTree:

@@ -32,7 +32,7 @@ _MOST_TRIED = 4
 
 @dataclass(frozen=True, eq=False)
 class ConeBoxes(Rows):
-    """Boxes, each with the cone ``distance of source + |x - source|`` of least error among a few sources."""
+    """Boxes, each with the best cone ``distance of source + |x - source|`` of a few sources (corners or the goal)."""
 
     domain: Box
     negligible: float  # error up to which a box counts as exact
@@ -41,7 +41,7 @@ class ConeBoxes(Rows):
     source: Int[np.ndarray, "boxes"]  # index of the best source; -1 if nothing in the box reaches the goal
     error: Float[np.ndarray, "boxes"]  # proven bound of the cone's largest error in the box; 0 if negligible
     integral: Float[np.ndarray, "boxes"]  # proven bound of the error's integral, as a share of the domain's area
-    by_side: bool = False
+    by_side: bool = False  # whether ``peak`` weights largest errors by the sides of boxes
 
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> Self:
         return replace(super().__getitem__(index), visible=self.visible.of_cells(index))
@@ -51,7 +51,7 @@ class ConeBoxes(Rows):
 
     @property
     def peak(self) -> Float[np.ndarray, "boxes"]:
-        """The largest error of each cone; if ``by_side``, times the root of the box's share of the domain's area."""
+        """The largest error of each cone; if ``by_side``, times the square root of box area / domain area."""
         # With this factor, boxes along a wall cost the same however often they are halved, so they are halved until
         # thin. Proven PLRs go without this factor, since they need few leaves of large error.
         return self.error * 2.0 ** (-self.cells.depth.sum(axis=1) / 2) if self.by_side else self.error
@@ -79,7 +79,7 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
 
 
 def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources, by_side: bool = False) -> ConeBoxes:
-    """Find each box's cone ``distance of source + |x - source|`` with the least integral of its proven error."""
+    """Choose each box's cone, of a few sources, by the least integral of proven error; see :class:`ConeBoxes`."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
@@ -137,16 +137,16 @@ _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visib
 
 
 class LeafOptions(NamedTuple):
-    """Candidates for apexes (corners, or the goal) of cones whose best apex is hidden by walls from some points."""
+    """Leaves that walls may hide from their source (a corner or the goal), paired with sources that they may get."""
 
     leaf: Int[np.ndarray, "options"]
     source: Int[np.ndarray, "options"]
-    is_own: Bool[np.ndarray, "options"]  # whether the source is the leaf's best
+    is_own: Bool[np.ndarray, "options"]  # whether the source is the leaf's present source
     by_all: Bool[np.ndarray, "options"]  # whether all of the leaf sees the source
     error: Float[np.ndarray, "options"]  # mean error over the leaf, at samples
     hidden: Float[np.ndarray, "options"]  # share of the leaf from which a wall hides the source
-    largest: Float[np.ndarray, "options"]  # proven largest error
-    integral: Float[np.ndarray, "options"]  # proven integral of the error over the leaf's free space
+    largest: Float[np.ndarray, "options"]  # largest error: a proven bound, or, from ``family.py``, at samples
+    integral: Float[np.ndarray, "options"]  # of the error over the leaf's free space; a proven bound, or at samples
     area: Float[np.ndarray, "options"]  # of the leaf's free space
 
 
@@ -239,7 +239,12 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
 def best_cones_of_goal(
     visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Callable[..., PricedTree] = run_quietly
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
-    """Find the best cone leaves for one goal; return a tree, its leaves as in a file, and the leaves' boxes."""
+    """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
+
+    ``visible`` has the whole domain as its only cell. ``pattern`` places the samples in a leaf that show from where
+    walls hide its source. ``run`` repeats the steps of the search for the price, like :func:`run_quietly`. Return the
+    tree, its leaves as in a file, and the leaves' boxes with the sources before step 3 of this module.
+    """
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
     levels = [BoxLevel.of(box, box.cells.hashes())]

@@ -46,11 +46,11 @@ _FEW = 0.03  # quantile of the gains of splits at which the price is estimated
 
 @dataclass(frozen=True, eq=False)
 class NodeCosts(Rows):
-    """For each node of a tree: the cone ``offset + |x - apex|`` of least error if it were a leaf, and the errors."""
+    """The best cone ``offset + |x - apex|`` of each node of a tree, as if the node were a leaf, and its errors."""
 
     integral: Float[np.ndarray, "nodes"]  # of the error over the node; inf if unknown
     peak: Float[np.ndarray, "nodes"]  # largest error
-    source: Int[np.ndarray, "nodes"]
+    source: Int[np.ndarray, "nodes"]  # index of the apex, a corner or the goal; -1 if there is none
     price: float  # penalty per leaf at which the tree has about the least sum of costs and penalties
 
     def costs(self, share: float) -> Float[np.ndarray, "nodes"]:
@@ -150,7 +150,7 @@ def _require_proof_of(oracle: ChangingFn, leaves: ConeLeaves) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FoundTree:
-    """The tree with the least sum of errors and ``price`` per leaf, found by :meth:`ConeSearch.best`."""
+    """The tree of least cost: a leaf costs ``price`` plus its error's integral and a share of its largest error."""
 
     price: float
     axes: list[Int[np.ndarray, "_"]]  # split axis of each node, level by level; -1 for a leaf
