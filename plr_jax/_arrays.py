@@ -190,7 +190,8 @@ def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wan
 def take_ragged(
     first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
 ) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
-    """Return the indices of items in the runs ``which``, and their place in ``which``; runs begin at ``first``."""
+    """Return the indices of all items in the runs ``which``, and for each item the index in ``which`` of its run."""
+    # Run `i` has the items from `first[i]` up to `first[i + 1]`.
     run, place = ragged_indices(first[which + 1] - first[which])
     return first[which][run] + place, run
 

@@ -20,7 +20,7 @@ def num_cores() -> int:
 
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
-    """Return whether no array is traced, and all are in the memory of one CPU, where results will be too."""
+    """Return whether no array is traced, and all arrays and results of JAX are in the memory of one CPU."""
     if any(isinstance(each, Tracer) for each in arrays):
         return False
     devices = {device for each in arrays if isinstance(each, jax.Array) for device in each.devices()}

@@ -90,8 +90,8 @@ def descend(
             units of the motion cost; ``inf`` where unknown. Its points lie in the domain, with periodic axes wrapped.
         space: Free space. A Workspace is that of a point; for a disc, pass the inflated workspace.
         starts: Start points, ``(n, dim)``.
-        goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``,
-            of which each path ends at the nearest by the field.
+        goal: Goal point, ``(dim,)``, in closed free space. For lengths in a workspace also several goals, ``(k, 2)``:
+            each path ends at the goal to which the shortest path was found.
         cost_map: Factor of the motion cost in the field. None: 1 everywhere.
 
     Returns:

@@ -1,7 +1,7 @@
 """Paths by lookahead: finite steps down a cost-to-go, in any space that proves motions free.
 
-Steps are ranked by slope, the fall of the cost-to-go per cost of the step. It is at most 1, apart from errors of the
-cost-to-go. Among nearly equal slopes, the longest step wins, so that small dents do no harm. A best-first search
+Steps are ranked by slope, the fall of the cost-to-go per cost of the step. Slopes are at most 1, apart from errors of
+the cost-to-go. Among nearly equal slopes, the longest step wins, so that small dents do no harm. A best-first search
 (Barraquand and Latombe, 1991) escapes from local minima. Finished paths are made cheaper: nodes are skipped, or
 shifted to where their two segments cost least.
 """
@@ -35,9 +35,10 @@ Chains: TypeAlias = tuple[
 def chains_of(
     starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"], num_goals: int = 1
 ) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
-    """Return the vertices of paths from starts to nodes ``first``, and from each node to ``onward[node]``, to a goal.
+    """Return the vertices of paths, and the number of each path's vertices: 0 if its node ``first`` is -1.
 
-    The first ``num_goals`` nodes are the goals. Also return the number of each path's vertices, 0 if ``first`` is -1.
+    A path leads from its start to the node ``first``, then from each node to the node ``onward[node]``, until a goal.
+    The goals are the first ``num_goals`` nodes.
     """
     chain = [first]
     while (chain[-1] >= num_goals).any():
@@ -66,7 +67,7 @@ _NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
 def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
-    """Return motions of cost 1 in many directions of all axes, and of each block of axes (position, heading)."""
+    """Return motions of cost 1 in many directions: of all axes, and of each block alone, such as the position."""
     changes = []
     for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
         dim = len(axes)
@@ -315,7 +316,7 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
 
 
 def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
-    """Shift inner nodes of paths that reach the goal so that the segments to their neighbors cost least."""
+    """Shift the nodes of paths, except ``first`` and the goal, so that the segments to their neighbors cost least."""
     nodes, motion = nodes.copy(), costs.space.motion_cost
     before, number = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
     node, count = first, 0

@@ -23,7 +23,7 @@ and ignores obstacles. Users of a distance function must handle both.
 
 @runtime_checkable
 class DimensionedFn(Protocol):
-    """A distance function of ``dim`` coordinates; callers pass the leading ``dim`` of longer configurations."""
+    """A distance function of ``dim`` coordinates; of longer configurations, callers pass the first ``dim``."""
 
     @property
     def dim(self) -> int: ...

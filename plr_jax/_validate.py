@@ -1,8 +1,9 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-Shared are the points where obstacles touch, and the direction in which a robot turns. Bodies are Shapely geometries.
-A motion without turns sweeps a convex hull, whose distance is exact. Other motions are bisected in time: the
-clearance in the middle of an interval, less the distance that the bodies move, bounds it in the whole interval.
+Both share the points where obstacles touch, the direction in which a robot turns, and the distance from a point to a
+segment. Here, bodies are Shapely geometries. In a motion without turns, a robot sweeps a convex hull, whose distance
+is exact. Other motions are halved in time: the clearance in the middle of an interval, less the distance that the
+bodies move from there, is a lower bound for the whole interval.
 """
 
 from collections.abc import Sequence
@@ -32,8 +33,9 @@ class ValidationReport:
     Args:
         valid: Whether the path solves the problem.
         cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite or misshapen.
-        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot, to within 1e-7 of the
-            workspace's extent, or twice its ``tolerance``; in a collision, about minus the first overlap's depth.
+        clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. Its error is at most 1e-7
+            of the workspace's extent, or twice the workspace's ``tolerance`` if that is more. In a collision, about
+            minus the depth of the first overlap.
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
         when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
@@ -146,7 +148,8 @@ class _Encounter:
 
     @cached_property
     def smallest(self) -> Float[np.ndarray, "motions"]:
-        """Upper bounds of the least clearance in each motion; the least of all is accurate to ``tolerance``."""
+        """Upper bound of the smallest clearance in each motion."""
+        # If no motion collides, the minimum over all motions is accurate to `tolerance`.
         at_rows, turns = self.clearances(np.arange(len(self.path), dtype=float)), self.rim_speeds > 0
         smallest, straight = np.minimum(at_rows[:-1], at_rows[1:]), np.flatnonzero(~turns)
         smallest[straight] = self.swept(straight)
@@ -189,7 +192,7 @@ class _Encounter:
 
     @property
     def depth(self) -> float:
-        """Smallest sampled clearance in the first motion that collides."""
+        """Smallest clearance at some moments of the first motion that collides: about minus the overlap."""
         times = np.append(self.first_collision + np.linspace(0.0, 1.0, 65), self.first_moment)
         return min(float(self.clearances(times).min()), -self.tolerance)
 

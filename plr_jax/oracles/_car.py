@@ -2,7 +2,7 @@
 
 A shortest path is a sequence of sharpest turns and straight lines, called a *word*, such as LSR for left, straight,
 right. Lengths are in turning radii, so the length of a turn is its angle. A word is computed from the heading at its
-end, and from the vector between the centers of two circles: of its first turn and of its last.
+end, and from the vector from the center of the first turn to the center of the last turn.
 """
 
 from abc import ABC, abstractmethod
@@ -91,7 +91,7 @@ class _Car(ABC):
     @staticmethod
     @abstractmethod
     def _canonical_words(to_left: Vectors, to_right: Vectors, heading: Batch) -> Iterator[Word]:
-        """Yield possible shortest paths from the pose (0, 0, 0) that start with a left turn, by final heading.
+        """Yield possible shortest paths from the pose (0, 0, 0) that start with a left turn and end at ``heading``.
 
         ``to_left`` and ``to_right`` lead, in turning radii, from the centers of the left and right turning circles at
         the start, (0, 1) and (0, -1), to those at the end.

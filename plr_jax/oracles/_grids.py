@@ -26,7 +26,7 @@ _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the short
 
 
 class _CellGraph(ABC):
-    """The free cells of a grid, with steps between neighbors; indices count a border of blocked cells around it."""
+    """The free cells of a grid, with steps between neighbors; cell indices include a border of blocked cells."""
 
     goal: Float[np.ndarray, "dim"] | None
     dim: ClassVar[int]

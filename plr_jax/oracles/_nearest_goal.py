@@ -20,9 +20,9 @@ class NearestGoal:
     It has one distance function per goal, all of the same dimension (else ``ValueError``), such as PLRs. To share
     preprocessing, use ``[first, *map(first.with_goal, others)]`` of a ``VisibilityGraph``, ``Roadmap`` or
     ``GridGraph``. It is a distance function like others, for example for ``construct`` or for planners. If all
-    functions are ``VisibilityGraph``s of one workspace, the PLR may have leaves that are cones, can be certified, and
-    answers ``which`` too; with cones, also from its file. A wide exit, such as a door, is several goals: points along
-    it, no farther apart than twice the error that you accept.
+    functions are ``VisibilityGraph``s of one workspace, a PLR built from it may have leaves that are cones, can be
+    certified, and tells the nearest goal by :meth:`PLR.which`. Loaded from a file, only a PLR with cones does. A wide
+    exit, such as a door, is several goals: points along it, no farther apart than twice the error that you accept.
     """
 
     distance_fns: tuple[DistanceFn, ...]

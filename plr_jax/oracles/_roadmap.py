@@ -64,7 +64,7 @@ _DRAWS_BEFORE_GIVING_UP = 100_000
 
 
 def prm_star_radius(num_vertices: int, dim: int, free_volume: float) -> float:
-    """Return the connection radius of PRM*, ``gamma (log n / n)^(1/dim)``, of a roadmap with ``n >= 2`` vertices."""
+    """Return the connection radius of PRM* for ``n >= 2`` vertices, proportional to ``(log n / n)^(1/dim)``."""
     unit_ball_volume = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1)
     gamma = 2 * ((1 + 1 / dim) * free_volume / unit_ball_volume) ** (1 / dim)
     return gamma * (math.log(num_vertices) / num_vertices) ** (1 / dim)

@@ -157,7 +157,7 @@ class VisibilityGraph:
         return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
 
     def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
-        """Return how distances differ from those ``before``, on another map; ``ValueError`` if the goals differ."""
+        """Return how distances differ from those of ``before``, on another map; ``ValueError`` if goals differ."""
         if not isinstance(before, VisibilityGraph):
             raise ValueError(f"before must be a VisibilityGraph, got {shortened(before)}.")
         if (self.goal != before.goal).any():
@@ -174,9 +174,9 @@ class VisibilityGraph:
         return FamilySamples.of(self.family, self.workspace.triangulation, lo, hi)
 
     def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
-        """Return each sample's distance to the goal, and the index in ``sources`` of its path's first vertex.
+        """Return each sample's distance to the goal, and the index in ``sources`` of the first vertex of its path.
 
-        Samples are points that :meth:`shared_samples` returns. Without a path, these are ``inf`` and -1.
+        :meth:`shared_samples` makes the samples, one a box. Without a sample or a path, these are ``inf`` and -1.
         """
         return samples.first_turns(self.goal, self._goal_table, self.distances[1:])
 
@@ -187,10 +187,11 @@ class VisibilityGraph:
     def cells_of_members(
         self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices, near: Indices
     ) -> CellSources:
-        """Return what :meth:`sources_of_boxes` returns, for many pairs of a box and an oracle of the same map.
+        """Return the result of :meth:`sources_of_boxes` for pairs of a box and one of several oracles of a map.
 
-        Pair ``i`` is the box at index ``box[i]`` of ``shared`` and the oracle ``members[member[i]]``. ``near[i]`` is
-        the index of a source near the first turn of paths from this box, or -1.
+        Pair ``i`` has the box at index ``box[i]`` of the result ``shared`` of :meth:`shared_cells`, and the oracle
+        ``members[member[i]]``. ``near[i]`` is a guess where paths from the box turn first: an index in the oracle's
+        ``sources``, or -1 for no guess.
         """
         goals = [FamilyGoal(each.sources, each._turns, each._goal_table) for each in members]
         return cells_of_goals(shared, self.family.corners, goals, box, member, near)
@@ -207,11 +208,12 @@ class VisibilityGraph:
         return self.workspace.is_free(x)
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
-        """Return the length of the shortest path between points ``(n, 2)``, pair by pair, ``(n,)``, for any goal.
+        """Return the length of the shortest path between points ``(n, 2)``, pair by pair, ``(n,)``.
 
-        Lengths are bitwise the same if ``x`` and ``y`` are swapped; ``inf`` without a path, or if a point is not free
-        or not finite. Distances between corners are computed when needed; up to 16 million are cached, for all
-        oracles made by :meth:`with_goal`. With more than 4,096 corners, ask for many pairs in one call.
+        The oracle's goal plays no part. Lengths are bitwise the same if ``x`` and ``y`` are swapped; ``inf`` without
+        a path, or if a point is not free or not finite. Distances between corners are computed when needed; up to 16
+        million are cached, for all oracles made by :meth:`with_goal`. With more than 4,096 corners, ask for many
+        pairs in one call.
         """
         return self._pairs(self._points("x", x), self._points("y", y))
 

@@ -39,7 +39,11 @@ _SLACK = 8  # number of workspace tolerances by which visibility may err
 def outline_of(
     boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float, may_squeeze: bool
 ) -> tuple[Outline, Int[np.ndarray, "points"]]:
-    """Round the boundary of free space to a lattice; also return the index of the boundary vertex at each point."""
+    """Round the boundary of free space to a lattice; also return the boundary vertex at each point of the outline.
+
+    ``origin`` is the lattice point (0, 0), and ``width`` the width of the domain. Vertices move by at most the
+    ``tolerance``, if steps of at least 6e-8 widths allow it. If ``may_squeeze``, paths pass where obstacles touch.
+    """
     # 1. Find the next edge around free space or, if paths may squeeze through contacts, around the same obstacle.
     edges = boundary.edges
     leaving = {

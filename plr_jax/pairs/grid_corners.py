@@ -184,7 +184,7 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
 
 
 def _steps_to(wanted: Grid) -> Int32[np.ndarray, "rows columns_plus_one"]:
-    """Return how many steps along the row each cell is before the first cell in ``wanted``, or the row's end."""
+    """Return the steps from each cell to the first wanted cell at or after it in its row, or to the row's end."""
     rows, columns = wanted.shape
     place = np.full((rows, columns + 1), columns, np.int32)
     np.copyto(place[:, :-1], np.arange(columns, dtype=np.int32), where=wanted)

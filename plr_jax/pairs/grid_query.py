@@ -2,8 +2,9 @@
 
 Cells that see each other are as far apart as on an empty grid. Other shortest paths lead from each cell, as on an
 empty grid, to one of up to dozens of obstacle corners that are stored for the cell, in blocks of four. First choose
-for each cell the corner through which the path would be shortest on an empty grid, and compute the path length
-through both. Then try only blocks with a corner through which a path on an empty grid would be shorter.
+for each of the two cells the corner through which the path would be shortest on an empty grid, and compute the length
+of the path through these two corners. Then try only blocks with a corner through which a path on an empty grid would
+be shorter than this length.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
 """Fast tests of whether obstacles hide points from each other: walls between leaves and corners, and occluders.
 
 A leaf of the partition lists the corners where paths from it may turn first. Few walls can hide such a corner from
-the leaf. They are found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a
+the leaf. These are found for runs of neighbor leaves first, then for ever shorter runs: a wall that is not between a
 large box and a corner is not between a part of the box and the corner. Occluders are long chords inside obstacles: a
 few dozen replace most tests of walls.
 """
@@ -106,10 +106,10 @@ class NearWalls:
 def updated(
     state: State, is_open: Flags, size: int, update: Callable[..., State], *columns: Any, leaves_rest: bool = False
 ) -> State:
-    """Replace the rows of ``state`` where ``is_open`` by the result of ``update``, on ``size`` rows at a time.
+    """Replace the rows of ``state``, a tree of arrays, where ``is_open``, in batches of ``size`` rows.
 
-    ``update`` takes rows of ``state`` and of the ``columns``. With ``leaves_rest``, a last batch of fewer rows than
-    ``size`` stays as it is, unless it is the only batch.
+    ``update`` maps rows of ``state`` and of the ``columns`` to new rows of ``state``. With ``leaves_rest``, the last
+    batch is left out if it has fewer than ``size`` rows and is not the only batch.
     """
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
     words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
@@ -141,10 +141,12 @@ def updated(
 def near_entries(
     boxes: Boxes, leaf: Entries, listed: Entries, corners: Corners, walls: Walls, margin: float, most: int
 ) -> NearPairs | None:
-    """Find the walls within ``margin`` of the convex hull of a leaf's box and a corner that the leaf lists."""
-    # Entry `i` is the corner `listed[i]` of the leaf `leaf[i]`; leaves ascend. Return pairs of an entry, ascending,
-    # and a wall (a few are not as near). Return None if an entry has more than `most` walls, or all pairs take too
-    # much memory.
+    """Find the walls within ``margin`` of the convex hull of a leaf's box and a corner that the leaf lists.
+
+    Entry ``i`` is the corner ``listed[i]`` of the leaf ``leaf[i]``. Return pairs of an entry and a wall; None if an
+    entry has more than ``most`` walls, or all pairs take too much memory.
+    """
+    # Leaves ascend in `leaf`, entries in the result. A few of the walls found are farther away.
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
     found, count = [np.zeros((2, 0), np.int32)], 0
@@ -236,7 +238,8 @@ def _near_pairs(
 def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Float[np.ndarray, "occluders 7"]:
     """Choose occluders: segments at least ``depth`` inside obstacles that hide many points from one another."""
     # Each row has both ends of an occluder, relative to the middle of the domain, and a linear function: 0 on the
-    # occluder's line, beyond 1 or -1 where rounding cannot confuse its sides.
+    # occluder's line, beyond 1 or -1 where rounding cannot confuse its sides. `region` is free space. Each
+    # occluder hides at least a share of 2 / `num_walls` of random pairs of points, which saves tests of all walls.
     import shapely  # other queries do not need Shapely
 
     # 1. Collect chords: long segments between vertices of shrunk obstacles that lie inside these.
@@ -281,7 +284,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
 
 
 def is_across_occluder(occluders: Float[Array, "groups 16 7"], x: Points, y: Points) -> Flags:
-    """Return whether segments surely cross an occluder, a segment inside an obstacle, despite rounding."""
+    """Return whether segments surely cross an occluder, a row of :func:`occluders_of`, despite rounding."""
     (px, py), (qx, qy) = x.T, y.T
     dx, dy = qx - px, qy - py
     moment = dx * py - dy * px

@@ -24,7 +24,7 @@ class MetricPairs:
     """Approximate distances between any two points of a box, stored as one PLR over pairs of points.
 
     Made by :func:`construct_metric_pairs`; to load a file, use ``MetricPairs(load(path))``. It is a pytree of arrays.
-    ``plr``, which :func:`save` writes, covers the product of the box with itself, for pairs in lexicographic order.
+    ``plr``, which :func:`save` writes, covers the product of the box with itself; calls sort pairs lexicographically.
     """
 
     plr: PLR

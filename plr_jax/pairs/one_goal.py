@@ -92,7 +92,7 @@ def _best_sources(
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
-    """Merge halves of a cell that have cones with one apex, their ``source``; return the leaves and their sources."""
+    """Merge halves of a cell whose cones have the same apex, ``source``; return the leaves and their apexes."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
     for split in reversed(tree.splits):

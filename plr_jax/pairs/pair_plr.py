@@ -42,8 +42,8 @@ _PAIRS_A_GOAL = 8  # pairs that take as long as a prepared goal
 class PairPLR(FileBacked):
     """Distances between any two points of a planar workspace, made by :func:`construct_pairs` or :func:`load`.
 
-    It is a pytree of arrays: jitted functions can close over it or take it as an argument. Its ``file`` is padded
-    with zeros.
+    It is a pytree of arrays: jitted functions can close over it or take it as an argument. Its ``file`` is an array
+    of bytes, padded with zeros to a power of two; the last four bytes are the size without padding.
     """
 
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
@@ -258,9 +258,9 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
         pairs(x, y)  # distances (n,) of points x and y, both (n, 2)
 
     The domain is halved repeatedly, and each leaf lists the corners at which a shortest path from it may turn first.
-    More bytes make queries faster, because fewer corners must be tried; bytes are spent only as long as they do. If
-    interrupted (Ctrl-C), the result has the partition so far, with a ``ConstructionInterrupted`` warning. Reference:
-    "all-pairs" in Section II of the paper.
+    More bytes make queries faster, because fewer corners must be tried. The file stays below the budget if more
+    bytes would not help. If interrupted (Ctrl-C), the result has the partition so far, with a
+    ``ConstructionInterrupted`` warning. Reference: "all-pairs" in Section II of the paper.
 
     For any budget, distances are exact up to the rounding of 32-bit floats, except right beside walls. With ``w`` the
     width of the domain:

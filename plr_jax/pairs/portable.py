@@ -49,7 +49,7 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
     """Return whether walls cross the horizontal ray to the right of a point upward, and whether downward.
 
-    The difference of both numbers of walls is the winding number of the walls around the point.
+    The winding number around the point is the number of upward crossings less the number of downward crossings.
     """
     (px, py), (ax, ay, bx, by) = p, wall
     beside = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
@@ -58,7 +58,7 @@ def winding(p: Any, wall: Any) -> tuple[Any, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Walls and corners for the search of paths, moved a little against rounding; the domain's middle is at 0."""
+    """Walls and corners of a file, moved so that rounding does no harm, relative to the middle of the domain."""
 
     walls: Float[np.ndarray, "walls 4"]
     corners: Float[np.ndarray, "corners 2"]  # the last, at `inf`, is padding
@@ -271,9 +271,11 @@ def _in_blocks(
 def _shortest(
     around: Scene, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
 ) -> tuple[_Lengths, _Points, _Points]:
-    """Return the lengths of shortest paths from ``p`` to ``q``, their first turns and their last turns."""
-    # If a path is straight or missing, `q` counts as its first turn and `p` as its last. For pairs that do not see
-    # each other, `paths` returns possible first turns, last turns, and path lengths through each combination of both.
+    """Return the lengths of shortest paths from ``p`` to ``q``, their first turns and their last turns.
+
+    ``paths`` maps indices of pairs to possible first turns, last turns, and path lengths through both.
+    """
+    # If a path is straight or missing, `q` counts as its first turn and `p` as its last.
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()
     hidden = np.flatnonzero(around.hides(p, q))
     turns_p, turns_q, ways = paths(hidden)

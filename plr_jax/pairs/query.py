@@ -97,10 +97,10 @@ def shortest_ways(
     to_corners: Float[Array, "goals size"] | None = None,
     goal: Rows | None = None,
 ) -> Ways:
-    """Find shortest paths between points ``x`` and ``y`` of the domain, given relative to its middle.
+    """Find shortest paths between points ``x`` and ``y``, both relative to the middle of the domain.
 
-    Swapped points have an equal path to the last bit, unless ``y`` are goals whose distances ``to_corners`` are
-    known. Then ``goal`` is the row in ``to_corners`` of each ``y``.
+    Paths are equal to the last bit if ``x`` and ``y`` are swapped. For prepared goals ``y`` this need not
+    hold: ``to_corners`` has their distances to all corners, and ``goal`` is the row there of each ``y``.
     """
     if goal is not None:
         return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)

@@ -24,7 +24,7 @@ _WALLS_AT_ONCE = 2**5  # walls whose crossings are searched together
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Boundary of free space: closed rings of points with integer coordinates, free space on the left of walls."""
+    """Boundary of free space: closed rings of lattice points, joined by walls that have free space on their left."""
 
     origin: Float[np.ndarray, "2"]  # position of the lattice point (0, 0)
     step: float
@@ -124,7 +124,7 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return the ends of walls, moved by ``distance`` into obstacles, or into free space if it is negative."""
+        """Return walls moved by ``distance`` into obstacles (thin walls only if ``surely``), or out if negative."""
         # Into obstacles, a point where two obstacles touch moves to two places, and a sharp tip moves far. So that no
         # path slips through, two walls of opposite directions join each old place, or a point near the tip, to the
         # new place. Walls of thin obstacles stay. With `surely`, they move too, and no walls are added.
@@ -158,10 +158,10 @@ class Outline:
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
     def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
-        """Return a vector ``v`` per point: walls move by the distance if each point moves by ``-distance * v``."""
-        # Walls move into obstacles, or into free space for negative distances, and less at sharp corners. Into
-        # obstacles, unless `surely`, two kinds of points stay: those between two walls of thin obstacles, and both
-        # ends of a wall that would change direction, as at the end of a thin obstacle.
+        # Return a vector per point, towards free space: if each point moves by minus `distance` times its vector,
+        # walls move by `distance` into obstacles, or into free space if it is negative, and less at sharp corners.
+        # Into obstacles, unless `surely`, two kinds of points stay: those between two walls of thin obstacles, and
+        # both ends of a wall that would change direction, as at the end of a thin obstacle.
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
         before, normal = map(_normal_of, self._beside(following))

@@ -1,8 +1,9 @@
-"""Thin parts of obstacles, whose two sides 32-bit floats hardly tell apart.
+"""Thin parts of obstacles: up to about 5e-6 domain widths, so that 32-bit floats hardly tell both sides apart.
 
-For tests of visibility, walls move back into their obstacles, so that rounding hides no corner. A wall stays if its
-obstacle is so thin that the moved wall would come near free space; corners move in front of it instead. For this, a
-wall must be thin as a whole or not at all, and a sharp tip of a thin obstacle must have a corner on either side.
+For tests of visibility, walls move 4e-6 domain widths back into their obstacles, so that rounding hides no corner. A
+wall stays if its obstacle is so thin that the moved wall would come near free space; corners move in front of it
+instead. For this, a wall must be thin as a whole or not at all, and a sharp tip of a thin obstacle must have a corner
+on either side. Functions get the ``width`` of the domain.
 """
 
 from dataclasses import replace
@@ -20,7 +21,7 @@ _NEEDLE = 100  # distances that the tip of a thick obstacle may move back; queri
 
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
-    """Return the walls of thin obstacles: moved back into the obstacle, they may come close to free space again."""
+    """Return the indices of walls of thin obstacles: moved into the obstacle, these walls come near free space."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
@@ -28,10 +29,12 @@ def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarra
 def with_thin_parts(
     outline: Outline, vertex: Int[np.ndarray, "points"], free_space: Any, width: float
 ) -> tuple[Outline, Int[np.ndarray, "found_points"]]:
-    """Mark the walls of thin obstacles in an outline; some walls are cut, and sharp tips get two points, not one."""
-    # A wall is cut if its obstacle is thin only in part. Both points of a tip are neighbors on the lattice: a point
-    # that rounding puts on or across a thin wall sees the tip's corner on its own side. Return the new outline, and
-    # the boundary vertex at each of its points, -1 where a wall is cut.
+    """Mark the walls of thin obstacles in an outline, after cutting walls whose obstacle is thin only in part.
+
+    ``vertex`` is the boundary vertex at each point of the outline. Return it for the new outline, too: -1 at cuts.
+    """
+    # Sharp tips get two points, neighbors on the lattice: a query that rounding puts on or across a thin wall sees
+    # the tip's corner on its own side.
     spans = _thin_spans(outline, free_space, width)
     if not any(spans.values()):
         return outline, vertex
@@ -72,7 +75,7 @@ def with_thin_parts(
 
 
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, list[tuple[float, float]]]:
-    """Return, by wall, the intervals where its obstacle is thin, as distances from the start of the wall."""
+    """Return, by index of a wall, the intervals to mark as thin, as distances from the start of the wall."""
     reach, following, start = RECEDING * width, outline.following_past_contacts, outline.positions
     onward, moved = start[following] - start, outline.moved_walls(reach, surely=True).reshape(-1, 2, 2)
     lengths, is_turned = np.linalg.norm(onward, axis=1), (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0
@@ -108,7 +111,7 @@ def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, li
 
 
 def _merged(spans: list[tuple[float, float]], length: float, reach: float) -> list[tuple[float, float]]:
-    """Unite intervals at most ``2 * reach`` apart, and extend them to an end of the wall that is as close."""
+    """Close gaps of at most ``2 * reach`` between intervals of a wall, and between them and the wall's ends."""
     merged, at = [], 0.0
     for a, b in sorted(spans):
         if a - at > 2 * reach:

@@ -74,7 +74,7 @@ class ConeBoxes(Rows):
 
 
 def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
-    """Return half of the rounding error of a 32-bit float that is as large as the largest finite distance."""
+    """Return a quarter of the machine epsilon of 32-bit floats, times the largest finite distance."""
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
 
