@@ -145,10 +145,10 @@ class CostToGoField:
         return float((self._upper_at_corners - self._lower_at_corners)[known].mean()) if known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
-        """Return lower and upper bounds of the cost-to-go minus a multilinear function, for each of ``n`` boxes.
+        """Bound the difference between the cost-to-go and a multilinear function from below and above in each box.
 
-        A box from ``lo`` to ``hi`` lies in the mesh cell of index ``cell``, which is not blocked, in coordinates from
-        0 to 1 along each axis of the cell; ``corners`` are the function's values at the corners of the box. The
+        A box lies in the mesh cell of index ``cell``, which is not blocked; its corners ``lo`` and ``hi`` are local
+        coordinates of this cell, from 0 to 1. ``corners`` are the function's values at all corners of the box. The
         bounds also hold at points slightly outside of the box, which rounding may assign to it. An upper bound is
         ``inf`` if paths are not known from all free points of the box.
         """

@@ -73,7 +73,7 @@ class GridEstimate:
         return ratio * _divisors(self.space, self.goals, self.at_goals, x)
 
     def which(self, x: Points) -> Int[np.ndarray, "n"]:
-        """Return the index of the goal to which the shortest path from each point of the domain leads."""
+        """Return the index of the goal to which each point's shortest path leads, or of some goal without a path."""
         box, shape = self.ratio.bounds, np.array(self.cost.shape)
         place = ((box.wrapped(x) - box.lo) / box.width * shape).astype(np.intp)
         goal = self.node_goal[tuple(np.clip(place, 0, shape - 1).T)]
@@ -87,7 +87,7 @@ class GridEstimate:
         return goal
 
     def which_reached(self, x: Points) -> Int[np.ndarray, "n"]:
-        """Return the index of the goal to which each point's path leads, -1 where the estimate is ``inf``."""
+        """Return the goals' indices like :meth:`which`, but -1 at points where the estimate is ``inf``."""
         return np.where(np.isfinite(self(x)), self.which(x), -1)
 
     @cached_property
@@ -219,11 +219,11 @@ def grid_estimate(
 def _grid(
     space: ConfigurationSpace, cost_map: CostMap | None, is_isotropic: bool, num_nodes: int
 ) -> tuple[Box, Shape]:
-    """Choose a regular grid: return its box and its number of cells along each axis; nodes are the cells' centers.
+    """Choose a regular grid of about ``num_nodes`` nodes or more: return its box and its cells' number on each axis.
 
-    The grid has at least ``num_nodes``, up to rounding. Voxels of the space, or cells of the cost map, are divided
-    into an odd number of grid cells along each axis. Without such cells, the outermost nodes lie on the domain's
-    faces, and steps are round decimals if these fit: walls often have round coordinates.
+    Nodes are the cells' centers. Voxels of the space, or cells of a raster cost map, are divided into an odd number
+    of grid cells along each axis. Else the outermost nodes lie on the domain's faces, and steps are round decimals
+    if these fit: walls often have round coordinates.
     """
     domain = space.domain
     # 1. The centers of given cells, unless these are too many.
@@ -256,7 +256,7 @@ def _grid(
 
 
 def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[CellStates, IsOpen, IsOpen]:
-    """Return each grid cell's state, whether paths may pass its center, and whether this center is off all walls."""
+    """Return the states of grid cells, which centers paths may pass, and which of these centers lie on no wall."""
     domain = space.domain
 
     def classified(lo, hi):
@@ -294,7 +294,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
 def _close_beside_walls(
     space: ConfigurationSpace, cells: CellStates, is_open: IsOpen, node: Nodes, side: Sides
 ) -> None:
-    """Set ``is_open`` to False at one of two neighbor nodes with a wall between them: the node nearer to the wall."""
+    """Close one of each two neighbor nodes of the grid that a wall separates: the node nearer to the wall."""
     closed = np.zeros_like(is_open)
     for axis, wraps in enumerate(space.domain.periodic):
         other = np.roll(is_open, -1, axis)

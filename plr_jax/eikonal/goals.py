@@ -23,8 +23,8 @@ def nearest_goals(
 ) -> tuple[Float[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
     """Return distances from each point to its ``count`` nearest goals, nearest first, and these goals' indices.
 
-    Distances are Euclidean, with each axis scaled by its cost per unit of length, so no motion costs less. If there
-    are fewer goals, the remaining distances are ``inf`` and the remaining indices are the number of goals.
+    Distances are Euclidean, with each axis scaled by its cost per unit of length; so they are lower bounds of the
+    motion cost. If there are fewer goals, the other distances are ``inf``, and the other indices the number of goals.
     """
     scale = motion.scale
     if len(goals) == 1:

@@ -1,5 +1,6 @@
-"""Fast marching over a regular grid by scikit-fmm, from exact costs around the goals, with errors extrapolated.
+"""Fast marching over a regular grid by scikit-fmm, from the costs of straight motions to the goals.
 
+Richardson extrapolation removes the error that is proportional to the grid step, where costs and walls permit.
 Stencils have no diagonals, so no path passes where two obstacles touch in an edge or a corner. Reference: Sethian, "A
 fast marching level set method for monotonically advancing fronts", 1996.
 """
@@ -24,21 +25,16 @@ GoalIndex = Int[np.ndarray, "*shape"]
 
 def balls(
     is_open: IsOpen,
-    slowness: Costs,
-    at_goal: Costs,
-    straight: Costs,
-    goal: GoalIndex,
-    sees_nearest: IsOpen,
-    lengths: Costs,
-    radius: float,
-    side: Sides,
+    slowness: Costs,  # cost per unit of length at each node
+    at_goal: Costs,  # cost per unit of length at the goal nearest to each node
+    straight: Costs,  # cost of a free straight motion from each node to a goal; inf if none is known
+    goal: GoalIndex,  # index of the goal of this motion; -1 if none is known
+    sees_nearest: IsOpen,  # whether the straight motion from each node to its nearest goal is free
+    lengths: Costs,  # distance from each node to its nearest goal
+    radius: float,  # of the balls around goals
+    side: Sides,  # grid step along each axis
 ) -> tuple[Costs, float]:
-    """Return exact costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost at which to start marching.
-
-    ``straight`` is the cost of the straight motion from a node to the goal of index ``goal``; ``inf`` and -1 if none
-    is known. ``slowness`` is the cost per unit of length at each node, and ``at_goal`` that at its nearest goal,
-    which is ``lengths`` away; ``sees_nearest`` says if the motion there is free.
-    """
+    """Return costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost at which marching starts."""
     differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
     stops = is_open & (~sees_nearest | differs | (lengths >= radius))
     largest = np.minimum(straight, at_goal * lengths)[stops].min(initial=np.inf)
@@ -88,7 +84,10 @@ def marched(
 
 
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
-    """Return whether every second node along each axis makes a grid with the same walls and no jumps of the cost."""
+    """Return whether a grid of every second node has the same walls, and no jumps of the nodes' costs ``factor``.
+
+    ``is_clear`` marks the open nodes that lie on no wall.
+    """
     if any(n % 2 == 0 for n in is_open.shape):
         return False
     for axis in range(is_open.ndim):

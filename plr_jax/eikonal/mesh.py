@@ -33,8 +33,9 @@ class Mesh:
     """Cells of a domain, made by repeated halving: each proven free, proven blocked, or mixed (unproven).
 
     Points are *fractions* of the domain, or *local* coordinates of a cell, both from 0 to 1 along each axis. A
-    blocked cell is *flush* if it borders on free space. Rounding may place free points in it, for which the bounds of
-    the open (not blocked) cells beside it count. Cells are numbered in the order in which ``tree`` is traversed.
+    blocked cell is *flush* if it borders on space that is not blocked. Rounding may place free points in a flush
+    cell: for such points, bounds of the open (not blocked) cells beside it count. Cells are numbered in the order in
+    which ``tree`` is traversed.
     """
 
     domain: Box
@@ -114,7 +115,7 @@ class Mesh:
         return np.where(self.domain.periodic, t - turn * np.rint((t - 0.5) / turn), t)
 
     def locate(self, x: Fractions) -> CellIndex:
-        """Return the index of each point's cell: the upper one on a face, the nearest one outside the domain."""
+        """Return the index of each point's cell: on a face the upper cell, outside the domain the nearest cell."""
         most = (1 << self._finest) - 1
         slot = np.clip((x * (most + 1.0)).astype(np.int64), 0, most).ravel()
         first, node, (child, bit) = self.dim * np.arange(len(x)), np.zeros(len(x), np.int64), self._descent
@@ -252,10 +253,10 @@ def _grown_boxes(cells: Cells, domain: Box) -> Corners:
 
 
 def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
-    """Return a mesh in which a blocked cell counts as mixed if open cells touch only in its edge or corner.
+    """Return a mesh in which blocked cells count as mixed if open cells beside them touch only in an edge or corner.
 
-    Open cells are those that are not blocked. A path may begin on either side of this edge or corner, and may pass if
-    the space lets robots squeeze through.
+    Open cells are cells that are not blocked. A path that begins on such an edge or corner may go into any of the
+    open cells around it, and a path may pass through it if the space lets robots squeeze between obstacles.
     """
     dim, periodic = mesh.dim, mesh.domain.periodic
     signs, shares = (np.array(list(product(ends, repeat=dim))) for ends in ((-1, 1), (0.0, 0.5, 1.0)))

@@ -2,7 +2,8 @@
 
 Dijkstra's algorithm finds shortest paths in the graph that joins the corners of each free cell. Then, as in "Theta*:
 any-angle path planning on grids" (Nash, Daniel, Koenig, Felner 2007), a node skips the next node of its path, or
-takes the next node of a neighbor's path, if the straight motion there stays in free cells and costs less.
+takes the next node of a neighbor's path, if the straight motion there stays in free cells and costs less. If a goal's
+cell is not free, motions that the space proves free join the goal to nodes near it.
 """
 
 from collections.abc import Iterator
@@ -37,7 +38,7 @@ EdgeCosts: TypeAlias = Float[np.ndarray, "_"]
 
 @dataclass(frozen=True, eq=False)
 class NodePaths:
-    """Paths from the corners of a mesh's cells (the nodes) to the nearest goal, through free cells."""
+    """Paths from the corners of a mesh's cells (the nodes) to the nearest goal; all motions are proven free."""
 
     points: Float[np.ndarray, "nodes dim"]  # the nodes as fractions of the domain, then the goals
     cost: Costs  # of each node's path, rounded up; inf if none was found
@@ -45,7 +46,7 @@ class NodePaths:
 
     @property
     def ends(self) -> Nodes:
-        """The goal at the end of each node's path, as an index of ``points``; the first goal if there is no path."""
+        """The goal at the end of each node's path, as a row of ``points``; the first goal if a node has no path."""
         ends = self.next
         while (ends != ends[ends]).any():
             ends = ends[ends]
@@ -53,12 +54,15 @@ class NodePaths:
 
 
 def graph_costs(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> Costs:
-    """Return costs of shortest paths from corners of cells along edges within free cells; ``inf`` without a path."""
+    """Return the costs of shortest paths from corners of cells to the nearest goal, along edges proven free.
+
+    Edges lie within free cells, except edges to goals whose cell is not free. Costs are ``inf`` without a path.
+    """
     return _path_costs(*_FreeGraph(mesh, costs, goals, space).cheapest_edges())[: len(mesh.nodes)]
 
 
 def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: ConfigurationSpace) -> NodePaths:
-    """Find short paths from the corners of a mesh's cells (nodes) to the nearest goal, through free cells alone."""
+    """Find short paths from corners of a mesh's cells (nodes) to the nearest goal; all motions are proven free."""
     graph = _FreeGraph(mesh, costs, goals, space)
     next_, leg = graph.cheapest_edges()
     cost, node = _path_costs(next_, leg), np.arange(len(next_))
@@ -186,7 +190,7 @@ class _FreeGraph:
         return self.costs.motion.norm(self._changes(begin, end)) * self.costs.least_rate
 
     def upper_bounds(self, begin: Edges, end: Edges) -> EdgeCosts:
-        """Return upper bounds of the costs of straight motions between nodes; ``inf`` if one is not in free cells."""
+        """Return upper bounds of the costs of straight motions; ``inf`` for a motion that leaves the free cells."""
         x = self.points[begin]
         change = self._changes(begin, end)
         mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))

@@ -40,11 +40,11 @@ _LEAST_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class CellCosts:
-    """Bounds of the cost of motions in each cell of a mesh, and just outside, as rounding may place points in a cell.
+    """Bounds of the cost of motions in each cell of a mesh; upper bounds hold at all points that round into the cell.
 
     A motion by the vector ``dq`` costs from ``lower |dq| + p`` to ``upper |dq| + p``. Here ``|dq|`` is the norm
     ``motion``, and ``p`` the larger scalar product of ``dq`` with one of two vectors, the ``pulls``. Without pulls,
-    ``p`` is 0, and the factor of ``|dq|`` also lies between two linear functions of the position in the cell.
+    ``p`` is 0, and two linear functions of the position in the cell bound the factor of ``|dq|`` more tightly.
     """
 
     motion: MotionCost
@@ -58,7 +58,7 @@ class CellCosts:
 
     @property
     def midway(self) -> "CellCosts":
-        """Costs whose upper bounds are the means of the lower and the upper bounds, to estimate costs of paths."""
+        """A copy whose upper bounds are the means of the lower and upper bounds: estimates of costs, not bounds."""
         lower, least = self.lower, self.least
         if self.pulls is not None:  # no cost is negative
             longest = np.linalg.norm(self.pulls, axis=2).max(axis=0)
@@ -117,11 +117,11 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
 def rescaling_of(
     lowest: Numbers, highest: Numbers, factor: Numbers
 ) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
-    """Return breakpoints and values of a piecewise linear function ``g`` that makes a function less steep.
+    """Return breakpoints and values of a piecewise linear function ``g`` for which ``g(u)`` is nowhere too steep.
 
-    In cell ``i``, the function ``u`` has values from ``lowest[i]`` to ``highest[i]``, and is up to ``factor[i]``
-    times as steep as a lower bound may be. The slope of ``g`` between these values is at most 1, and at most
-    ``1/factor[i]``. So ``g(u)`` is nowhere too steep. ``g(0)`` is 0.
+    In cell ``i``, the function ``u`` has values from ``lowest[i]`` to ``highest[i]``, and its slope is up to
+    ``factor[i]`` times the slope allowed there. So between these values ``g`` has slopes of at most ``1/factor[i]``,
+    and of at most 1 everywhere; ``g(0)`` is 0.
     """
     order = np.argsort(factor, kind="stable")
     order = order[factor[order] > 1]
@@ -138,9 +138,9 @@ def rescaling_of(
 class SlopeSets:
     """The convex sets in which Bernstein coefficients of a lower bound's gradient must lie, one for each coefficient.
 
-    The gradient lies in a ball if costs are lengths, and in a product of balls if costs are sums of norms over groups
-    of axes (``blocks``). If costs depend on the direction, minus the gradient lies in a ball around a point of the
-    segment between two vectors, the ``pulls`` of :class:`CellCosts`.
+    A set is a ball if costs are lengths, and a product of balls if costs are sums of norms over groups of axes
+    (``blocks``). If costs depend on the direction, a coefficient's negative must lie within ``radius`` of the segment
+    between two vectors, the ``pulls`` of :class:`CellCosts`.
     """
 
     blocks: Sequence[Sequence[int]]
@@ -165,7 +165,7 @@ class SlopeSets:
         return first + np.clip(t, 0.0, 1.0) * along
 
     def factors(self, g: Vectors) -> PerControl:
-        """Return the factor by which to divide each vector so that it lies in its set; at most 1 if it lies there."""
+        """Return a factor for each vector: divided by it, the vector lies in its set; at most 1 if it lies there."""
         g = g - self._nearest_offset(g)
         length = np.max(self.lengths(g), axis=0)
         if self.pulls is None:
@@ -268,8 +268,8 @@ class SlopeProgram:
     def losses(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
         """Estimate the integral of cost-to-go minus lower bound, as a sum of a loss for each unblocked cell.
 
-        A cell's loss is its volume times the excess, at least 0, of the cost of the iterate's flow over the rise of
-        the lower bound along this flow. The rise counts as 0 in cells that are not proven free.
+        A cell's loss is its volume times ``max(cost - rise, 0)``: the cost of the iterate's flow, and the rise of the
+        lower bound along this flow. The rise counts as 0 in cells that are not proven free.
         """
         mesh, num_controls = self.space.mesh, len(self.space.lattice)
         flow = iterate.flow.reshape(self.dim, -1, num_controls).mean(axis=2).T
@@ -323,8 +323,8 @@ class _Splitting:
     """The alternating direction method of multipliers for a :class:`SlopeProgram`.
 
     The unknowns are the degrees of freedom ``u``, the gradients ``z``, projected to their sets, and the scaled
-    multipliers ``y``, so that ``penalty * y`` is the flow. With several goals, the values there, which must be at
-    most 0, have projections and multipliers too.
+    multipliers ``y``, so that ``penalty * y`` is the flow. With several goals, values at the goals must be at most 0:
+    these values have projections and multipliers too.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):

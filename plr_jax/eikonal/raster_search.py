@@ -96,9 +96,9 @@ def search_finely(
 def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
     """Return a proven lower bound of the least cost of a path from each cell's center to the sources ``points``.
 
-    The center divides a cell into four triangles. A function that is linear in each triangle, nowhere steeper than
-    the cost of the cell and at most 0 at the sources, is a lower bound. The costs of known paths, from centers and
-    corners, are projected to nearly such a function, and then rescaled.
+    A function is a lower bound if it is at most 0 at the sources and nowhere steeper than the cost of the cell. The
+    costs of known paths from centers and corners, linear in the four triangles around each center, are made less
+    steep by repeated projections, and at last rescaled to be such a function.
     """
     # 1. The triangles, one at each side of a cell: the ends of the side, its axis, and the most cost there.
     least = cost.min()  # costs are divided by the least, so that squares neither overflow nor vanish
@@ -167,6 +167,7 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
 
 def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Nearest:
     """Return the index of the source that steepest descent of the distance reaches from each cell of a raster."""
+    # `step`: width and height of a cell; `label`: the source's index in cells with a source, -1 in other cells.
     # 1. The next node: of sixteen around it, the one through which the distance is least.
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
     number, least = toward.copy(), np.full(distance.shape, np.inf)
@@ -282,7 +283,7 @@ def _straight_costs(
     home: Int[np.ndarray, "k 2"],  # row and column of each point's cell
     near: Int[np.ndarray, "nodes 2"],  # offsets from the center of that cell, in half cells
 ) -> Float[np.ndarray, "k nodes"]:
-    """Return costs of straight motions from points to nodes around them; ``inf`` if a barrier stops the motion."""
+    """Return costs of straight motions from points to nodes in and beside their cells; ``inf`` through barriers."""
     begin = points[:, None, ::-1] / side[::-1]
     change = home[:, None] + 0.5 + near / 2 - begin
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -325,9 +326,9 @@ def _mean_factor(
 def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:
     """Return the mean costs along straight motions from many cells, ``inf`` where barriers stop the motion.
 
-    Each motion is by ``i`` half cells across rows and ``j`` across columns. It begins in the center of a cell
-    (``half`` 1) or in its lower corner (0). ``cost_at`` returns the costs of the cells at an offset in rows and
-    columns.
+    Each motion goes by ``i`` half cells across rows and ``j`` across columns. It begins in the center of a cell
+    (``half`` is 1) or in the cell's lower corner (``half`` is 0). For an offset in rows and columns, ``cost_at``
+    returns the costs of the cells that lie at this offset from the cells where motions begin.
     """
     # 1. Cut the motion where it enters another cell.
     ends = {0.0, 1.0}

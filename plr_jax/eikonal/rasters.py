@@ -61,8 +61,8 @@ class CostDistance:
 
         Returns:
             Vertices of the path, ``(n, 2)``, from the center of the cell to the source, or with heights to the center
-            of the source's cell; with ``from_sources`` too, although motion is from the source. One vertex if both
-            ends are equal, none if the distance is ``inf``. The path's cost is the ``distance`` in the cell.
+            of the source's cell. Their order does not depend on ``from_sources``. One vertex if both ends are equal,
+            none if the distance is ``inf``. The path's cost is the ``distance`` in the cell.
 
         Raises:
             ValueError: If the point is outside the raster, or a front marched, as over more than 2 million cells.

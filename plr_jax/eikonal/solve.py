@@ -61,8 +61,8 @@ def solve_eikonal(
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
       every face that is not proven blocked, and along every motion rises by no more than the motion costs. If costs
       are lengths and no axis is periodic, the straight line to a single goal is a lower bound too.
-    - The upper bound is the cost of paths through cells that are proven free, and in voxel spaces also of paths from
-      voxel to voxel. It is ``inf`` where no path was found.
+    - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
+      near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
 
     ``certified=False`` takes about a second and gives the estimate alone: scikit-fmm marches over a grid of 160,000
     nodes in the plane or up to a million in space. The mean error is mostly 0.01 to 0.5 %.
@@ -74,7 +74,7 @@ def solve_eikonal(
             counts, and ``plr.which(x)`` returns its index.
         cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
         max_leaves: Most leaves, and most cells of the mesh on which bounds are computed. More cells give tighter
-            bounds, also in a file of equal ``max_bytes``, and take longer. None: 2,000, or as many as ``max_bytes``
+            bounds, even if ``max_bytes`` stays equal, and take longer. None: 2,000, or as many as ``max_bytes``
             allows, if not certified; else 2,000 on a line, 10,000 in the plane, 50,000 in more dimensions.
         max_bytes: Most bytes of the file. A certified PLR has a leaf for each cell of a mesh, which is refined where
             bounds are loose. If these leaves take more bytes, it has fewer, larger leaves, with the worst bounds of
@@ -87,8 +87,8 @@ def solve_eikonal(
     Returns:
         The PLR, of continuous leaves, or of planes if ``certified=False`` and the cost of motions is a sum of norms
             of several groups of axes, as for a body that turns. ``plr(x)`` is finite wherever a path leads to the
-            goal, but perhaps also in obstacles, and at points cut off from the goal within a 64th of the domain of
-            points that reach it.
+            goal. It may also be finite in obstacles, and at points that cannot reach the goal but are within a 64th
+            of the domain of points that can.
 
     Warns:
         ConstructionInterrupted: If interrupted (Ctrl-C) after the first solution; the PLR then holds the latest one.
@@ -97,8 +97,8 @@ def solve_eikonal(
 
     Raises:
         ValueError: If an argument is invalid, a goal is not free, or bounds of the cost map are not positive and
-            finite. If a limit is too small for one leaf, for four cells along each periodic axis, for cells at most
-            200,000 times as long as wide, or for samples to meet all cells that are not blocked. If
+            finite. If ``max_leaves`` or ``max_bytes`` is too small: for one leaf, for four cells along each periodic
+            axis, for cells at most 200,000 times as long as wide, or for samples in all cells not blocked. If
             ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid sees a goal. If
             a directional cost map comes with a space whose costs are no lengths.
 
@@ -185,10 +185,10 @@ def _require_goals(
 
 
 def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each leaf's priority to be split: its error, or more if it is large and cut off from the goal.
+    """Return each leaf's priority to be split: its error, or more if the leaf is large and cut off from the goal.
 
     The error is the geometric mean of the largest error and the error's L2 norm over the leaf, for a small mean error
-    of the PLR. A large leaf with free points that is cut off is split, as it answers an adjacent leaf's function
+    of the PLR. Without splits, a leaf with free points that are cut off would get the function of an adjacent leaf
     instead of ``inf``.
     """
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()

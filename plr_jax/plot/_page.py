@@ -39,7 +39,7 @@ def asset(name: str) -> str:
 
 
 def html_document(title: str, style: str, body: str, script: str) -> str:
-    """Assemble a web page from its parts; ``style`` is CSS added to that of all pages, ``script`` is JavaScript."""
+    """Assemble a web page from its parts; ``style`` is further CSS, ``script`` is JavaScript."""
     filled = {
         "style": asset("page.css").replace("{{ink}}", INK).replace("{{obstacle}}", OBSTACLE) + style,
         "body": body,
@@ -117,9 +117,10 @@ def page(plr_or_pairs: PLR | PairPLR, workspace: Workspace | None = None) -> Pag
 
     It shows distances as colors and contours, the walls, and optionally the cells; at the pointer the distance, its
     proven bounds and a path. A click starts a swarm that flows to the goal. For pairs (distances between any two
-    points), both ends can be dragged. Other files of cones or pairs can be dropped on the page. Its answers equal
-    those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit. The walls are those of ``workspace``; pairs have
-    their own. ``ValueError`` is raised for anything but a PLR or PairPLR in the plane and a Workspace.
+    points), both ends can be dragged. Files of pairs, or of PLRs with cone leaves, can be dropped on the page.
+    The page's answers equal those of ``plr.numpy()`` and ``pairs.numpy()``, bit for bit. The walls are those of
+    ``workspace``; pairs have their own. ``ValueError`` is raised for anything but a PLR or PairPLR in the plane and a
+    Workspace.
     """
     source = plr_or_pairs
     if not isinstance(source, PLR | PairPLR):
@@ -150,7 +151,7 @@ def _is_plain_cone(container: Container) -> bool:
 
 
 def _module(data: bytes) -> str:
-    """Return a JavaScript object with a reader of the PLR file ``data``, and its size, kind and proven error."""
+    """Return a JavaScript object with a reader of the PLR file ``data``, its size, cell count and proven error."""
     plr = NumpyPLR(data)
     text, leaves = plr.js_module(), f"{plr.num_leaves:,} cells"
     error = "null" if plr.max_error is None else repr(plr.max_error).replace("inf", "Infinity")

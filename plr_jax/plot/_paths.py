@@ -24,7 +24,10 @@ from plr_jax.robots.robot import Robot, motions_under_way, placed, shorter_turn
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """A path of all robots: configurations at nondecreasing times from 0 to the makespan; headings never wrap."""
+    """A path of all robots: configurations at nondecreasing times from 0 to the makespan.
+
+    Headings grow beyond pi instead of jumping by a turn.
+    """
 
     times: Float[np.ndarray, "steps"]
     configurations: Float[np.ndarray, "steps robots dof"]
@@ -152,7 +155,7 @@ def add_number(ax: Axes, i: int, at: Float[np.ndarray, "2"], color: str) -> Text
 def add_numbers(ax: Axes, problem: Problem, ends: Float[np.ndarray, "ends dof"]) -> None:
     """Write each robot's number inside its outline if there is room, else beside it.
 
-    ``ends`` are configurations of all drawn bodies, perhaps followed by those of all goals.
+    ``ends`` are the configurations of all robots' bodies; the goals of all robots may follow, to be numbered too.
     """
     bounds, num_robots = problem.workspace.bounds, len(problem.robots)
     robots = (problem.robots * 2)[: len(ends)]

@@ -198,7 +198,7 @@ def draw_values(
     num_levels: int,
     closed: Bool[np.ndarray, "rows columns"] | None,
 ) -> AxesImage:
-    """Draw values on a slice: as colors from 0 to ``largest``, with contours; gray where points are ``closed``."""
+    """Draw values on a slice: colors from 0 to ``largest``, up to ``num_levels`` contours, gray where ``closed``."""
     image = _add_image(ax, shown.box, values, DISTANCE_COLORS, Normalize(0.0, largest))
     x, y = np.moveaxis(points[..., list(shown.axes)], 2, 0)
     has_lines = min(values.shape) > 1

@@ -79,7 +79,10 @@ def read_image(
 
 
 def free_pixels(path: Path, threshold: float | int = 0.5) -> Bool[np.ndarray, "rows columns"]:
-    """Return which pixels of a picture, or of a map of ROS's ``map_server``, are free; row 0 is the top row."""
+    """Return which pixels are free: lighter than ``threshold`` (1 is white). Row 0 is the top row of the picture.
+
+    The ``.yaml`` file of a map of ROS's ``map_server`` has thresholds of its own; unknown pixels are not free.
+    """
     if path.suffix.lower() in YAML_ENDINGS:
         return _MapServer.read(path).free(unknown_is_free=False)
     with open_picture(path) as picture:
@@ -152,7 +155,7 @@ def _require_plain(picture: Any, numbers: bool) -> None:
 
 
 def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
-    """Yield bands of rows: their slice, their lightness, that of white, and opacity up to 255, None if all opaque."""
+    """Yield bands of rows: their slice and lightness, the lightness of white, and opacity to 255 (None if opaque)."""
     step = max(1, _BAND // picture.width)
     for top in range(0, picture.height, step):
         bottom = min(top + step, picture.height)
@@ -226,11 +229,11 @@ def read_cost_map(
     - ``trinary``: 0 where :func:`read_map_server` finds free pixels, 100 where occupied, -1 where unknown.
     - ``scale``: as ``trinary``, but between the thresholds values rise linearly from 0 to 100, rounded. Only pixels
       that are not opaque are unknown; so gray 205, which means unknown elsewhere, is free.
-    - ``raw``: the percentages themselves, without thresholds.
+    - ``raw``: the percentages in the pixels, without thresholds.
 
-    Occupied cells are blocked. If a map has no other costs, ``read_cost_map(path).inflated(inscribed_radius)`` gives
-    a robot's usual cost map. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
-    :meth:`RasterCost.from_occupancy_grid`, and not for a TIFF.
+    Occupied cells are blocked. If all others are free or unknown, ``read_cost_map(path).inflated(inscribed_radius)``
+    adds the usual costs around obstacles. ``cost_travel_multiplier`` and ``unknown_is_free`` are as for
+    :meth:`RasterCost.from_occupancy_grid`; leave them out for a TIFF.
 
     Pixels of a ``.tif`` or ``.tiff`` file with one channel of 32-bit floats, or of integers of 16 or 32 bits, are the
     factors themselves: costs per unit of length. ``inf``, NaN and the no-data value of GDAL block a cell. A GeoTIFF

@@ -1,4 +1,4 @@
-"""Ready-made scenes of the paper and the experiments, built here or read from ``published``; variants of scenes."""
+"""Ready-made scenes of the paper and the experiments, some read from the folder ``published``, and variants."""
 
 import math
 from collections.abc import Sequence
@@ -120,7 +120,7 @@ _THIN_MAZE = (
 
 
 def maze() -> Problem:
-    """A point robot in the unit square among six walls, 0.04 thick, from (0.93, 0.95) to (0.06, 0.07)."""
+    """A point robot that moves from (0.93, 0.95) to (0.06, 0.07) in the unit square, among six walls 0.04 thick."""
     return _point_problem(_MAZE)
 
 
@@ -130,9 +130,9 @@ def thin_maze() -> Problem:
 
 
 def floor_plan() -> Problem:
-    """A point robot on a furnished office floor, 24 m x 15 m, from the lounge (23.2, 11.6) to the kitchen (1.2, 1.2).
+    """A point robot that moves on a furnished office floor from the lounge (23.2, 11.6) to the kitchen (1.2, 1.2).
 
-    The floor has eleven rooms, walls 0.16 m thick, doors 0.8 to 1.4 m wide, and more than 200 corners.
+    The floor, 24 m x 15 m, has eleven rooms, walls 0.16 m thick, doors 0.8 to 1.4 m wide, and more than 200 corners.
     """
     return load(_FOLDER / "floor_plan.json")
 

@@ -176,7 +176,8 @@ class PlanarArm:
 
     @cached_property
     def _max_reach(self) -> Float[np.ndarray, "joints joints_plus_one"]:
-        """Largest distance from each joint to the base and the ends of links that it moves; 0 for the others."""
+        # Largest distance from each joint to the base (column 0) and to the end of link k (column k, from 1 on); 0 if
+        # the joint does not move this point.
         along = np.append(0.0, np.cumsum(self.lengths))
         return np.maximum(0.0, along - along[:-1, None])
 

@@ -44,7 +44,10 @@ class CostMap(Protocol):
         ...
 
     def bounds(self, lo: Vectors, hi: Vectors, /) -> tuple[Rates, Rates]:
-        """Return positive lower and finite upper bounds of the factor over boxes, which may cross a period's end."""
+        """Return positive lower and finite upper bounds of the factor over boxes.
+
+        Boxes may extend beyond the domain along periodic axes.
+        """
         ...
 
 
@@ -53,9 +56,9 @@ class DirectionalCost(CostMap, Protocol):
     """A cost of motions that depends on their direction, such as going uphill or against the wind.
 
     A motion ``dq`` at ``q`` costs ``c(q) |dq| + max(a(q) . dq, b(q) . dq)``, positive in every direction. Over a box,
-    :meth:`pulls` returns vectors ``a`` and ``b``, and bounds of the rest of the cost per unit of length. As a
-    :class:`CostMap`, it returns the cost per unit of length in the most expensive direction; its lower bound holds in
-    the cheapest direction. It needs a space whose ``motion_cost`` is the Euclidean length over all axes.
+    :meth:`pulls` returns constant vectors ``a`` and ``b``, and bounds of the rest of the cost per unit of length. As
+    a :class:`CostMap`, a call returns the cost per unit of length in the most expensive direction, while
+    :meth:`bounds` hold for all directions. The space's ``motion_cost`` must be the Euclidean length over all axes.
 
     Example:
         Length plus ``rate`` times the climb, on terrain whose height has a gradient of length at most ``steepest``
@@ -81,8 +84,8 @@ class DirectionalCost(CostMap, Protocol):
         """Return, for each box, vectors ``a`` and ``b``, ``(n, dof)``, and numbers ``least`` and ``most``, ``(n,)``.
 
         Every motion ``dq`` in the box costs ``max(a . dq, b . dq)`` plus between ``least`` and ``most`` times
-        ``|dq|``. :meth:`bounds` are used instead over a box if ``least <= most / 4`` or ``least - d <= most / 50``,
-        where ``d`` is the distance of the origin from the segment between ``a`` and ``b``.
+        ``|dq|``. Too loose pulls are not used: if ``least <= most / 4`` or ``least - d <= most / 50`` for a box, its
+        :meth:`bounds` count instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
         """
         ...
 

@@ -31,7 +31,7 @@ def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "
 
 
 def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Booleans:
-    """Return whether segments (``links``) surely cross a wall, even if both ends move by up to their ``reaches``."""
+    """Return whether segments ``links`` are proven to cross a wall, even if their ends move by up to ``reaches``."""
     # Sufficient: ends stay on opposite sides of the wall's line, and the wall's ends are farther from the segment
     # than any point moves. The second end moves at least as far as the first.
     boundary = workspace.boundary
@@ -85,8 +85,8 @@ class BodySpace:
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
         """Return whether straight motions, turning the shorter way, are proven free all the way.
 
-        The answer is exact for a point or disc. For other bodies, some turns within about 1e-7 of the robot's size of
-        a wall are not proven free.
+        The answer is exact for a point or disc. For other bodies, a turn may not be proven free if it comes nearer to
+        a wall than about 1e-7 of the robot's size.
         """
         q0, q1 = as_motions(q0, q1, self.robot.dof)
         free = np.isfinite(q0 + q1).all(axis=1)
@@ -100,8 +100,12 @@ class PlaneSpace(BodySpace):
 
     The robot is a PointRobot, the default, or a DiscRobot; another robot, or one that fits nowhere, raises
     ``ValueError``. A position is free if the robot overlaps neither obstacles nor the outside of the bounds, up to
-    ``workspace.tolerance``. The state of boxes is exact for a point. For a disc, a blocked box near a corner may be
-    MIXED if its distance to free positions is below 0.5 % of the disc's radius.
+    ``workspace.tolerance``.
+
+    The state of boxes is exact for a point. For a disc of radius ``r``, chords replace arcs around corners of
+    obstacles. So a blocked box near a corner may be MIXED if a slightly smaller disc fits at one of its positions. Up
+    to the tolerance, that disc's radius is smaller by less than the larger of ``0.005 * r`` and
+    ``0.0008 * (r * side**2) ** (1 / 3)``, where ``side`` is the longer side of free space.
     """
 
     robot: Robot = field(default_factory=PointRobot)

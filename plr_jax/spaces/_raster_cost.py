@@ -238,8 +238,8 @@ class RasterCost:
 
         With ``"nearest"``, the bounds are the extremes over all cells that the box touches. With ``"bilinear"``, they
         are exact if the box meets at most three intervals between cell centers along each axis; over larger boxes
-        they are the extremes over all cells whose centers surround the box. Both are rounded outward, to float32
-        where several cells count. Corners, ``(n, dof)``, must be finite with ``hi`` nowhere below ``lo``.
+        they are the extremes over all cells whose centers surround the box. Bounds are rounded outward; extremes
+        over many cells to float32. Corners, ``(n, dof)``, must be finite with ``hi`` nowhere below ``lo``.
         """
         lo, hi = self._leading_coordinates("lo", lo), self._leading_coordinates("hi", hi)
         as_boxes(lo, hi, self.dim)

@@ -26,9 +26,9 @@ class VoxelSpace:
     overlaps neither blocked voxels nor the outside of the bounds; it may touch them. A point cannot pass between two
     blocked voxels that share only an edge or corner: free voxels are connected through faces, as in the plane.
 
-    For a point all answers are exact. A ball may come nearer than its radius by the ``tolerance``; some boxes that
-    only several blocked voxels jointly forbid to a ball are MIXED instead of BLOCKED. ``ValueError`` if an argument
-    is invalid, no voxel is free, or voxels are too small for the precision of coordinates.
+    For a point all answers are exact. A ball may come nearer than its radius by the ``tolerance``, and a box that is
+    blocked for a ball may be MIXED if no single voxel is too near to all of it. ``ValueError`` if an argument is
+    invalid, no voxel is free, or voxels are too small for the precision of coordinates.
 
     Args:
         free: Boolean array of one to four axes, True where a voxel is free.
@@ -114,8 +114,8 @@ class VoxelSpace:
     def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
         """Return whether straight motions are proven free all the way.
 
-        A point may change from one free voxel to another only through faces. A motion within a face or along an edge
-        is free where a path beside it is.
+        A point may change from one free voxel to another only through faces. A motion within faces or along edges of
+        voxels is free if a path through the voxels beside it is free.
         """
         q0, q1 = as_motions(q0, q1, self.grid.dim)
         free = np.isfinite(q0 + q1).all(axis=1)
@@ -129,8 +129,8 @@ class VoxelSpace:
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
         """Return whether a point at ``q`` is proven to see every free position of a box; False for balls.
 
-        The free voxels that the box touches must form a box, and ``q`` must lie in both boxes, but not on an edge or
-        corner where blocked voxels touch.
+        The free voxels that the box touches must fill a box of their own. ``q`` must lie in that box and in the given
+        box, but not on an edge or corner where blocked voxels touch.
         """
         (q, _), _ = as_motions(q, lo, self.grid.dim), as_boxes(lo, hi, self.grid.dim)
         if self.radius > 0:
