@@ -55,7 +55,7 @@ class MovingBodies(NamedTuple):
 
 
 def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.ndarray, "n dof"]) -> MovingBodies:
-    """Return a robot's straight motions from ``q0`` to ``q1``; its shape is missing until ``with_size`` sets it."""
+    """Return a robot's straight motions from ``q0`` to ``q1``, still without its shape, which ``with_size`` adds."""
     heading, turn = np.zeros(len(q0)), np.zeros(len(q0))
     if robot.dof == 3:
         heading, turn = q0[:, 2], shorter_turn(q0[:, 2], q1[:, 2])
@@ -66,7 +66,8 @@ def moving_bodies(robot: Robot, q0: Float[np.ndarray, "n dof"], q1: Float[np.nda
 def bisect(
     kernel: Callable[..., Verdict], a: MovingBodies, b: MovingBodies, reach: float, deadline: float = math.inf
 ) -> Booleans:
-    """Return which pairs of moving bodies surely stay ``reach`` apart; a negative reach allows an overlap."""
+    """Bisect motions until ``kernel``, a separation test, is certain; return which pairs stay ``reach`` apart."""
+    # A negative reach allows an overlap.
     k, m = a.size.shape[-2], b.size.shape[-2]
     size = max(1, _CORNERS // max(k + m, k * m if reach > 0 else 0))  # distances need all pairs of corners
     apart = np.ones(len(a.x), dtype=bool)
@@ -252,7 +253,8 @@ def _support(body: MovingBodies, heading: Columns, nx: Column, ny: Column) -> Co
 
 
 def _distance_of_chord(x0: Column, y0: Column, x1: Column, y1: Column, half_x: Column, half_y: Column) -> Column:
-    """Return the distance from segments to a box with given half sides around the origin, or minus the overlap."""
+    """Return the distance from segments to the nearest corner of a box around the origin, or minus the overlap."""
+    # The distance to the box is the minimum of this and of the distances from the segment's ends to the box.
     dx, dy = x1 - x0, y1 - y0
     corners = [distance_to_segment(x0 - sx * half_x, y0 - sy * half_y, dx, dy) for sx in (-1, 1) for sy in (-1, 1)]
     length = np.hypot(dx, dy)

@@ -65,7 +65,7 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
-        """Return pairs ``(k, j)``: robot ``i``, in circle ``k``, may meet robot ``j`` in its motion ``motion[k]``."""
+        """Return pairs ``(k, j)``: robot ``i`` in the ``k``-th circle may meet robot ``j``'s motion ``motion[k]``."""
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         found, size = [], max(1, _CHUNK // num_robots)
@@ -188,7 +188,8 @@ class JointMotionTest:
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return whether robot ``i``'s motion ``k`` collides with motion ``motion[k]`` of robot ``other[k]``."""
+        """Return whether robot ``i``, moving from ``begin`` to ``end``, hits robots ``other`` in their ``motion``."""
+        # Motion ``k`` of a robot leads from row ``k`` of the trajectory to row ``k + 1``.
         others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)

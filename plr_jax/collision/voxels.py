@@ -43,7 +43,7 @@ def _touching(grid: VoxelGrid, lo: Coordinates, hi: Coordinates) -> tuple[Number
 def _rows_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers, Numbers]]:
-    """Yield rows of voxels along the last axis that come within ``radius`` of a box: box, first and last voxel."""
+    """Yield rows of voxels along the last axis within ``radius`` of boxes: index of the box, first and last voxel."""
     first, last = _touching(grid, lo - radius, hi + radius)
     num = np.maximum(last - first + 1, 0)[:-1]
     for some in parts(num.prod(axis=0), _ROWS_AT_ONCE):

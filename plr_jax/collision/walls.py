@@ -1,8 +1,8 @@
 """Collision tests of one robot with a workspace along straight motions.
 
 A grid over the bounds stores the clearance at each cell's center and the walls near it. The clearance changes by at
-most the distance moved, which decides most motions at once. Other motions are tested against the walls of their cell;
-those of point robots by ``Workspace.is_visible`` against all walls.
+most the distance moved, which decides most motions at once. The other motions are tested against the walls near their
+cells or, for point robots, against all walls by ``Workspace.is_visible``.
 """
 
 import math

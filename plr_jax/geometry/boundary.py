@@ -73,8 +73,9 @@ class Boundary:
 def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) -> Boundary | None:
     """Return the boundary of a Shapely (multi)polygon, each edge split at the vertices that lie on it.
 
-    The result is None if edges coincide, or a vertex is within ``tolerance`` of an edge but not within a quarter of
-    it. Vertices of ``known``, such as the boundary before a local change, are not tested against its edges.
+    A vertex lies on an edge if their distance is at most ``tolerance / 4``. The result is None if edges coincide, or
+    a vertex is within ``tolerance`` of an edge but not on it. Vertices of ``known``, such as the boundary before a
+    local change, are not tested against edges of ``known``.
     """
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
@@ -132,7 +133,7 @@ def vertices_near_edges(
     some_vertices: Int[np.ndarray, "some_vertices"],
     some_edges: Int[np.ndarray, "some_edges"],
 ) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
-    """Return index pairs (vertex, edge) that are within ``tolerance``, except edges with their own ends."""
+    """Return pairs of ``some_vertices`` and ``some_edges`` within ``tolerance``, except an edge with its own ends."""
     segments = vertices[edges[some_edges]]
     some_vertices = some_vertices[boxes_near(vertices[some_vertices, None], segments, tolerance)]
     near = boxes_near(segments, vertices[some_vertices, None], tolerance)

@@ -1,4 +1,4 @@
-"""Samples and convex pieces of boxes with the corners that they see, computed once for distances to many goals."""
+"""Sample points and convex pieces of boxes, and the corners that each sees, computed once for many goals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,14 +26,14 @@ Indices: TypeAlias = Int[np.ndarray, "cells"]
 
 @dataclass(frozen=True, eq=False)
 class FamilySamples:
-    """Sample points of boxes, one if the box is not blocked, and the corners where paths from them turn first."""
+    """A sample point of each box that is not blocked, and the corners where paths from the sample may turn first."""
 
     x: Corners  # center of each box, or of its largest free convex piece if a wall meets it; NaN if nothing is free
     weight: Float[np.ndarray, "boxes"]  # free share of each box's area; 0 without a sample
     sampled: Int[np.ndarray, "sampled"]  # boxes that have a sample
     placed: Float[np.ndarray, "sampled 2"]  # samples of these boxes, rounded and moved out of walls
     box: Int[np.ndarray, "seeing"]  # boxes whose samples see corners
-    first: Int[np.ndarray, "seeing"]  # those of box[i] are corner[first[i]] up to the next box's
+    first: Int[np.ndarray, "seeing"]  # the corners of box[i] begin at corner[first[i]]
     corner: Int[np.ndarray, "pairs"]
     length: Float[np.ndarray, "pairs"]  # distance from the sample to each of these corners
 

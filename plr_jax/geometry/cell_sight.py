@@ -45,7 +45,7 @@ Entries: TypeAlias = Int[np.ndarray, "entries"]
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Segments across which visibility from viewpoints changes: on rays past corners, from there to the next wall."""
+    """Segments across which visibility from viewpoints changes: on rays past corners, from the corner to a wall."""
 
     table: VisibilityTable
     key: Float[np.ndarray, "shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
@@ -118,7 +118,7 @@ class Shadows:
 
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
-    """Return entries ``2 * c`` and ``2 * c + 1`` for each corner ``c``: the two ways to bend around the corner."""
+    """Return turn points ``2 * c`` and ``2 * c + 1`` of each corner ``c``: the two ways to bend around the corner."""
     opens, closes = turned_left(corners.walls)
     normal = np.stack([[-closes, -opens], [opens, closes]], axis=2).reshape(2, -1, 2)
     points = np.repeat(corners.points, 2, axis=0)
@@ -136,7 +136,7 @@ def turns_by_triangle(visibility: CornerVisibility, triangulation: Triangulation
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Data to decide to which points, corners or goals, a shortest path from a convex region may go first."""
+    """The goals and corners to which shortest paths may go first, and data to test this for a convex piece."""
 
     sources: Sources
     view: Int[np.ndarray, "sources"]  # index of each source in the visibility table
@@ -363,7 +363,8 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
 
 
 def corners_of_cells(found: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, "entries"]]:
-    """Return pairs (cell, corner where paths from it may turn first), and whether all of the cell sees it."""
+    """Return pairs (cell, corner where paths from it may turn first), and whether all of the cell sees the corner."""
+    # The sources of the pieces are entries of ``turns_by_side``.
     count = np.int64(len(found.sight.turns.points) // 2)
     of_piece, first = np.unique(found.piece * count + (found.source >> 1), return_index=True)
     piece, corner = np.divmod(of_piece, count)

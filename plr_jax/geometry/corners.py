@@ -85,7 +85,8 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 def mutually_visible_pairs(
     corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
-    """Return pairs of corners that see one another on a line tangent to the walls at one of them, at least."""
+    """Return pairs of corners that see one another along a line tangent to the walls at one of them or both."""
+    # Corner ``view[i]`` sees corner ``seen[i]``.
     tangent = corners.is_tangent(view, seen) | corners.is_tangent(seen, view)
     view, seen = view[tangent], seen[tangent]
     # Visibility is not symmetric: at a point contact, a corner may be seen from a sector that it does not look into.
@@ -151,7 +152,8 @@ def find_turn_points(
     parents: Int[np.ndarray, "vertices"],
     num_goals: int = 1,
 ) -> TurnPoints:
-    """Return where shortest paths to the goals turn first; ``vertices`` are goals, then corners."""
+    """Return the corners where shortest paths to the goals may turn first; ``vertices`` are goals, then corners."""
+    # ``distances`` and ``parents`` come from Dijkstra's algorithm with the goals as sources.
     vertex = num_goals + np.flatnonzero(np.isfinite(distances[num_goals:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points

@@ -71,11 +71,11 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.nd
 def first_visible(
     lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Return, for each point, the ``count`` visible candidates of least path length (-1: too few), and the lengths.
+    """Return the first vertices of each point's ``count`` shortest visible paths (-1: too few), and the lengths.
 
-    ``lengths[i, k]`` is the length of the path from point ``i`` through candidate ``k`` for its first vertex; NaN
-    excludes the candidate. The array is modified. Visibility is tested in rounds, first of the ``at_once`` shortest
-    paths of each point.
+    A path from point ``i`` by vertex ``k`` has length ``lengths[i, k]`` (NaN excludes the path), and is visible if
+    ``sees(i, k)``. The array ``lengths`` is modified. Visibility is tested in rounds, first of ``at_once`` paths of
+    each point, the shortest ones, or ``count`` if that is more.
     """
     found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
     pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
@@ -105,7 +105,7 @@ def first_visible(
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
-    """Apply :func:`first_visible` to slices of ``n`` points, to save memory; ``lengths`` computes a slice."""
+    """Apply :func:`first_visible` to slices of ``n`` points, to save memory; ``lengths`` maps a slice to lengths."""
     found, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
     for begin in range(0, n, step):

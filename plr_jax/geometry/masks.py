@@ -211,7 +211,7 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
 
 
 def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, "m"]:
-    """Return which segments have another outline between them and the part of their own outline that they replace."""
+    """Return which segments enclose another outline, together with the part of their outline that they replace."""
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
@@ -299,7 +299,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
 
 
 def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
-    """Remove components of at most ``num_pixels`` pixels, blocked ones, then free ones; also return their number."""
+    """Remove components of at most ``num_pixels`` pixels, blocked, then free; also return how many were removed."""
     count = 0
     for value, structure in ((False, _ALL_AROUND), (True, None)):
         label = _labels(free == value, structure)

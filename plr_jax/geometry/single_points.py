@@ -1,7 +1,7 @@
 """Location and visibility of single points, in plain Python.
 
-A query of one point is ten times faster in Python floats than in NumPy. The arithmetic is that of the
-functions for batches, which decide where rounding could matter. So both give results that are equal to the bit.
+A query of one point is ten times faster in Python floats than in NumPy. Where rounding could matter, the functions
+for batches decide; elsewhere, both use the same arithmetic. So both give results that are equal to the bit.
 """
 
 from bisect import bisect_right
@@ -28,7 +28,7 @@ class Place(NamedTuple):
     beyond: int  # the triangle across a side if the point lies on that side, else `triangle`
 
     def take(self, first: Int[np.ndarray, "_"], entries: Int[np.ndarray, "_"]) -> Int[np.ndarray, "_"]:
-        """Return ``entries[first[t] : first[t + 1]]`` of the one or two triangles ``t`` that contain the point."""
+        """Join the lists of the triangles ``t`` that contain the point: ``entries[first[t] : first[t + 1]]``."""
         own = entries[first[self.triangle] : first[self.triangle + 1]]
         if self.beyond == self.triangle:
             return own

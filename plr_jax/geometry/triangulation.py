@@ -115,7 +115,9 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """Return each grid point's triangle, or one nearby, and the signs of its distances from the three sides."""
+        """Return each point's triangle, and the signs of the point's distances from its three sides (inside: 1)."""
+        # Points are multiples of ``grid``. A point outside the region gets a nearby triangle, and a sign of -1. Walks
+        # through the triangles begin at ``triangle``, if given.
         turn, pending = np.ones((len(x), 3)), np.arange(len(x))
         if triangle is not None:
             triangle = triangle.copy()
@@ -142,7 +144,7 @@ class Triangulation:
         return triangle, turn
 
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
-        """Round points to the grid and locate them; points outside the region move onto the nearest wall."""
+        """Round points to ``grid`` and locate them; points outside the region move onto the nearest wall."""
         boundary, given, x = self.boundary, x, self.on_grid(x)
         triangle, turn = self.locate(x)
         outside = np.flatnonzero((turn < 0).any(axis=1))
@@ -207,7 +209,7 @@ class Triangulation:
 
 
 def next_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
-    """Return the next half-edge, counterclockwise, of the same triangle ``t``; it has ``3 t`` to ``3 t + 2``."""
+    """Return the next half-edge, counterclockwise, of the same triangle."""
     return half_edge + np.where(half_edge % 3 == 2, -2, 1).astype(half_edge.dtype)
 
 

@@ -95,8 +95,9 @@ class _Cones:
 
 
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
-    """Return pairs (viewpoint, triangle) with a part of it visible between directions ``right`` and ``left``."""
-    # The directions span at most half a turn; zero vectors stand for all directions.
+    """Return pairs (viewpoint, triangle): a part of the triangle is visible within the viewpoint's directions."""
+    # Viewpoint ``i`` looks counterclockwise from ``right[i]`` to ``left[i]``, at most half a turn. Zero vectors stand
+    # for all directions.
     far, cones = np.ptp(triangulation.boundary.vertices, axis=0).max(), _first_cones(triangulation, views)
     # Widen the cones to allow for rounded directions, except those that are half a turn wide up to rounding.
     wider = np.where(cross_product(right, left) > 4 * triangulation.tolerance / far, triangulation.tolerance, 0.0)

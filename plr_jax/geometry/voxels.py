@@ -131,7 +131,7 @@ class VoxelGrid:
 
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
-        """Edges and corners where free voxels touch, but no faces join them, counted by the axes across them."""
+        """Edges and corners where free voxels touch, but no faces join them: pairs (normal axes, table of counts)."""
         found, shape = [], self.padded.shape
         for num_across in range(2, self.dim + 1):
             is_parted = disconnected_sets(num_across)
@@ -173,7 +173,7 @@ class Sums:
 
 
 def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corners"]) -> Bool[np.ndarray, "n corners"]:
-    """Extend sets ``live`` of the voxels around points by the ``free`` voxels that are joined to a set by faces."""
+    """Flood-fill, in each row of voxels around a point, the ``free`` voxels from the ``live`` ones, across faces."""
     # The last axis is in the order of ``itertools.product((0, 1), repeat=dim)``.
     flat = live.shape
     shape = (-1, *[2] * (flat[1].bit_length() - 1))
@@ -187,7 +187,7 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
 
 
 def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
-    """Return whether each set of the ``2**num_axes`` voxels around a point has parts that no faces join."""
+    """Return, for each set of the ``2**num_axes`` voxels around a point, whether faces fail to connect the set."""
     num = 2**num_axes  # bit i of a set's index says whether voxel i belongs to the set
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
     one = np.zeros_like(free)

@@ -198,7 +198,7 @@ class Workspace:
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Return whether points ``(n, 2)`` lie in closed free space, to ``tolerance``.
 
-        It is False for points not finite, and outside the bounds; 32-bit points outside only by rounding are inside.
+        Points not finite or outside the bounds are not free; 32-bit points outside only by rounding are inside.
         """
         x = as_points("x", self.bounds.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
@@ -210,7 +210,8 @@ class Workspace:
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
         """Return the signed distance, in workspace units, of points ``(n, 2)`` to the boundary of free space.
 
-        It is positive in free space, 0 on walls, negative in obstacles and outside the bounds, NaN if not finite.
+        The distance is positive in free space, 0 on walls, and negative in obstacles and outside the bounds. It is
+        NaN for points that are not finite.
         """
         x = as_points("x", x, 2)
         finite = np.isfinite(x).all(axis=1)

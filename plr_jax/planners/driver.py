@@ -245,7 +245,7 @@ class Run:
                 searches.release()
 
     def _lattices(self, step: float, may_halve: bool) -> JointLattice | None:
-        """Build lattices of cell size ``step`` or finer; None if a goal is unreachable on them or time is up."""
+        """Build lattices of cell size ``step``, finer if ``may_halve``; None if a goal is cut off or time is up."""
         problem = self.problem
         straight = motion_costs(problem, problem.starts, problem.goals)
         try:
@@ -321,7 +321,7 @@ class Run:
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
     def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Return the path through lattice nodes ``state``, and its cost divided by the robots' least costs."""
+        """Return the path through lattice nodes ``state``, and its cost over the sum of the robots' least costs."""
         path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
@@ -429,7 +429,7 @@ class Searches:
 def first_step(
     problem: Problem, fits: Callable[[float], bool] = lambda step: True, may_be_packed: bool = True
 ) -> float:
-    """Choose the first lattices' cell size: robots should have room to pass, and ``fits(step)`` should hold."""
+    """Choose the first lattices' cell size: about the smallest robot's size, larger until ``fits(step)`` holds."""
     # 1. Cells about as large as the smallest robot give it room to pass.
     extent, area = float(problem.workspace.bounds.width.max()), problem.workspace.free_space.area
     sizes = [min(robot.circumscribed_radius, robot.breadth) for robot in problem.robots]
@@ -441,7 +441,7 @@ def first_step(
     if wide > size and problem.workspace.free_space.buffer(-(widths.max() + wide) / 2).geom_type == "Polygon":
         size = wide
     step = float(np.clip(size, _FINEST_FIRST * extent, _COARSEST_FIRST * extent))
-    # 3. Packed robots move between cells of one robot each, as in a sliding puzzle.
+    # 3. Robots that fill most of the free area may move between cells of one robot each, as in a sliding puzzle.
     if may_be_packed and len(widths) * widths.min() ** 2 > _PACKED * area:
         step = extent / max(1, math.floor(extent / widths.max() + _ROUNDING))
     while step < _COARSEST * extent and (_num_motions_to_test(problem, step) > _MAX_FIRST_TESTS or not fits(step)):

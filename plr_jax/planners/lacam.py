@@ -34,7 +34,7 @@ _ROUNDING = 1e-9
 
 
 class Moves(NamedTuple):
-    """The primitives of all robots from a joint configuration (motions to neighboring cells), and which collide."""
+    """The primitives (motions to adjacent cells) of all robots from a joint configuration, and their collisions."""
 
     child: list[list[int]]  # the node that each primitive of each robot leads to
     ranked: list[list[int]]  # each robot's primitives that hit no obstacle, best first

@@ -43,12 +43,12 @@ Leads: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Float[np.ndarray, "n p
 
 
 class Terminals(NamedTuple):
-    """Start (column 0) and goal (column 1) of each robot: its lattice node, its cell, and the motions into it."""
+    """The *terminals* of each robot, start (column 0) and goal (column 1), and the motions that end at them."""
 
-    node: Int[np.ndarray, "robots 2"]
-    cell: Int[np.ndarray, "robots 2"]  # nodes that the robot's start and goal replace
-    # Begin nodes (-1 for none) and costs (inf if not free) of the motions into starts and goals, by primitive. Third
-    # axis: motions from a representative, or from the robot's other terminal. No motion leads to both terminals.
+    node: Int[np.ndarray, "robots 2"]  # node of each terminal
+    cell: Int[np.ndarray, "robots 2"]  # node of each terminal's cell, which the terminal replaces for its robot
+    # Begin nodes (-1: none) and costs (inf: not free) of the motions into each terminal, by primitive. Third axis:
+    # motions from the nodes of cells, or from the robot's other terminal. No motion leads to both terminals.
     begin: Int[np.ndarray, "robots 2 2 primitives"]
     cost: Float[np.ndarray, "robots 2 2 primitives"]
 
@@ -59,9 +59,9 @@ class Kind:
 
     Nodes are one free configuration per cell, then starts and goals. The table (``child`` and ``cost``) has a row per
     node and a column per *primitive*, a motion to a neighboring cell. Primitive 0 stays in place, and a blocked one
-    leads to its own node at infinite cost. No primitive leads to a start or goal. Edges, from nodes ``begin`` to
-    ``end``, are the table's free motions, then each robot's motions into its start and goal, then a dummy of infinite
-    cost.
+    leads to its own node at infinite cost. All robots share the table, so no primitive in it leads to a start or
+    goal. Edges, from nodes ``begin`` to ``end``, are the table's free motions, then each robot's motions into its
+    start and goal, then a dummy edge of infinite cost that pads lists of edges.
     """
 
     robot: Robot
@@ -89,7 +89,8 @@ class Kind:
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
     def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
-        """Return each primitive's end node and cost, from nodes of robot ``row``; by default, from one per robot."""
+        """Return the end node and cost of each primitive from nodes of robot ``members[row]``."""
+        # By default, ``node`` has a node per robot. Motions into starts and goals replace motions into their cells.
         child, cost = self.child[node], self.cost[node]
         enters = self.terminals.begin[row] == node[:, None, None, None]
         at, *_, primitive = np.nonzero(enters)
@@ -109,7 +110,7 @@ class Kind:
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
-        """Return, for each node, the edges into it that robot ``row`` may use, padded with ``num_edges``."""
+        """Return, in each node's column, the edges into it that robot ``members[row]`` may use, then dummy edges."""
         into, own = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
         into[:, self.terminals.cell[row]] = self.num_edges
         for node in self.terminals.node[row]:
@@ -211,7 +212,7 @@ class JointLattice:
     def collisions(
         self, i: int, j: int, state: State
     ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
-        """Return the rows of ``state`` in which two robots are near, and which of their motions there collide."""
+        """Return the rows of ``state`` in which two robots are near, and which of their primitives collide there."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
         x, y = qa[:, 0] - qb[:, 0], qa[:, 1] - qb[:, 1]
@@ -238,7 +239,7 @@ class CellGrid(NamedTuple):
     def with_terminals(
         self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
-        """Return the motions of robots ``members`` of a team, with their starts and goals as additional nodes."""
+        """Add starts and goals of robots ``members`` of a team as nodes, and return the motions of these robots."""
         num_robots, ends = len(starts), np.concatenate([starts, goals])
         # The cells of starts and goals; outside the grid, the nearest cells.
         index, size = np.floor((ends - self.lo) / self.side).astype(np.intp), np.array(self.shape)
@@ -325,7 +326,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices; cells are at most ``step`` wide, and turns by a cell move no point farther."""
+    """Build all robots' lattices; cells, and the arcs of turns by a cell, are at most ``step`` wide."""
     each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])

@@ -129,7 +129,7 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
 
 
 def _corridor_groups(problem: Problem, path: Path, width: float) -> Iterator[tuple[Robots, slice]]:
-    """Yield each robot with all rows of the path, and pairs of robots with the rows in which they nearly touch."""
+    """Yield each robot with all rows of the path, and pairs with rows where corridors of ``width`` nearly touch."""
     for i in range(len(problem.robots)):
         yield (i,), slice(0, len(path))
         touch, j = _touching(problem, path, i, width), -1
@@ -207,7 +207,8 @@ def _joint_costs(
 
 
 def _corridor(problem: Problem, q: Float[np.ndarray, "steps dof"], i: int, width: float, diagonal: bool) -> Corridor:
-    """Return the configurations to try in each row of robot ``i``'s path ``q``: its own, then some ``width`` away."""
+    """Return the configurations to try in each row of path ``q``: its own, and some that are ``width`` away."""
+    # Positions are shifted along the axes or, if ``diagonal``, along the diagonals.
     axes = np.sqrt(0.5) * np.array([[1, 1], [-1, 1]]) if diagonal else np.eye(2)
     offsets = np.zeros((len(_PLUS_PATTERN), q.shape[1]))
     offsets[:, :2] = width * _PLUS_PATTERN @ axes

@@ -83,8 +83,8 @@ class Timetable:
         return row[piece], other
 
     def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, "rows"]:
-        """Return, for each time step, the next one from which ``q`` is free for ``patience`` steps, or ``inf``."""
-        # Nobody blocks the place for longer than the patience.
+        """Return, for each row, the first row, not earlier, from which ``q`` is free for ``patience`` rows."""
+        # The row is inf if there is none. Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
         taken[self._meetings(i, at, at, row)[0]] = True
@@ -115,9 +115,9 @@ def _num_rows(cost: Float[np.ndarray, "*n"], length: float) -> Float[np.ndarray,
 def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int) -> tuple[Motion | None, bool]:
     """Plan robot ``i``'s motion to its goal through a timetable by A*; return the motion, and whether it arrives.
 
-    At the motion's end, the robot must be free to rest for ``patience`` time steps. If no path is found within
-    ``max_states`` states, the motion ends at the reached place nearest to the goal where the robot may rest, else it
-    is None.
+    The lattice has cells of size ``step``. At the motion's end, the robot must be free to rest for ``patience`` time
+    steps. If no path is found within ``max_states`` states, the motion ends at the reached place nearest to the goal
+    where the robot may rest. If there is no such place, the motion is None.
     """
     problem, robot, deadline = timetable.problem, timetable.problem.robots[i], timetable.test.deadline
     length, weight = step / ROWS_PER_STEP, float(problem.rotation_weights[i])
@@ -187,6 +187,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
     """Skip waypoints ``q`` by straight motions where possible; reach each remaining one no later than its ``row``."""
+    # The robot, with rotation weight ``weight``, moves by ``length`` in a row.
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:

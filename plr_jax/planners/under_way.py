@@ -133,6 +133,7 @@ def replan(
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
     """Replan robots, except ``fixed`` ones, until every motion ends at its goal; return whether that succeeds."""
+    # ``step`` is the cell size of the lattices.
     num_robots, test = len(problem.robots), timetable.test
     todo = []
     for i in sorted({*range(num_robots)} - fixed):
