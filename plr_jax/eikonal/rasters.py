@@ -60,9 +60,9 @@ class CostDistance:
         """Return the least-cost path from the cell of a point ``(x, y)`` to its nearest source.
 
         Returns:
-            Vertices of the path, ``(n, 2)``, from the center of the cell to the source, or with heights to the center
-            of the source's cell. Their order does not depend on ``from_sources``. One vertex if both ends are equal,
-            none if the distance is ``inf``. The path's cost is the ``distance`` in the cell.
+            Vertices of the path, ``(n, 2)``, from the center of the cell to the source, also if costs are
+            ``from_sources``. With heights, the path ends at the center of the source's cell. One vertex if both ends
+            are equal, none if the distance is ``inf``. The path's cost is the ``distance`` in the cell.
 
         Raises:
             ValueError: If the point is outside the raster, or a front marched, as over more than 2 million cells.

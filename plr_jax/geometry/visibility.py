@@ -58,7 +58,7 @@ class Viewpoints:
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
     def closing(self, boundary: Boundary) -> Int[np.ndarray, "sectors"]:
-        """Return the vertex at the far end of the left wall of each sector (range of directions between walls)."""
+        """Return the vertex at the far end of each sector's left wall (sector: directions between two walls)."""
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
 

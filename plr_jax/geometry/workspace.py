@@ -106,9 +106,10 @@ class Workspace:
         """Build a workspace whose free space is given as polygons with holes.
 
         Components are one Shapely polygon, multipolygon or collection of them; or a list of these and of mappings
-        ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap and leave the
-        outer ring. Free space is the union of the components within the bounds, by default their bounding box.
-        ``ValueError`` if there is no component, a component or the bounds are invalid, or nothing is free.
+        ``{"outer": ring, "holes": [ring, ...]}``, where ``"holes"`` is optional. Holes may overlap, and may
+        reach beyond the outer ring. Free space is the union of the components within the bounds, by default their
+        bounding box. ``ValueError`` if there is no component, a component or the bounds are invalid, or nothing is
+        free.
         """
         return cls._from_free_space(*components_region(components, bounds), squeeze)
 

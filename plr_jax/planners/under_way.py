@@ -132,7 +132,7 @@ def replan(
 
 
 def _replan(problem: Problem, timetable: Timetable, step: float, fixed: set[int]) -> bool:
-    """Replan robots, except ``fixed`` ones, until every motion ends at its goal; return whether that succeeds."""
+    """Replan robots, except ``fixed`` ones, until the path of each robot ends at its goal; return whether it does."""
     # ``step`` is the cell size of the lattices.
     num_robots, test = len(problem.robots), timetable.test
     todo = []

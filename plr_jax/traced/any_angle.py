@@ -1,8 +1,8 @@
 """Any-angle shortest paths on a grid that JAX may trace; they bend only at convex corners of blocked cells.
 
 Segments run between points inside free cells, at a :func:`margin` from the cells' sides. In each row of cells, the
-part of a segment inside the row is extended along the row by a fourth of this margin at both ends. A segment that
-grazes a corner may thus count as blocked; the path through that corner is as long. Cells are bits of words, so a
+part of a segment inside the row is extended along the row by a fourth of this margin at both ends. So a segment that
+grazes a corner may count as blocked; a path that bends at this corner is equally long. Cells are bits of words, so a
 whole grid row is tested at once.
 """
 

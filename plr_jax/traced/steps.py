@@ -65,7 +65,7 @@ def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batc
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Path lengths from all cells to the goal's cell; a point between cells has the least length of its cells."""
+    """Path lengths from all cells to the goal's cell; a point on a border has the least length of the cells there."""
 
     table: Float[Array, "*maps h w"]
 

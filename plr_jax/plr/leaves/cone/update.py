@@ -1,8 +1,8 @@
-"""Update a PLR of cones after a change of the map: keep leaves whose distances all changed by one number.
+"""Update a PLR of cones after a change of the map: keep leaves in which all distances changed by the same amount.
 
 The tree minimizes error plus a price per leaf, and so does each of its subtrees. So kept leaves stay optimal at the
-same price; elsewhere the optimal leaves are searched as in a construction. If the file has too little room, the price
-rises and leaves merge. If room is left, the price falls and the leaves with the largest errors are searched again.
+same price; elsewhere the optimal leaves are searched as in a construction. If the new file exceeds its byte limit,
+the price rises and leaves merge. If bytes are left, the price falls and leaves with large errors are searched again.
 """
 
 from dataclasses import dataclass, replace
