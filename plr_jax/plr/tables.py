@@ -279,7 +279,7 @@ class Tables:
         return self.frame.shape[1]
 
     def with_folding(self, folding: Folding | None, origin: Float[np.ndarray, "dim"]) -> "Tables":
-        """Return tables whose queries first mirror points (given minus ``origin``) into the tree's part of the domain."""
+        """Return tables whose queries first mirror points (given minus ``origin``) into the part the tree covers."""
         if folding is None:
             return self
         domain, (*arrays, mirrors) = folding.domain.moved(-origin), folding_numbers(folding, origin)
