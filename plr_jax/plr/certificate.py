@@ -324,9 +324,9 @@ class Certificate:
     ) -> "Certificate":
         """Encode bounds of each leaf's error, widened by ``rounding``, the error of 32-bit queries in the leaf.
 
-        For ``Proof.CLASSES``, groups of leaves share bounds. The groups are chosen by errors and the ``volume`` of each
-        leaf, and take 1/128 of ``num_bytes``, the size of all leaves in a file. Shared bounds of an earlier certificate
-        ``before`` are used again if they suffice.
+        For ``Proof.CLASSES``, groups of leaves share bounds. The groups are chosen by errors and the ``volume`` of
+        each leaf, and take 1/128 of ``num_bytes``, the size of all leaves in a file. Shared bounds of an earlier
+        certificate ``before`` are used again if they suffice.
         """
         lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
