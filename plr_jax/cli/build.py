@@ -75,9 +75,10 @@ def build(
         str,
         typer.Option(
             help="Function in each cell: 'plane'; 'continuous', without jumps between connected cells; 'smooth', "
-            "without jumps of the gradient either; 'cone', the distance to the next corner. 'best' builds only cones "
-            "if --max-bytes is the only limit of size and has ample room for all corners. Otherwise it builds all "
-            "these kinds, without cones if the corners need far more room, and keeps the smallest proven error.",
+            "without jumps of the gradient either; 'cone', the length of paths by way of one corner. 'best' builds "
+            "only cones if --max-bytes is the only limit of size and has ample room for all corners. Otherwise it "
+            "builds all these kinds, without cones if the corners need far more room, and keeps the smallest proven "
+            "error.",
             **choices(_LEAVES),
         ),
     ] = "best",

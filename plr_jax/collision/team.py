@@ -188,7 +188,7 @@ class JointMotionTest:
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
     ) -> Bool[np.ndarray, "m"]:
-        """Return whether robot ``i``, moving from ``begin`` to ``end``, hits robots ``other`` in their ``motion``."""
+        """Return whether motions of robot ``i`` hit robots ``other`` in motions ``motion`` of ``trajectory``."""
         # Motion ``k`` of a robot leads from row ``k`` of the trajectory to row ``k + 1``.
         others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]
         if not self.first_equal.any():  # all robots are equal

@@ -152,7 +152,7 @@ def find_turn_points(
     parents: Int[np.ndarray, "vertices"],
     num_goals: int = 1,
 ) -> TurnPoints:
-    """Return the corners where shortest paths to the goals may turn first; ``vertices`` are goals, then corners."""
+    """Return the corners at which shortest paths may first turn; ``vertices`` are goals, then corners."""
     # ``distances`` and ``parents`` come from Dijkstra's algorithm with the goals as sources.
     vertex = num_goals + np.flatnonzero(np.isfinite(distances[num_goals:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]

@@ -115,7 +115,7 @@ class Triangulation:
     def locate(
         self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """Return each point's triangle, and the signs of the point's distances from its three sides (inside: 1)."""
+        """Return each point's triangle and the point's side of its edges (inside: 1); ``triangle``: a first guess."""
         # Points are multiples of ``grid``. A point outside the region gets a nearby triangle, and a sign of -1. Walks
         # through the triangles begin at ``triangle``, if given.
         turn, pending = np.ones((len(x), 3)), np.arange(len(x))

@@ -158,7 +158,7 @@ class Roadmap:
         weights: Weight of a unit along each axis, ``(dim,)``, positive, such as the length of a radian. None: 1 each.
 
     Attributes:
-        radius: Connection radius, in weighted units.
+        radius: Connection radius, in the units of ``weights``.
         graph: Vertices and edges; vertex 0 is the goal, the others are the samples.
         distances: Distance of each vertex to the goal, ``inf`` if the roadmap does not connect them.
     """
@@ -257,7 +257,7 @@ class Roadmap:
         return sum(array.nbytes for array in (self.graph.vertices, self.graph.edges, self.graph.lengths))
 
     def __call__(self, x: ArrayLike) -> Distances:
-        """Return the distance of each point ``(n, dim)`` to the goal along the roadmap, ``(n,)``, in weighted units.
+        """Return the distance of each point ``(n, dim)`` to the goal along the roadmap, ``(n,)``, with ``weights``.
 
         A point that sees no vertex within the radius tries 2, 4, ... times the radius. The distance is ``inf`` for
         points that are not free, outside the domain or have a NaN, and if no visible vertex leads to the goal.

@@ -214,7 +214,7 @@ class PriceSearch:
         return replace(tree, is_final=self._is_finest(tree, 1.0))
 
     def next(self, now: PricedTree) -> PricedTree | None:
-        """Return the next tree within the limits, usually larger than ``now``; None if ``now`` is the last one."""
+        """Search on, mostly at a lower price per leaf; return the next tree, or None if ``now`` is the last one."""
         if now.is_final:
             return None
         price, share = self._next_price(now)

@@ -222,8 +222,8 @@ class NumpyPLR:
         """Return the distance at each point ``(..., dim)``, float32 ``(...)``; a scalar for a single point.
 
         ``outside`` is the answer outside the domain: ``"inf"``, ``"clamp"`` or ``"nan"``; see :func:`evaluate`. For
-        ``"clamp"``, coordinates must be finite in 32 bits, else the answer is ``inf``. ``ValueError`` if the points
-        are not numbers of that shape, or ``outside`` is invalid.
+        ``"clamp"``, coordinates must be finite in 32 bits: infinite ones give ``inf``, NaN gives NaN. ``ValueError``
+        if the points are not numbers of that shape, or ``outside`` is invalid.
         """
         if outside != "inf":
             outside = as_outside(outside)
