@@ -44,6 +44,12 @@ def test_along_a_border_the_cheaper_cell_counts_from_the_source_on():
     np.testing.assert_allclose(result.distance[1, 2], 0.8 + np.hypot(0.5, 0.5))
 
 
+def test_a_source_just_inside_the_upper_border_is_in_the_last_cell():
+    source = np.nextafter(1, 0)  # divided by the side of a cell, it rounds to 3.0
+    inside = cost_distance(np.ones((3, 3)), [(source, 0.5)], cell_size=1 / 3)
+    np.testing.assert_allclose(inside.distance, cost_distance(np.ones((3, 3)), [(1, 0.5)], cell_size=1 / 3).distance)
+
+
 def test_costs_of_any_size_are_only_compared_with_one_another():
     expected = cost_distance(np.ones((4, 5)), [(0.5, 0.5)]).distance
     for size in (1e-200, 1e200):
