@@ -2,12 +2,14 @@
 
 ``python tests/mutations.py --number 200 --seed 0 --lines FOLDER`` works in three steps:
 
-1. Run each test file once, and store its duration and the lines of the package that it runs in FOLDER.
+1. Run each test file once, and store in FOLDER how long each test takes and which lines of the package it runs.
 2. Draw operators, comparisons and constants of ``plr_jax``, and change one at a time in a copy.
-3. Run the test files that run the changed line, first those of the same room, then the faster ones.
+3. Run tests that run the changed line: first those of the quick tier, then those of the full tier.
 
-A change that no test notices is printed: either it is equivalent to the original, or a test is missing. ``--quick``
-uses only the quick tier of the tests; it needs a FOLDER of its own.
+Changes that the quick tier does not notice are printed. If no test notices one, it is equivalent to the original, or
+a test is missing. ``--within plr_jax/pairs --tests tests/pairs`` measures one room.
+
+Steps 1 and 3 run pytest with this file as a plugin.
 """
 
 import argparse
@@ -21,21 +23,23 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import takewhile
 from pathlib import Path
 from typing import NamedTuple
 
 import coverage
+import pytest
 
 ROOT = Path(__file__).parent.parent
 OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorDiv: "*", ast.Pow: "*"}
 COMPARISONS = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">", ast.Eq: "!=", ast.NotEq: "=="}
-PYTEST = ["-m", "pytest", "-n", "0", "-x", "-q", "-p", "no:cacheprovider", "-m"]
-ALL, QUICK = "full or not full", "not full"
-NO_TESTS = 5  # exit status of pytest if no test of a file belongs to the tier
-SECONDS = 120  # test files are chosen for each change until their durations sum to this
-LONGEST = 900  # seconds after which tests hang, so that the change counts as noticed
+PYTEST = ["-m", "pytest", "-n", "0", "-q", "-p", "mutations", "-p", "no:cacheprovider", "-m", "full or not full"]
+PROCESSES = os.cpu_count() or 1
+SECONDS = 40  # of each tier, tests are chosen for a change until their durations sum to this
+FILES = 25  # test files that are collected for a change and a tier, at most: collecting them takes time, too
+LONGEST = 600  # seconds after which tests hang, so that the change counts as noticed
 
 
 class Mutation(NamedTuple):
@@ -45,6 +49,89 @@ class Mutation(NamedTuple):
     begin: int
     end: int
     text: str
+
+
+class Test(NamedTuple):
+    """A test function, its duration with all its parameters, and the lines of each package file that it runs.
+
+    A test is of the quick tier if any of its parameters is.
+    """
+
+    name: str
+    is_quick: bool
+    seconds: float
+    lines: dict[str, list[int]]
+
+    @property
+    def file(self) -> str:
+        return self.name.split("::")[0]
+
+
+# The plugin. In step 1, it tells coverage which test runs. In step 3, it keeps the chosen tests, in their order.
+
+
+def function_of(item: pytest.Item) -> str:
+    return item.nodeid.split("[")[0]
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[None]:
+    measured = coverage.Coverage.current()
+    if measured is None:
+        return (yield)
+    is_quick = item.get_closest_marker("full") is None
+    measured.switch_context(f"{function_of(item)} {is_quick}")
+    begin = time.monotonic()
+    result = yield
+    with open(os.environ["MUTATIONS_SECONDS"], "a") as file:
+        file.write(json.dumps([function_of(item), is_quick, time.monotonic() - begin]) + "\n")
+    return result
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    tier, *chosen = json.loads(os.environ.get("MUTATIONS_CHOSEN", "[null]"))
+    if tier is not None:
+        place = {name: i for i, name in enumerate(chosen)}
+        is_full = tier == "full"
+        items[:] = [i for i in items if function_of(i) in place and bool(i.get_closest_marker("full")) == is_full]
+        items.sort(key=lambda item: place[function_of(item)])
+
+
+# Step 1: which lines each test runs.
+
+
+def tests_of_file(path: Path, folder: Path) -> list[Test]:
+    """Return the tests of a file; run them if the folder does not have the file yet."""
+    name = str(path.relative_to(ROOT))
+    kept = folder / (name.replace("/", "_") + ".json")
+    if not kept.exists():
+        data, seconds = kept.with_suffix(".data"), kept.with_suffix(".seconds")
+        command = [sys.executable, "-m", "coverage", "run", "--source=plr_jax", f"--data-file={data}", *PYTEST, name]
+        seconds.write_text("")
+        environment = {**os.environ, "MUTATIONS_SECONDS": str(seconds)}
+        run = subprocess.run(command, check=False, cwd=ROOT, env=environment, capture_output=True, text=True)
+        if run.returncode != 0:
+            raise RuntimeError(f"{name} fails without any change: {run.stdout[-2000:]}{run.stderr[-2000:]}")
+        ran = coverage.CoverageData(str(data))
+        ran.read()
+        durations: dict[tuple[str, bool], float] = {}
+        for line in seconds.read_text().splitlines():
+            *test, duration = json.loads(line)
+            durations[tuple(test)] = durations.get(tuple(test), 0.0) + duration
+        tests = []
+        for (test, is_quick), duration in durations.items():
+            ran.set_query_context(f"{test} {is_quick}")
+            files = {str(Path(file).relative_to(ROOT)): ran.lines(file) or [] for file in ran.measured_files()}
+            tests.append(Test(test, is_quick, duration, {file: lines for file, lines in files.items() if lines}))
+        kept.write_text(json.dumps(tests))
+        data.unlink()
+        seconds.unlink()
+        print(f"{name}: {sum(durations.values()):.0f} s", file=sys.stderr, flush=True)
+    return [Test(*test) for test in json.loads(kept.read_text())]
+
+
+# Step 2: changes of the package.
 
 
 def mutations_of(path: Path) -> Iterator[Mutation]:
@@ -81,38 +168,6 @@ def mutations_of(path: Path) -> Iterator[Mutation]:
     yield from visit(ast.parse(source))
 
 
-class TestFile(NamedTuple):
-    """A test file, its duration, and the lines of each package file that it runs."""
-
-    name: str
-    seconds: float
-    lines: dict[str, list[int]]
-
-
-def test_files(folder: Path, tier: str) -> list[TestFile]:
-    """Return all test files with their durations and lines; run those that the folder does not have yet."""
-    folder.mkdir(exist_ok=True)
-    names = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "tests").rglob("test_*.py"))]
-    result = []
-    for name in names:
-        kept = folder / (name.replace("/", "_") + ".json")
-        if not kept.exists():
-            data, begin = folder / "data", time.monotonic()
-            command = [sys.executable, "-m", "coverage", "run", "--source=plr_jax", f"--data-file={data}"]
-            command += [*PYTEST, tier, name]
-            run = subprocess.run(command, check=False, cwd=ROOT, capture_output=True, text=True)
-            if run.returncode not in (0, NO_TESTS):
-                raise RuntimeError(f"{name} fails without any change: {run.stdout[-2000:]}{run.stderr[-2000:]}")
-            ran = coverage.CoverageData(str(data))
-            ran.read()
-            lines = {str(Path(file).relative_to(ROOT)): ran.lines(file) for file in ran.measured_files()}
-            lines = lines if run.returncode == 0 else {}
-            kept.write_text(json.dumps(TestFile(name, time.monotonic() - begin, lines)))
-            print(f"{name}: {time.monotonic() - begin:.0f} s", file=sys.stderr, flush=True)
-        result.append(TestFile(*json.loads(kept.read_text())))
-    return result
-
-
 @cache
 def lines_in_functions(path: Path) -> set[int]:
     """Return the lines that run when functions are called, not at import."""
@@ -129,71 +184,114 @@ def line_of(mutation: Mutation) -> int:
     return mutation.path.read_bytes()[: mutation.begin].count(b"\n") + 1
 
 
-def tests_of(mutation: Mutation, files: list[TestFile]) -> list[str]:
-    """Return test files, within the time limit, that run the changed line (or its module, if only imports run it)."""
+# Step 3: whether tests notice a change.
+
+
+def chosen_tests(mutation: Mutation, tests: list[Test]) -> list[str]:
+    """Return the tests, within the limits, that run the changed line (or its module, if only imports run it).
+
+    Tests of the same room come first, then faster ones. What a fixture or a cache computes is counted for the first
+    test of a file that needs it, so all other tests of the chosen files follow.
+    """
     name = str(mutation.path.relative_to(ROOT))
     called = lines_in_functions(mutation.path)
     asked = {line_of(mutation)} if line_of(mutation) in called else called
     room = Path(name).with_suffix("").parts[1:]
 
-    def rooms_apart(file: TestFile) -> int:
-        mirrored = Path(file.name.replace("test_", "")).with_suffix("").parts[1:]
-        return -sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(room, mirrored, strict=False)))
+    def order(test: Test) -> tuple[bool, int, float]:
+        mirrored = Path(test.file.replace("test_", "")).with_suffix("").parts[1:]
+        shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(room, mirrored, strict=False)))
+        return not asked & set(test.lines.get(name, ())), -shared, test.seconds
 
-    ran = [file for file in files if asked & set(file.lines.get(name, ()))]
+    files: dict[str, None] = {}
+    for test in sorted(tests, key=order):
+        if not order(test)[0] and len(files) < FILES:
+            files[test.file] = None
     chosen, left = [], float(SECONDS)
-    for file in sorted(ran, key=lambda file: (rooms_apart(file), file.seconds)):
-        if not chosen or file.seconds <= left:
-            chosen.append(file.name)
-            left -= file.seconds
+    for test in sorted((test for test in tests if test.file in files), key=order):
+        if not chosen or test.seconds <= left:
+            chosen.append(test.name)
+            left -= test.seconds
     return chosen
 
 
-def is_noticed(mutation: Mutation, tests: list[str], tier: str) -> bool:
-    """Return whether tests fail, or hang, on a copy with the change."""
-    if not tests:
+def is_noticed(folder: str, tier: str, chosen: list[str]) -> bool:
+    """Return whether the chosen tests of a tier fail, or hang, on the changed copy in a folder."""
+    if not chosen:
         return False
+    environment = {
+        **os.environ,
+        "PYTHONPATH": folder,
+        "MUTATIONS_CHOSEN": json.dumps([tier, *chosen]),
+        "JAX_COMPILATION_CACHE_DIR": str(Path(tempfile.gettempdir()) / "plr_jax_mutations"),
+    }
+    command = [sys.executable, *PYTEST, "-x", *dict.fromkeys(name.split("::")[0] for name in chosen)]
+    try:
+        run = subprocess.run(
+            command, check=False, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST
+        )
+    except subprocess.TimeoutExpired:
+        return True
+    if run.returncode not in (0, 1, 2):  # 2: a test file cannot be imported
+        raise RuntimeError(f"The tests in {folder} did not run: {run.stdout[-2000:]}{run.stderr[-2000:]}")
+    return run.returncode != 0
+
+
+@cache
+def tracked_files() -> list[str]:
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True)
+    return [file for file in listed.stdout.splitlines() if (ROOT / file).exists()]
+
+
+def noticed_by(mutation: Mutation, tests: list[Test]) -> str:
+    """Return which tier notices a change: "quick", "full" or "none"."""
     with tempfile.TemporaryDirectory() as folder:
-        for name in ("plr_jax", "tests", "experiments", "notebooks"):
-            shutil.copytree(ROOT / name, Path(folder) / name, ignore=shutil.ignore_patterns("__pycache__"))
-        for file in (*ROOT.glob("*.toml"), *ROOT.glob("*.md")):
-            shutil.copy(file, folder)
+        for file in tracked_files():
+            copy = Path(folder) / file
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / file, copy)
         target = Path(folder) / mutation.path.relative_to(ROOT)
         source = target.read_bytes()
         target.write_bytes(source[: mutation.begin] + mutation.text.encode() + source[mutation.end :])
-        command, environment = [sys.executable, *PYTEST, tier, *tests], {**os.environ, "PYTHONPATH": folder}
-        try:
-            run = subprocess.run(
-                command, check=False, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST
-            )
-        except subprocess.TimeoutExpired:
-            return True
-        if run.returncode in (3, NO_TESTS):  # 3: internal error of pytest
-            raise RuntimeError(f"The tests of {mutation.path} did not run: {run.stdout[-2000:]}{run.stderr[-2000:]}")
-        return run.returncode != 0
+        for tier in ("quick", "full"):
+            of_tier = [test for test in tests if test.is_quick == (tier == "quick")]
+            if is_noticed(folder, tier, chosen_tests(mutation, of_tier)):
+                return tier
+    return "none"
+
+
+def python_files(path: Path, pattern: str) -> list[Path]:
+    return sorted(path.resolve().rglob(pattern)) if path.is_dir() else [path.resolve()]
 
 
 def main() -> None:
-    """Print the changes that no test notices, and the share that tests notice."""
+    """Print the changes that only the full tier or no test notices, and the shares of both tiers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lines", type=Path, required=True, help="folder that keeps which lines tests run")
-    parser.add_argument("--quick", action="store_true", help="use the quick tier alone")
+    parser.add_argument("--within", type=Path, default=ROOT / "plr_jax", help="the part of the package to change")
+    parser.add_argument("--tests", type=Path, default=ROOT / "tests", help="the part of the tests to run")
     arguments = parser.parse_args()
-    tier = QUICK if arguments.quick else ALL
-    files = test_files(arguments.lines, tier)
-    everything = [mutation for path in sorted((ROOT / "plr_jax").rglob("*.py")) for mutation in mutations_of(path)]
-    noticed = 0
-    for i, mutation in enumerate(random.Random(arguments.seed).sample(everything, arguments.number)):
-        tests = tests_of(mutation, files)
-        found = is_noticed(mutation, tests, tier)
-        noticed += found
-        if not found:
-            was = mutation.path.read_bytes()[mutation.begin : mutation.end].decode().strip()
-            where = f"{mutation.path.relative_to(ROOT)}:{line_of(mutation)}"
-            print(f"{where}: {was} -> {mutation.text.strip()} ({len(tests)} files ran it)", flush=True)
-        print(f"{noticed} of {i + 1} noticed", file=sys.stderr, flush=True)
+    arguments.lines.mkdir(exist_ok=True)
+    with ThreadPoolExecutor(PROCESSES) as threads:
+        paths = sorted(python_files(arguments.tests, "test_*.py"), key=lambda path: -path.stat().st_size)
+        found = threads.map(lambda path: tests_of_file(path, arguments.lines), paths)
+        tests = [test for of_file in found for test in of_file]
+        changed = python_files(arguments.within, "*.py")
+        everything = [mutation for path in changed for mutation in mutations_of(path)]
+        drawn = random.Random(arguments.seed).sample(everything, min(arguments.number, len(everything)))
+        count = {"quick": 0, "full": 0, "none": 0}
+        for mutation, tier in zip(drawn, threads.map(lambda each: noticed_by(each, tests), drawn), strict=True):
+            count[tier] += 1
+            if tier != "quick":
+                was = mutation.path.read_bytes()[mutation.begin : mutation.end].decode().strip()
+                where = f"{mutation.path.relative_to(ROOT)}:{line_of(mutation)}"
+                print(f"{where}: {was} -> {mutation.text.strip()} (noticed by: {tier})", flush=True)
+            print(count, file=sys.stderr, flush=True)
+    noticed = count["quick"] + count["full"]
+    print(f"noticed: {noticed} of {len(drawn)}, {noticed / len(drawn):.0%}")
+    print(f"of these by the quick tier: {count['quick']} of {noticed}, {count['quick'] / max(noticed, 1):.0%}")
 
 
 if __name__ == "__main__":
