@@ -2,6 +2,8 @@
 
 ``python tests/house.py`` prints lines of code, small functions, structural tricks, and what a first call runs.
 ``python tests/house.py FOLDER ...`` prints only lines and functions of these folders, within a second.
+``python tests/house.py --tests [ARGUMENT ...]`` runs pytest with these arguments and no compiled functions from earlier
+runs, and prints the CPU seconds (user and system, all processes) and the wall time.
 
 A line of code holds more than a comment or a docstring. A private function counts as used once if its name is read
 once in the whole package. What a call runs is counted in a fresh process: files and functions of the package, without
@@ -11,9 +13,11 @@ imports.
 import ast
 import inspect
 import io
+import os
 import re
 import subprocess
 import sys
+import tempfile
 import tokenize
 from collections import Counter
 from pathlib import Path
@@ -108,8 +112,22 @@ def print_size(folder: Path, reads: Counter[str]) -> None:
     print(f"{len(functions):,} functions, {short} with at most 2 lines, {once} private and used once")
 
 
+def print_cost_of_tests(arguments: list[str]) -> int:
+    """Run pytest, print what it takes, and return its exit status."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": folder}
+        begin = os.times()
+        status = subprocess.call([sys.executable, "-m", "pytest", *arguments], cwd=ROOT, env=environment)
+        end = os.times()
+    cpu = end.children_user + end.children_system - begin.children_user - begin.children_system
+    print(f"tests: {cpu:.0f} CPU s, {end.elapsed - begin.elapsed:.0f} s wall on {os.cpu_count()} cores")
+    return status
+
+
 def main() -> None:
     """Print all measurements, or only those of the folders that are named."""
+    if sys.argv[1:2] == ["--tests"]:
+        sys.exit(print_cost_of_tests(sys.argv[2:]))
     trees = [ast.parse(path.read_text()) for path in (ROOT / "plr_jax").rglob("*.py")]
     reads = reads_of(trees)
     for folder in sys.argv[1:] or ("plr_jax", "tests", "experiments"):
