@@ -2,8 +2,8 @@
 
 ``python tests/house.py`` prints lines of code, small functions, structural tricks, and what a first call runs.
 ``python tests/house.py FOLDER ...`` prints only lines and functions of these folders, within a second.
-``python tests/house.py --tests [ARGUMENT ...]`` runs pytest with these arguments and no compiled functions from earlier
-runs, and prints the CPU seconds (user and system, all processes) and the wall time.
+``python tests/house.py --tests [ARGUMENT ...]`` runs pytest with these arguments, without compiled functions of an
+earlier run, and prints the CPU seconds (user and system, all processes) and the wall time.
 
 A line of code holds more than a comment or a docstring. A private function counts as used once if its name is read
 once in the whole package. What a call runs is counted in a fresh process: files and functions of the package, without
