@@ -355,7 +355,8 @@ class Region(NamedTuple):
 def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
     # Round after the overlay, not within it: only then do walls that meet up to rounding share a vertex.
     grid = grid_of(bounds)
-    region = _simplify(rounded(free, grid), 4 * grid)
+    with np.errstate(divide="ignore"):  # GEOS divides by coordinates near 0, such as 1e-163
+        region = _simplify(rounded(free, grid), 4 * grid)
     # If walls or gaps are thinner than edges can be split reliably, snap to coarser and coarser grids.
     coarser = 32 * grid
     while (boundary := ring_boundary(region, 8 * grid)) is None:
@@ -388,5 +389,4 @@ def _simplify(geometry: Any, tolerance: float) -> Polygon | MultiPolygon:
     if not parts:
         raise ValueError("The workspace has no free space: the obstacles cover its bounds.")
     # A normalized ring starts at an extreme vertex, so its start is not collinear and may stay.
-    region = shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts))
-    return shapely.simplify(region, tolerance)
+    return shapely.simplify(shapely.normalize(parts[0] if len(parts) == 1 else MultiPolygon(parts)), tolerance)
