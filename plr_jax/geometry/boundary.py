@@ -355,7 +355,7 @@ class Region(NamedTuple):
 def region_of(free: Any, bounds: Box, rounded: Callable[[Any, float], Any] = shapely.set_precision) -> Region:
     # Round after the overlay, not within it: only then do walls that meet up to rounding share a vertex.
     grid = grid_of(bounds)
-    with np.errstate(divide="ignore"):  # GEOS divides by coordinates near 0, such as 1e-163
+    with np.errstate(divide="ignore", invalid="ignore"):  # GEOS divides by coordinates near 0, such as 1e-163
         region = _simplify(rounded(free, grid), 4 * grid)
     # If walls or gaps are thinner than edges can be split reliably, snap to coarser and coarser grids.
     coarser = 32 * grid
