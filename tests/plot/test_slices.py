@@ -46,23 +46,19 @@ def ticks_by_place(axis):
     return {round(float(place), 6): text for place, text in zip(axis.get_ticklocs(), texts, strict=True)}
 
 
-def test_a_slice_at_a_heading_shows_positions():
+def test_slice_at_heading_shows_positions():
     ax = plot.plot_contours(Sum(), at={2: 0.5}, resolution=40, workspace=ROOM, goal=(3, 1, 0.2))
     values = ax.images[0].get_array()
     assert values.shape == (20, 40)
     assert values[0, 0] == pytest.approx(0.05 + 0.5 + 50)
     assert values[19, 39] == pytest.approx(3.95 + 19.5 + 50)
-    assert labels(ax) == (
-        "x (workspace units)",
-        "y (workspace units)",
-        "distance to the goal (workspace units)",
-    )
+    assert labels(ax) == tuple(f"{name} (workspace units)" for name in ("x", "y", "distance to the goal"))
     assert ax.get_aspect() == 1.0
     (star,) = (line for line in ax.lines if line.get_marker() == "*")
     np.testing.assert_array_equal(star.get_xydata(), [[3, 1]])
 
 
-def test_a_slice_of_a_position_and_the_heading():
+def test_slice_of_position_and_heading():
     ax = plot.plot_contours(Sum(), at={1: 1.5}, resolution=40, label="time to the goal", unit="s")
     values = ax.images[0].get_array()
     rows, columns = values.shape
@@ -75,16 +71,16 @@ def test_a_slice_of_a_position_and_the_heading():
     assert ticks[round(math.pi / 2, 6)] == r"$\pi/2$" and ticks[round(-math.pi, 6)] == r"$-\pi$" and ticks[0] == "0"
 
 
-def test_a_heading_around_the_seam_is_the_same_slice():
-    a, b = (
-        plot.plot_contours(Sum(), at={2: heading}, resolution=20).images[0] for heading in (0.5, 0.5 - 4 * math.pi)
-    )
+def test_slice_is_same_after_full_turns():
+    a, b = (plot.plot_contours(Sum(), at={2: angle}, resolution=20).images[0] for angle in (0.5, 0.5 - 4 * math.pi))
     np.testing.assert_allclose(a.get_array(), b.get_array(), rtol=1e-12)
 
 
-def test_what_is_not_free_is_gray_and_sets_no_scale():
+def test_blocked_configurations_are_gray():
     ax = plot.plot_contours(OfAngles(), space=ARM, resolution=60)
     values, blocked = ax.images
+    lines, outline = (artist for artist in ax.collections if not isinstance(artist, LineCollection))
+    assert lines.get_zorder() < blocked.get_zorder() < outline.get_zorder()
     grid = Box([-math.pi] * 2, [math.pi] * 2).grid(60)
     free = ARM.is_free(grid.reshape(-1, 2)).reshape(60, 60)
     np.testing.assert_array_equal(blocked.get_array().mask, free)
@@ -94,13 +90,7 @@ def test_what_is_not_free_is_gray_and_sets_no_scale():
     assert set(ticks_by_place(ax.xaxis).values()) >= {r"$-\pi$", r"$-\pi/2$", "0", r"$\pi/2$", r"$\pi$"}
 
 
-def test_obstacles_lie_above_the_lines_of_contours():
-    ax = plot.plot_contours(OfAngles(), space=ARM, resolution=60)
-    lines, outline = (artist for artist in ax.collections if not isinstance(artist, LineCollection))
-    assert lines.get_zorder() < ax.images[1].get_zorder() < outline.get_zorder()
-
-
-def test_a_surface_of_times_says_so():
+def test_surface_shows_label_and_unit():
     class Leaf(OfAngles):
         leaf_of_box = np.arange(1)
 
@@ -118,19 +108,16 @@ def rectangles_of(ax):
     return [(*path.vertices.min(axis=0), *path.vertices.max(axis=0)) for path in lines.get_paths()]
 
 
-def test_cells_that_a_slice_meets_are_drawn_once():
+def test_cells_that_slice_meets_are_drawn_once():
     assert rectangles_of(plot.plot_cells(Sum(), at={2: -1.0})) == [(0, 0, 4, 2)]
     assert rectangles_of(plot.plot_cells(Sum(), at={2: 0.0})) == [(0, 0, 2, 2), (2, 0, 4, 2)]
-    assert rectangles_of(plot.plot_cells(Sum(), at={1: 2.0})) == [
-        (0, -math.pi, 4, 0),
-        (0, 0, 2, math.pi),
-        (2, 0, 4, math.pi),
-    ]
+    three = [(0, -math.pi, 4, 0), (0, 0, 2, math.pi), (2, 0, 4, math.pi)]
+    assert rectangles_of(plot.plot_cells(Sum(), at={1: 2.0})) == three
     # The seam is the lower end.
     assert rectangles_of(plot.plot_cells(Sum(), at={2: math.pi})) == [(0, 0, 4, 2)]
 
 
-def test_errors_of_a_slice():
+def test_error_grid_of_slice_is_drawn():
     def off(x):
         return Sum()(x) + 0.25
 
@@ -159,6 +146,6 @@ def test_errors_of_a_slice():
         (lambda: plot.plot_cells(Sum(), at={1: 1.0}, workspace=ROOM), "needs axes 0 and 1"),
     ],
 )
-def test_a_callers_mistakes(draw, message):
+def test_wrong_arguments_raise(draw, message):
     with pytest.raises(ValueError, match=message):
         draw()
