@@ -1,10 +1,12 @@
+"""Workspaces and cost maps from maps of ROS's ``map_server``."""
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from plr_jax import Workspace, scenes
 
-YAML = """image: map.pgm
+YAML = """image: map.png
 resolution: 0.5
 origin: [-1.0, 2.0, 0.0]
 negate: 0
@@ -14,8 +16,8 @@ free_thresh: 0.196
 GRAY = np.array([[254, 254, 254], [254, 205, 0], [254, 254, 254]], np.uint8)  # free, unknown, occupied
 
 
-def written(folder, yaml=YAML, gray=GRAY, image="map.pgm"):
-    Image.fromarray(gray).save(folder / image)
+def written(folder, yaml=YAML, gray=GRAY):
+    Image.fromarray(gray).save(folder / "map.png")
     (folder / "map.yaml").write_text(yaml)
     return folder / "map.yaml"
 
@@ -91,11 +93,11 @@ def test_raw_pixels_are_percents(tmp_path):
     ],
 )
 def test_alpha_counts_by_mode(pixel, mode, negate, value, tmp_path):
-    yaml = YAML.replace("map.pgm", "map.png").replace("negate: 0", f"negate: {negate}\nmode: {mode}")
+    yaml = YAML.replace("negate: 0", f"negate: {negate}\nmode: {mode}")
     pixels = np.full((1, 2, len(pixel)), pixel, np.uint8)
     background = 0 if mode == "raw" or negate else 255  # a free pixel
     pixels[0, 1] = [*[background] * 3, 255 * (not negate)][: len(pixel)]
-    path = written(tmp_path, yaml, pixels, "map.png")
+    path = written(tmp_path, yaml, pixels)
     assert num_free(path) == 1 + (value == 0)
     assert num_free(path, unknown_is_free=True) == 1 + (value <= 65)
     costs = scenes.read_cost_map(path, cost_travel_multiplier=252).values[0, 0] - 1  # of bytes, inf where blocked
@@ -103,6 +105,44 @@ def test_alpha_counts_by_mode(pixel, mode, negate, value, tmp_path):
         assert costs == np.inf
     else:
         np.testing.assert_allclose(costs, np.interp(value, (0, 1, 98), (0, 1, 252)))
+
+
+def grid_of(path):
+    """The occupancy grid that a cost map was made of, the first row the highest."""
+    cost = scenes.read_cost_map(path, cost_travel_multiplier=252, unknown_is_free=True)
+    costs = np.where(cost.free, cost.values - 1, 254)[::-1]
+    return np.interp(costs, (0, 1, 252, 254), (0, 1, 98, 100))
+
+
+def test_trinary_cost_map_blocks_occupied_pixels(tmp_path):
+    cost = scenes.read_cost_map(written(tmp_path))
+    np.testing.assert_array_equal(cost.values, [[1, 1, 1], [1, np.inf, np.inf], [1, 1, 1]])
+    np.testing.assert_array_equal([cost.domain.lo, cost.domain.hi], [(-1, 2), (0.5, 3.5)])
+    free = scenes.read_cost_map(tmp_path / "map.yaml", unknown_is_free=True, interpolation="nearest")
+    np.testing.assert_array_equal(free.values, [[1, 1, 1], [1, 3, np.inf], [1, 1, 1]])
+    assert free.interpolation == "nearest"
+    x = np.random.default_rng(0).uniform(cost.domain.lo, cost.domain.hi, (300, 2))
+    workspace = scenes.read_map_server(tmp_path / "map.yaml", tolerance=0)
+    column, row = np.floor((x - cost.domain.lo) / 0.5).astype(int).T
+    np.testing.assert_array_equal(workspace.is_free(x), cost.free[row, column])
+
+
+def test_scaled_cost_map_rises_between_thresholds(tmp_path):
+    gray = np.full((1, 5, 4), 255, np.uint8)
+    gray[0, :, :3] = np.array([255, 200, 153, 102, 0])[:, None]
+    gray[0, 0, 3] = 9  # transparent
+    path = written(tmp_path, YAML + "mode: scale\n", gray)
+    share = (1 - np.array([200, 153, 102]) / 255 - 0.196) / (0.65 - 0.196)
+    np.testing.assert_allclose(grid_of(path), [[98, *np.rint(100 * share), 100]])
+    assert not scenes.read_cost_map(path).free[0, 0]
+    path = written(tmp_path, YAML.replace("0.65", "0.1") + "mode: scale\n", gray)  # nothing is between
+    np.testing.assert_array_equal(scenes.read_cost_map(path, unknown_is_free=True).free, [[1, 0, 0, 0, 0]])
+
+
+def test_raw_cost_map_has_percents_without_thresholds(tmp_path):
+    path = written(tmp_path, YAML + "mode: raw\n", np.array([[0, 19, 66, 98, 99, 100, 101, 255]], np.uint8))
+    np.testing.assert_allclose(grid_of(path), [[0, 19, 66, 98, 100, 100, 98, 98]])
+    np.testing.assert_array_equal(scenes.read_cost_map(path).free, [[1, 1, 1, 1, 0, 0, 0, 0]])
 
 
 @pytest.mark.parametrize(
@@ -121,10 +161,10 @@ def test_alpha_counts_by_mode(pixel, mode, negate, value, tmp_path):
         (YAML.replace("negate: 0", "negate: 2"), "negate must be 0 or 1"),
         (YAML.replace("0.65", "high"), "occupied_thresh must be a finite number"),
         (YAML + "mode: new\n", "mode must be one of trinary, scale, raw"),
-        (YAML.replace("map.pgm", "[map.pgm]"), r"image must be the name of a picture, got \['map.pgm'\]"),
-        (YAML.replace("map.pgm", "''"), "image must be the name of a picture, got ''"),
-        (YAML.replace("map.pgm", ".."), "image must be the name of a picture, got '..'"),
-        (YAML.replace("map.pgm", "map.yaml"), "expected a picture"),
+        (YAML.replace("map.png", "[map.png]"), r"image must be the name of a picture, got \['map.png'\]"),
+        (YAML.replace("map.png", "''"), "image must be the name of a picture, got ''"),
+        (YAML.replace("map.png", ".."), "image must be the name of a picture, got '..'"),
+        (YAML.replace("map.png", "map.yaml"), "expected a picture"),
     ],
     ids=range(17),
 )
@@ -134,5 +174,18 @@ def test_broken_map_raises(yaml, message, tmp_path):
 
 
 def test_missing_picture_raises(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"named as image in .*map\.yaml: '.*none\.pgm'"):
-        scenes.read_map_server(written(tmp_path, YAML.replace("map.pgm", "none.pgm")))
+    with pytest.raises(FileNotFoundError, match=r"named as image in .*map\.yaml: '.*none\.png'"):
+        scenes.read_map_server(written(tmp_path, YAML.replace("map.png", "none.png")))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("0.0]", "0.3]"), "expected an origin with yaw 0 for a raster, got 0.3: rotate the picture"),
+        (("0.5", "1e-300"), "resolution must be at least 1.6e-11 at coordinates up to 2"),
+        (("0.65", "-1"), "leave a cell that is not blocked"),
+    ],
+)
+def test_broken_cost_map_raises(change, message, tmp_path):
+    with pytest.raises(ValueError, match=rf"(?s)^\S*map\.yaml: .*{message}"):
+        scenes.read_cost_map(written(tmp_path, YAML.replace(*change)))

@@ -9,14 +9,12 @@ from plr_jax import Box, scenes
 from plr_jax.scenes._meshes import triangulated
 from plr_jax.scenes._volumes import free_of_mesh
 
-CUBE = [[2, 0, 3], [0, 1, 3], [4, 6, 7], [5, 4, 7], [0, 4, 5], [1, 0, 5], [2, 3, 7], [6, 2, 7], [0, 2, 6], [4, 0, 6]]
-CUBE += [[1, 5, 7], [3, 1, 7]]
-
 
 def box(lo, hi):
     """The triangles of a box's surface."""
     corners = np.array([[(lo, hi)[bit >> axis & 1][axis] for axis in range(3)] for bit in range(8)], float)
-    return corners[CUBE]
+    sides = [(2, 0, 3, 1), (4, 6, 5, 7), (0, 4, 1, 5), (2, 3, 6, 7), (0, 2, 4, 6), (1, 5, 3, 7)]
+    return corners[[triangle for a, b, c, d in sides for triangle in ((a, b, d), (a, c, d))]]
 
 
 def met_voxels(triangle, shape):
@@ -86,10 +84,9 @@ def test_mesh_files_of_trimesh_are_read(ending, tmp_path):
 
 
 def test_obj_in_other_encoding_is_read_without_named_files(tmp_path):
-    path = tmp_path / "room.obj"
     (tmp_path / "walls.mtl").write_text("newmtl wall\nmap_Kd /dev/zero\n")
-    path.write_bytes("# Möbel\nmtllib walls.mtl\nusemtl wall\n".encode("latin-1") + obj_of(box((0, 0, 0), (4, 4, 4))))
-    assert scenes.read_volume(path, pitch=1, fill=False).sum() == 8
+    head = "# Möbel\nmtllib walls.mtl\nusemtl wall\n".encode("latin-1")
+    assert read(tmp_path, head + obj_of(box((0, 0, 0), (4, 4, 4))), "room.obj").sum() == 8
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -107,10 +104,9 @@ def test_obj_in_other_encoding_is_read_without_named_files(tmp_path):
     ],
 )
 def test_wrong_options_raise(options, message, tmp_path):
-    path = tmp_path / "room.obj"
-    path.write_bytes(obj_of(box((0, 0, 0), (4, 4, 4))))
+    room = obj_of(box((0, 0, 0), (4, 4, 4)))
     with pytest.raises(ValueError, match=rf"room\.obj: .*{message}"):
-        scenes.read_volume(path, **options)
+        read(tmp_path, room, "room.obj", **{"pitch": None, "fill": True} | options)
 
 
 def test_too_many_met_voxels_raise(monkeypatch):
@@ -122,15 +118,11 @@ def test_too_many_met_voxels_raise(monkeypatch):
             free_of_mesh(triangles, 1.0, None, fill=False)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "\0" * 84, "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n", "f 1 2 3\n", "\0\1"]
-)
-def test_file_without_mesh_raises(text, tmp_path):
-    for ending in ("obj", "stl", "ply"):
-        path = tmp_path / f"wrong.{ending}"
-        path.write_text(text)
-        with pytest.raises(ValueError, match=rf"wrong\.{ending}: expected a mesh"):
-            scenes.read_volume(path, pitch=1.0)
+def test_file_without_mesh_raises(tmp_path):
+    for text in ("", "\0" * 84, "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n", "f 1 2 3\n", "\0\1"):
+        for ending in ("obj", "stl", "ply"):
+            with pytest.raises(ValueError, match=rf"wrong\.{ending}: expected a mesh"):
+                read(tmp_path, text.encode(), f"wrong.{ending}")
 
 
 # --- polygons -------------------------------------------------------------------------------------------
@@ -148,26 +140,25 @@ def obj_of(polygons):
     return "\n".join(lines).encode()
 
 
-def ply_of(polygons, order="binary_little_endian", kinds=("uchar", "int"), before=(), after=()):
-    """A PLY file of polygons, whose faces have more properties before or after the list of corners."""
-    prefix, letters = ">" if "big" in order else "<", {"uchar": "B", "int": "i", "uint": "I", "ushort": "H"}
+def ply_of(polygons, order, kinds="Bi", has_extras=False):
+    """A PLY file of polygons; ``kinds`` are the types of a face's size and indices, as codes of ``struct``."""
+    names = {"B": "uchar", "H": "ushort", "i": "int", "I": "uint"}
+    before, after = ["list uchar float texcoord", "float quality"], ["short part", "int16 other"]
     corners = [corner for polygon in polygons for corner in polygon]
+    properties = [f"list {names[kinds[0]]} {names[kinds[1]]} vertex_index"]
+    properties = [*before, *properties, *after] if has_extras else properties
     header = [f"ply\nformat {order} 1.0\ncomment made by hand\nelement vertex {len(corners)}\nproperty uchar red"]
     header += [f"property double {axis}" for axis in "zxy"] + [f"element face {len(polygons)}"]
-    header += [*before, f"property list {kinds[0]} {kinds[1]} vertex_index", *after, "end_header\n"]
-    rows, first = [((7, z, x, y), "B3d") for x, y, z in corners], 0
+    header += [f"property {each}" for each in properties] + ["end_header\n"]
+    rows, numbers = [("B3d", 7, z, x, y) for x, y, z in corners], iter(range(len(corners)))
     for polygon in polygons:
-        numbers = range(first, first := first + len(polygon))
-        row, form = [len(polygon), *numbers], letters[kinds[0]] + str(len(polygon)) + letters[kinds[1]]
-        for prop in before:
-            extra, kind = ([2, 0, 1], "B2f") if "list" in prop else ([0.5], "f")
-            row, form = extra + row, kind + form
-        for _ in after:
-            row, form = [*row, 3], form + "h"
-        rows.append((row, form))
+        row = [len(polygon), *(next(numbers) for _ in polygon)]
+        form = kinds[0] + str(len(polygon)) + kinds[1]
+        rows.append(("B3f" + form + "hh", 2, 0, 1, 0.5, *row, 3, 4) if has_extras else (form, *row))
     if order == "ascii":
-        return ("\n".join(header) + "\n".join(" ".join(map(str, row)) for row, _ in rows)).encode()
-    return "\n".join(header).encode() + b"".join(struct.pack(prefix + form, *row) for row, form in rows)
+        return ("\n".join(header) + "\n".join(" ".join(map(str, row)) for _, *row in rows)).encode()
+    prefix = ">" if "big" in order else "<"
+    return "\n".join(header).encode() + b"".join(struct.pack(prefix + form, *row) for form, *row in rows)
 
 
 def read(folder, data, name, **options):
@@ -234,17 +225,7 @@ AROUND = {"bounds": ((0, 0, 0), (4, 3, 3))}
 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
-@pytest.mark.parametrize(
-    "options",
-    [
-        {},
-        {"kinds": ("int", "uint")},
-        {"kinds": ("ushort", "ushort")},
-        {"before": ["property float quality"], "after": ["property short part", "property int16 other"]},
-        {"before": ["property list uchar float texcoord"]},
-    ],
-    ids=range(5),
-)
+@pytest.mark.parametrize("options", [{}, {"kinds": "iI"}, {"kinds": "HH"}, {"has_extras": True}], ids=range(4))
 def test_ply_of_all_types_is_read(order, options, tmp_path):
     # Quads take the place of two of the six sides; the room is 2 x 1 x 1 voxels inside a shell.
     data = ply_of(MIXED, order, **options)
@@ -256,16 +237,11 @@ def test_ply_of_all_types_is_read(order, options, tmp_path):
 
 
 def test_ply_elements_may_be_reordered_or_empty(tmp_path):
-    data = ply_of(MIXED, "ascii")
-    header, body = data.split(b"end_header\n")
-    count = sum(map(len, MIXED))
-    vertices = b"element vertex %d\n" % count
-    head, properties = header.split(vertices)
-    faces_at = properties.index(b"element face")
-    lines = body.splitlines(keepends=True)
-    swapped = head + properties[faces_at:] + vertices + properties[:faces_at] + b"element edge 0\nproperty int a\n"
-    swapped += b"end_header\n" + b"".join(lines[count:]) + b"\n" + b"".join(lines[:count])
-    np.testing.assert_array_equal(read(tmp_path, swapped, "a.ply", **AROUND), read(tmp_path, data, "b.ply", **AROUND))
+    header = "ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\nelement edge 0\n"
+    header += "property int a\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    free = read(tmp_path, header.encode() + b"3 2 1 0\n0 0 0\n3 0 1\n0 3 2", "a.ply")
+    triangle = [[(0, 0, 0), (3, 0, 1), (0, 3, 2)]]
+    np.testing.assert_array_equal(free, read(tmp_path, obj_of(triangle), "b.obj"))
 
 
 @pytest.mark.parametrize(
@@ -316,16 +292,11 @@ def test_stl_is_read_as_binary_or_text(tmp_path):
         np.testing.assert_array_equal(read(tmp_path, data, "b.stl", pitch=0.25), expected)
 
 
-@pytest.mark.parametrize("promised", [0, 9, 11, 2**32 - 1])
-def test_binary_stl_with_wrong_count_raises(promised, tmp_path):
-    binary = stl_files()[0]
-    data = binary[:80] + struct.pack("<I", promised) + binary[84:]
-    with pytest.raises(ValueError, match=rf"promises {promised:,} triangles, its bytes hold 10"):
-        read(tmp_path, data, "a.stl", pitch=0.25)
-
-
-def test_truncated_stl_raises(tmp_path):
+def test_damaged_stl_raises(tmp_path):
     binary, text = stl_files()
+    for promised in (0, 9, 11, 2**32 - 1):
+        with pytest.raises(ValueError, match=rf"promises {promised:,} triangles, its bytes hold 10"):
+            read(tmp_path, binary[:80] + struct.pack("<I", promised) + binary[84:], "a.stl", pitch=0.25)
     for data in (binary[:-1], binary[:-50], binary[:84], binary[:40], text[:-20], text.replace(b"vertex", b"", 1)):
         with pytest.raises(ValueError, match=r"a\.stl: expected a mesh"):
             read(tmp_path, data, "a.stl", pitch=0.25)

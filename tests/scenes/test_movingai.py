@@ -1,5 +1,3 @@
-import csv
-
 import numpy as np
 import pytest
 import shapely
@@ -82,23 +80,3 @@ def test_published_map_equals_its_published_polygons(name, data_dir):
     assert from_cells.bounds == from_polygons.bounds
     text = (data_dir / f"{name}.map").read_text()
     assert from_cells.free_space.area == text.split("map\n", 1)[1].count(".")
-
-
-def test_published_scenario_holds_published_queries(data_dir):
-    """Every published query of `arena_euclid.csv` is a row of `arena.scen`, with the same octile length."""
-    scenario = scenes.read_scen(data_dir / "polyanya_arena/arena.scen")
-    queries = map(tuple, np.concatenate([scenario.starts, scenario.goals], axis=1).tolist())
-    lengths = dict(zip(queries, scenario.octile_lengths, strict=True))
-    with (data_dir / "polyanya_arena/arena_euclid.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 160
-    for row in rows:
-        query = tuple(float(row[key]) for key in ("start_x", "start_y", "goal_x", "goal_y"))
-        assert lengths[query] == float(row["octile_length"])
-
-
-def test_published_starts_and_goals_are_free(data_dir):
-    for name in ("movingai/dao/den101d", "movingai/da2/ht_store", "movingai/mapf/random-32-32-10"):
-        workspace = scenes.read_map(data_dir / f"{name}.map")
-        scenario = scenes.read_scen(next((data_dir / name).parent.glob(f"{name.split('/')[-1]}*.scen")))
-        assert workspace.is_free(np.concatenate([scenario.starts, scenario.goals])).all()

@@ -165,6 +165,13 @@ def test_tiff_of_other_numbers_raises(data, tmp_path):
         scenes.read_image(tmp_path / "a.tif")
 
 
+def test_cost_map_of_64_bit_floats_raises(tmp_path):
+    (tmp_path / "a.tif").write_bytes(tiff(np.array([1, 2.5, 3], "<f8"), 64, 3))
+    expected = "a TIFF of one channel of 32-bit floats, or of integers .*"
+    with pytest.raises(ValueError, match=rf"a\.tif: expected {expected}, got something else"):
+        scenes.read_cost_map(tmp_path / "a.tif")
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [

@@ -41,20 +41,17 @@ def test_published_lists_are_read(data_dir):
 
 BROKEN = [
     ("", r"with first line 'voxel nx ny nz', got ''"),
-    ("octile 2 2 2\n", "expected a list of voxels"),
     ("voxel 2 2 2 2\n", "expected a list of voxels"),
     ("voxel 2 -2 2\n", "expected a list of voxels"),
     ("voxel 2 2.0 2\n", "expected a list of voxels"),
     ("voxel 0 2 2\n", "expected one to 16,777,216 voxels in a file of this size, got 0 x 2 x 2"),
     ("voxel 500 500 500\n0 0 0\n", "expected one to 16,777,216 voxels in a file of this size, got 500 x 500 x 500"),
-    ("voxel 999999999 999999999 999999999\n", "expected one to 16,777,216 voxels"),
     ("voxel 2 2 2\n0 0\n", "expected a blocked voxel 'x y z' in each line, got '0 0'"),
     ("voxel 2 2 2\n0 0 0\n0 1\n", "expected a blocked voxel 'x y z' in each line .*columns changed from 3 to 2"),
     ("voxel 2 2 2\n0 0 a\n", "expected a blocked voxel 'x y z' in each line .*'a'"),
     ("voxel 2 2 2\n0 0 2\n", r"within \(2, 2, 2\), got \[0.0, 0.0, 2.0\]"),
     ("voxel 2 2 2\n0 -1 0\n", r"within \(2, 2, 2\), got \[0.0, -1.0, 0.0\]"),
     ("voxel 2 2 2\n0 0.5 0\n", r"got \[0.0, 0.5, 0.0\]"),
-    ("voxel 2 2 2\n0 nan 0\n", r"got \[0.0, nan, 0.0\]"),
     ("voxel 1 1 1\n0 0 0\n", "at least one free voxel"),
 ]
 
