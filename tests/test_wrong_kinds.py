@@ -3,39 +3,15 @@
 import numpy as np
 import pytest
 
-from plr_jax import (
-    Box,
-    BuildOptions,
-    GridField,
-    GridGraph,
-    PointRobot,
-    Problem,
-    RasterCost,
-    Roadmap,
-    Solution,
-    VisibilityGraph,
-    VoxelGraph,
-    VoxelSpace,
-    Workspace,
-    bl_plan,
-    construct,
-    construct_grid_pairs,
-    from_bytes,
-    grid_distance,
-    load,
-    load_numpy,
-    plot,
-    save,
-    validate,
-)
+import plr_jax as pj
 from plr_jax.planners import lifelong, replan
 from plr_jax.plr import PLR, NumpyPLR
 
-ROOM = Workspace(((0, 0), (1, 1)))
-UNIT = Box((0, 0), (1, 1))
+ROOM = pj.Workspace(((0, 0), (1, 1)))
+UNIT = pj.Box((0, 0), (1, 1))
 VOXELS = np.ones((2, 2, 2), bool)
 ENDS = [[0.1, 0.1]], [[0.9, 0.9]]
-TASK = Problem(ROOM, [PointRobot()], *ENDS)
+TASK = pj.Problem(ROOM, [pj.PointRobot()], *ENDS)
 
 LINE = np.array(ENDS)
 
@@ -45,14 +21,14 @@ def cone(x):
 
 
 def built(**options):
-    return construct(cone, UNIT, max_leaves=2, options=BuildOptions(**options))
+    return pj.construct(cone, UNIT, max_leaves=2, options=pj.BuildOptions(**options))
 
 
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: construct(None, UNIT), "distance_fn must be a function, got None"),
+        (lambda: pj.construct(None, UNIT), "distance_fn must be a function, got None"),
         (lambda: built(weight_fn=5), "weight_fn must be a function, got 5"),
         (lambda: built(split=5), "split must be a function, got 5"),
         (lambda: built(should_split="x"), "should_split must be a function, got 'x'"),
@@ -61,36 +37,42 @@ def built(**options):
         (lambda: built(margin=1.5), "margin must be a fraction from 0 to 1"),
         (lambda: built(margin=-0.1), "margin must be a fraction from 0 to 1"),
         (lambda: built(num_samples=10**9), "num_samples must be at most 65,536 a cell, got 1,000,000,000"),
-        (lambda: save(5, "no.plr"), "Only a PLR, a PairPLR or GridPairs can be saved, got 5"),
-        (lambda: save(built(), 7), "path must be the name of a file, a str or a Path, got 7"),
-        (lambda: load(True), "path must be the name of a file, a str or a Path, got True"),
-        (lambda: load(built().to_bytes()), r"got \d+ bytes. For the content of a PLR's file use from_bytes"),
-        (lambda: load_numpy(memoryview(b"abc")), "got 3 bytes. For the content"),
-        (lambda: Solution.load(3), "path must be the name of a file, a str or a Path, got 3"),
-        (lambda: plot.animate(TASK, LINE).save(1), "path must be the name of a file, a str or a Path, got 1"),
-        (lambda: validate(TASK, bl_plan(TASK)), r"A path must be an array .*, got Solution\(.*\. Pass its .path"),
-        (lambda: validate(LINE, TASK), r"problem must be a Problem, such as .*, got array"),
-        (lambda: from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
+        (lambda: pj.save(5, "no.plr"), "Only a PLR, a PairPLR or GridPairs can be saved, got 5"),
+        (lambda: pj.save(built(), 7), "path must be the name of a file, a str or a Path, got 7"),
+        (lambda: pj.load(True), "path must be the name of a file, a str or a Path, got True"),
+        (lambda: pj.load(built().to_bytes()), r"got \d+ bytes. For the content of a PLR's file use from_bytes"),
+        (lambda: pj.load_numpy(memoryview(b"abc")), "got 3 bytes. For the content"),
+        (lambda: pj.Solution.load(3), "path must be the name of a file, a str or a Path, got 3"),
+        (lambda: pj.plot.animate(TASK, LINE).save(1), "path must be the name of a file, a str or a Path, got 1"),
+        (
+            lambda: pj.validate(TASK, pj.bl_plan(TASK)),
+            r"A path must be an array .*, got Solution\(.*\. Pass its .path",
+        ),
+        (lambda: pj.validate(LINE, TASK), r"problem must be a Problem, such as .*, got array"),
+        (lambda: pj.from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
         (lambda: NumpyPLR(None), "data must be the bytes of a PLR file, got None; for a path use load_numpy"),
         (lambda: NumpyPLR(built()), r"data must be the bytes .*, got PLR\(.*, for a PLR call plr.numpy\(\)"),
         (lambda: PLR.stack(built()), r"plrs must be a list of PLRs, got PLR\("),
         (lambda: PLR.stack([5]), "plrs must be a list of PLRs, got 5 at index 0"),
         (lambda: PLR.stack([]), "A stack needs at least one PLR, got an empty list"),
-        (lambda: Problem(5, [PointRobot()], *ENDS), "workspace must be a Workspace, got 5"),
-        (lambda: Problem(ROOM, PointRobot(), *ENDS), r"robots must be a list of robots, got PointRobot\(\)"),
-        (lambda: Workspace(ROOM.bounds, squeeze="no"), "squeeze must be True or False, got 'no'"),
+        (lambda: pj.Problem(5, [pj.PointRobot()], *ENDS), "workspace must be a Workspace, got 5"),
+        (lambda: pj.Problem(ROOM, pj.PointRobot(), *ENDS), r"robots must be a list of robots, got PointRobot\(\)"),
+        (lambda: pj.Workspace(ROOM.bounds, squeeze="no"), "squeeze must be True or False, got 'no'"),
         (lambda: ROOM.inflate("x"), "radius must be a finite number of at least 0, got 'x'"),
         (lambda: ROOM.sample_free(1, None), "seed must be an integer >= 0, got None"),
-        (lambda: Workspace.from_mask(VOXELS[0, 0]), r"free\[row, column\], rows along y, must be booleans of shape"),
-        (lambda: VoxelSpace(VOXELS, UNIT), r"The bounds must have 3 axes, as free\[x, y, ...\] has"),
-        (lambda: grid_distance(VOXELS, (1, 1)), r"\(h, w\), rows along y, .*got bool of shape \(2, 2, 2\)"),
-        (lambda: construct_grid_pairs(VOXELS[0]).window([1, 1], [1, 1], 1), r"points \(x, y\), \(n, 2\) both"),
-        (lambda: Workspace.from_mask(VOXELS), r"got bool of shape \(2, 2, 2\). For volumes, use VoxelSpace"),
-        (lambda: GridGraph(VOXELS, (1, 1)), r"got bool of shape \(2, 2, 2\). For volumes, use"),
-        (lambda: VisibilityGraph(VOXELS, (1, 1, 1)), r"an array of shape \(2, 2, 2\). For volumes, use"),
-        (lambda: Workspace(VOXELS), r"an array of shape \(2, 2, 2\). For volumes, use"),
-        (lambda: VisibilityGraph(VOXELS[0], (1, 1)), r"For pixels, use Workspace.from_mask\(free\)"),
-        (lambda: Roadmap.from_workspace(VOXELS[0], (1, 1), 5), r"For pixels, use Workspace.from_mask\(free\)"),
+        (
+            lambda: pj.Workspace.from_mask(VOXELS[0, 0]),
+            r"free\[row, column\], rows along y, must be booleans of shape",
+        ),
+        (lambda: pj.VoxelSpace(VOXELS, UNIT), r"The bounds must have 3 axes, as free\[x, y, ...\] has"),
+        (lambda: pj.grid_distance(VOXELS, (1, 1)), r"\(h, w\), rows along y, .*got bool of shape \(2, 2, 2\)"),
+        (lambda: pj.construct_grid_pairs(VOXELS[0]).window([1, 1], [1, 1], 1), r"points \(x, y\), \(n, 2\) both"),
+        (lambda: pj.Workspace.from_mask(VOXELS), r"got bool of shape \(2, 2, 2\). For volumes, use VoxelSpace"),
+        (lambda: pj.GridGraph(VOXELS, (1, 1)), r"got bool of shape \(2, 2, 2\). For volumes, use"),
+        (lambda: pj.VisibilityGraph(VOXELS, (1, 1, 1)), r"an array of shape \(2, 2, 2\). For volumes, use"),
+        (lambda: pj.Workspace(VOXELS), r"an array of shape \(2, 2, 2\). For volumes, use"),
+        (lambda: pj.VisibilityGraph(VOXELS[0], (1, 1)), r"For pixels, use Workspace.from_mask\(free\)"),
+        (lambda: pj.Roadmap.from_workspace(VOXELS[0], (1, 1), 5), r"For pixels, use Workspace.from_mask\(free\)"),
         (lambda: replan(5, None, 0), "problem must be a Problem, such as .*, got 5"),
         (lambda: replan(TASK, None, 0), "solution must be a Solution that has a path, got None"),
         (lambda: replan(TASK, None, 0, 5), r"options must be BLOptions\(...\), got 5"),
@@ -114,7 +96,7 @@ def test_iterables_and_buffers_are_accepted():
     stacked = PLR.stack(each for each in (plr, plr))
     assert len(stacked.tables) == 2
     for kind in (bytearray, memoryview):
-        assert from_bytes(kind(plr.to_bytes())).to_bytes() == plr.to_bytes()
+        assert pj.from_bytes(kind(plr.to_bytes())).to_bytes() == plr.to_bytes()
 
 
 def test_missing_update_names_updated():
@@ -129,19 +111,19 @@ def test_array_axes_are_as_documented():
     rows[:2, 1] = False
     ends = [(0.5, 0.5)], [(2.5, 0.5)]
     for mask, row0 in ((rows, "bottom"), (rows[::-1], "top")):
-        room = Workspace.from_mask(mask, row0=row0, tolerance=0)
-        np.testing.assert_allclose(VisibilityGraph(room, ends[1][0])(ends[0]), 1 + np.sqrt(10))
+        room = pj.Workspace.from_mask(mask, row0=row0, tolerance=0)
+        np.testing.assert_allclose(pj.VisibilityGraph(room, ends[1][0])(ends[0]), 1 + np.sqrt(10))
     # Six steps from cell to cell lead around the wall: two up, two along it, two down.
-    pairs = construct_grid_pairs(GridGraph(rows, connectivity=4))
+    pairs = pj.construct_grid_pairs(pj.GridGraph(rows, connectivity=4))
     np.testing.assert_array_equal(pairs(*ends), [6])
-    np.testing.assert_array_equal(grid_distance(rows, np.array(ends[1][0]), moves=4)(np.array(ends[0])), [6])
+    np.testing.assert_array_equal(pj.grid_distance(rows, np.array(ends[1][0]), moves=4)(np.array(ends[0])), [6])
     np.testing.assert_array_equal(pairs.window(ends[1], ends[0], 1)[0], [[-1, -1, -1], [-1, 6, -1], [-1, 5, -1]])
     voxels = rows.T[..., None]
-    np.testing.assert_array_equal(VoxelGraph(voxels, (2.5, 0.5, 0.5), moves=6)([(0.5, 0.5, 0.5)]), [6])
-    np.testing.assert_array_equal(VoxelSpace(voxels).domain.hi, [5, 3, 1])
+    np.testing.assert_array_equal(pj.VoxelGraph(voxels, (2.5, 0.5, 0.5), moves=6)([(0.5, 0.5, 0.5)]), [6])
+    np.testing.assert_array_equal(pj.VoxelSpace(voxels).domain.hi, [5, 3, 1])
     # A number for each cell: 10 y + x at its lower corner.
     numbers = 1.0 + 10 * np.arange(3)[:, None] + np.arange(5)
-    for field in (GridField(numbers, ((0, 0), (5, 3))), RasterCost(numbers, ((0, 0), (5, 3)))):
+    for field in (pj.GridField(numbers, ((0, 0), (5, 3))), pj.RasterCost(numbers, ((0, 0), (5, 3)))):
         np.testing.assert_allclose(field(np.array([(3.5, 0.5), (0.5, 2.5)])), [4, 21])
     layers = np.stack([numbers, numbers + 100])
-    np.testing.assert_allclose(GridField(layers, ((0, 0, 0), (5, 3, 2)))([(3.5, 0.5, 1.5)]), 104)
+    np.testing.assert_allclose(pj.GridField(layers, ((0, 0, 0), (5, 3, 2)))([(3.5, 0.5, 1.5)]), 104)
