@@ -33,12 +33,7 @@ FAR = np.array([[1.0, 2], [3, 4]])
         ("as_values", [2], [[1.0]], r"x must give one number per point, shape \(2,\), got \(1,\)"),
         ("as_values", [2], [[1j, 2]], r"x's answer must be real numbers of shape \(2,\)"),
         ("as_values", [2], [masked([1j, 2], [True, False]), ["a", "b"]], "real numbers"),
-        (
-            "as_booleans",
-            [2],
-            [[1, 0]],
-            r"x must give one boolean per point, shape \(2,\), got int64 of shape \(2,\)\.",
-        ),
+        ("as_booleans", [2], [[1, 0]], r"one boolean per point, shape \(2,\), got int64 of shape \(2,\)\."),
         ("as_booleans", [2], [[True]], r"bool of shape \(1,\)\."),
         ("as_booleans", [1], [masked([True], [True])], r"bool of shape \(1,\), some masked\."),
         ("as_distances", [FAR], [[0, np.nan]], r"x gives NaN at \[3.0, 4.0\]; use inf"),

@@ -2,6 +2,7 @@ import errno
 import os
 import re
 import stat
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,9 +12,7 @@ from plr_jax._files import json_of, text_of, write_atomically, yaml_of
 
 DEEP = "expected lists and mappings at most 32 deep"
 MANY_DIGITS = "Exceeds the limit"
-ALIASES = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True))
-
-
+ALIASES = "a: &a [x, x]\n" + "".join(f"{b}: &{b} [*{a}, *{a}]\n" for a, b in pairwise("abcdefghi"))
 HEADER = "type octile\nheight {}\nwidth 2\nmap\n..\n"
 HOSTILE = {
     "a.json": [
@@ -21,7 +20,6 @@ HOSTILE = {
         ("[" * 33 + "]" * 33, DEEP),
         ('{"a":' * 33 + "1" + "}" * 33, DEEP),
         ("[" + "1" * 400 + "]", "larger integer"),
-        ("[-" + "1" * 400 + "]", "larger integer"),
         ("[" + "1" * 5000 + "]", MANY_DIGITS),
         (b'{"a": "\xff"}', "expected text in UTF-8"),
         (b" " * (2**24 + 1), "at most 16,777,216 bytes"),
@@ -29,9 +27,7 @@ HOSTILE = {
     "a.yaml": [
         (ALIASES, "neither aliases nor tags are read.* line 2"),
         ("a: &a {x: 1}\nb: {<<: [*a, *a]}", "neither aliases nor tags"),
-        ("a: &a [*a]", "neither aliases nor tags"),
         ("a: !!python/name:os.system", "neither aliases nor tags"),
-        ("!!timestamp foo", "neither aliases nor tags"),
         ("[" * 5000, f"({DEEP}|exceeded maximum nesting depth)"),  # some parsers have a limit of their own
         ("- " * 33 + "1", DEEP),
         ("1" * 400, "larger integer"),
@@ -45,7 +41,6 @@ HOSTILE = {
     "a.map": [
         (HEADER.format("9" * 5000), MANY_DIGITS),
         (HEADER.format("9" * 50), "as the header says"),
-        (b" " * (2**24 + 1), "at most 16,777,216 bytes"),
     ],
     "a.scen": [
         (b"version 1\n\xff", "expected text"),
@@ -93,8 +88,8 @@ def test_byte_order_mark_is_skipped(tmp_path):
     (tmp_path / "b.json").write_bytes(b"\xef\xbb\xbf" + (tmp_path / "a.json").read_bytes())
     assert scenes.is_scene(tmp_path / "b.json")
     assert scenes.load(tmp_path / "b.json").starts.tolist() == scenes.maze().starts.tolist()
-    (tmp_path / "d.map").write_text("\ufefftype octile\nheight 1\nwidth 2\nmap\n..\n", encoding="utf-8")
-    assert scenes.read_map(tmp_path / "d.map").free_space.area == 2
+    (tmp_path / "c.map").write_text("\ufefftype octile\nheight 1\nwidth 2\nmap\n..\n", encoding="utf-8")
+    assert scenes.read_map(tmp_path / "c.map").free_space.area == 2
 
 
 def test_name_with_zero_byte_raises():

@@ -41,7 +41,6 @@ def test_report_of_known_errors():
     ("scale", "origin", "said"),
     [
         (1.0, (691104.23456, 5334012.65432), "691106.2346, 5334012.6543"),
-        (1e3, (691104.23456, 5334012.65432), "693104.2, 5334012.7"),
         (1e6, (691104.23456, 5334012.65432), "2691104, 5334013"),
         (1e-3, (0.0, 0.5), "0.002, 0.5"),
         (0.0, (691104.23456, 0.5), "691104.2346, 0.5"),
@@ -104,7 +103,6 @@ def test_masked_distances_are_unreachable():
         (lambda x: np.zeros((len(x), 1)), from_origin, GRID, "approximation must give one number per point"),
         (from_origin, lambda x: np.zeros(3), GRID, "distance function must give one number per point"),
         (from_origin, always(np.nan), GRID, "distance function gives NaN at"),
-        (from_origin, always(-np.inf), GRID, "distance function gives -inf at"),
         (from_origin, always(1j), GRID, "distance function's answer must be real numbers"),
         (from_origin, always(np.inf), GRID, "No error is defined"),
         (always(np.inf), from_origin, GRID, "No error is defined"),

@@ -44,10 +44,7 @@ def built(**options):
         (lambda: pj.load_numpy(memoryview(b"abc")), "got 3 bytes. For the content"),
         (lambda: pj.Solution.load(3), "path must be the name of a file, a str or a Path, got 3"),
         (lambda: pj.plot.animate(TASK, LINE).save(1), "path must be the name of a file, a str or a Path, got 1"),
-        (
-            lambda: pj.validate(TASK, pj.bl_plan(TASK)),
-            r"A path must be an array .*, got Solution\(.*\. Pass its .path",
-        ),
+        (lambda: pj.validate(TASK, pj.bl_plan(TASK)), r"must be an array .*, got Solution\(.*\. Pass its .path"),
         (lambda: pj.validate(LINE, TASK), r"problem must be a Problem, such as .*, got array"),
         (lambda: pj.from_bytes("abc"), "data must be the bytes of a PLR file, got 'abc'"),
         (lambda: NumpyPLR(None), "data must be the bytes of a PLR file, got None; for a path use load_numpy"),
@@ -60,10 +57,7 @@ def built(**options):
         (lambda: pj.Workspace(ROOM.bounds, squeeze="no"), "squeeze must be True or False, got 'no'"),
         (lambda: ROOM.inflate("x"), "radius must be a finite number of at least 0, got 'x'"),
         (lambda: ROOM.sample_free(1, None), "seed must be an integer >= 0, got None"),
-        (
-            lambda: pj.Workspace.from_mask(VOXELS[0, 0]),
-            r"free\[row, column\], rows along y, must be booleans of shape",
-        ),
+        (lambda: pj.Workspace.from_mask(VOXELS[0, 0]), r"free\[row, column\], rows along y, must be booleans"),
         (lambda: pj.VoxelSpace(VOXELS, UNIT), r"The bounds must have 3 axes, as free\[x, y, ...\] has"),
         (lambda: pj.grid_distance(VOXELS, (1, 1)), r"\(h, w\), rows along y, .*got bool of shape \(2, 2, 2\)"),
         (lambda: pj.construct_grid_pairs(VOXELS[0]).window([1, 1], [1, 1], 1), r"points \(x, y\), \(n, 2\) both"),

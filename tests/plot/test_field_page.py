@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hostile_files import hostile
 from hostile_readers import READERS, Reader, corridor
-from PIL import Image
 
 from experiments._browser import IS_DRAWN, Browser, axe_core, chromium
 from plr_jax import PairPLR, VisibilityGraph, construct, construct_pairs, plot, scenes
@@ -151,28 +150,6 @@ def test_both_ends_of_pairs_can_be_dragged(functions, browser, tmp_path):
         return isFree ? Math.abs(values[j * view.columns + i] - shown().distance(at(0, 0), goal)) : 0; })""",
     )
     assert apart.max() < 0.02 and np.median(apart) < 1e-6
-
-
-def test_picture_follows_theme_and_distances(functions, browser, tmp_path):
-    page = page_of(functions["cones"])
-    backgrounds = []
-    for theme in ("light", "dark"):
-        browser.prefer(prefers_color_scheme=theme)
-        opened(browser, page, tmp_path)
-        browser.picture(tmp_path / f"{theme}.png")
-        with Image.open(tmp_path / f"{theme}.png") as image:
-            pixels = np.asarray(image.convert("RGB")).astype(int)
-        backgrounds.append(pixels[2, -20].mean())
-        frame = stage_of(browser)
-
-        def color(x, y, pixels=pixels, frame=frame):
-            return pixels[int(frame[1] + (1 - y) * frame[3]), int(frame[0] + x * frame[2])]
-
-        near, far = color(0.12, 0.12), color(0.05, 0.98)
-        assert near[2] > near[1] and far[0] > 150 and far[1] > 150 and far[2] < 120  # violet, and yellow
-        assert np.ptp(color(0.5, 0.45)) <= 2  # a wall
-    assert backgrounds[0] > 250 and backgrounds[1] < 40
-    browser.prefer(prefers_color_scheme="light")
 
 
 def test_chosen_file_is_opened(functions, browser, tmp_path):

@@ -13,7 +13,7 @@ def box(x0, y0, x1, y1):
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
-HOLED = [{"outer": box(0, 0, 4, 4), "holes": [box(1, 1, 2, 2)]}, {"outer": box(6, 0, 7, 1), "holes": []}]
+HOLED = Workspace.from_polygons([shapely.box(0, 0, 4, 4) - shapely.box(1, 1, 2, 2), shapely.box(6, 0, 7, 1)])
 CORNERS = [box(0, 0, 1, 1), box(1, 1, 2, 2)]
 TRIANGLE = PolygonRobot([(-1 / 3, -0.1), (0, 0.7), (1, 0)])
 ODD = Workspace(((0.1, -1e-7), (np.pi, 1 / 3)), [box(0.7, 0.1, 1.1, 0.2)])
@@ -28,10 +28,7 @@ MIXED_TEAM = Problem(
 PROBLEMS = {  # and the oldest version of the format that can hold each
     "odd numbers": (Problem(ODD, POINT, [(0.2, 0.1)], [(np.e, 0.3)]), 1),
     "blocked margin": (Problem(Workspace(((0, 0), (4, 4)), [box(0, 0, 1, 4)]), POINT, [(2, 2)], [(3, 3)]), 1),
-    "two parts, a hole": (
-        Problem(Workspace.from_polygons(HOLED), POINT * 2, [(0.5, 0.5), (6, 0)], [(3, 3), (7, 1)]),
-        1,
-    ),
+    "two parts, a hole": (Problem(HOLED, POINT * 2, [(0.5, 0.5), (6, 0)], [(3, 3), (7, 1)]), 1),
     "squeeze": (Problem(Workspace(((0, 0), (2, 2)), CORNERS, squeeze=True), POINT, [(0.5, 1.5)], [(1.5, 0.5)]), 1),
     "removed obstacle": (Problem(ONE_REMOVED, POINT, [(1.5, 1.5)], [(2, 2)]), 1),
     "mixed team": (MIXED_TEAM, 2),
@@ -45,8 +42,7 @@ def test_saved_problem_loads_exactly(problem, version, tmp_path):
     again = scenes.load(tmp_path / "a.json")
     np.testing.assert_array_equal(again.starts, problem.starts)
     np.testing.assert_array_equal(again.goals, problem.goals)
-    assert again.robots == problem.robots
-    assert again.rotation_weight == problem.rotation_weight
+    assert (again.robots, again.rotation_weight) == (problem.robots, problem.rotation_weight)
     assert again.workspace.bounds == problem.workspace.bounds
     assert again.workspace.squeeze == problem.workspace.squeeze
     saved = shapely.get_parts(problem.workspace.obstacles)
@@ -112,24 +108,19 @@ def test_handwritten_scene_loads(tmp_path):
         (robot(2, {"shape": "disc"}), "expected robot 0 to be like .*'radius'"),
         (robot(2, {"shape": "disc", "radius": 1, "color": 2}), "expected robot 0 to be like"),
         (robot(2, {"shape": []}), "expected robot 0 to be like"),
-        (robot(2, "disc"), "expected robot 0 to be like"),
         (robot(2, {"shape": "disc", "radius": -1}), "robot 0: DiscRobot radius must be"),
         (robot(2, {"shape": "polygon", "vertices": SQUARE}), "robot 0 to be like .* in version 2"),
         (robot(3, {"shape": "polygon", "vertices": "x"}), "robot 0: PolygonRobot vertices"),
         (scene(2, rotation_weight="x"), "rotation_weight must be a finite number of at least 0, got 'x'"),
         (scene(robots={}), '"robots" to be a list'),
         (scene(goals=[[0.9, 2.0]]), "Robot 0 has its goal outside the bounds"),
-        (scene(goals=[["a", 2.0]]), "goals must be numbers"),
         (scene(workspace={}), '"workspace" to have the keys'),
         (workspace(squeeze=1), '"squeeze" to be true or false'),
-        (workspace(bounds=3), "must be a Box or its corners"),
         (workspace(obstacles=3), '"obstacles" to be a list'),
         (workspace(obstacles=[3]), "expected obstacle 0 to be"),
         (obstacle(holes=[]), "expected obstacle 0 to be"),
         (obstacle(outer=SQUARE, holes=3), "expected obstacle 0 to be"),
         (obstacle(outer=[[0, 0], [1, 1]]), "Obstacle 0 has 2 distinct vertices"),
-        (obstacle(outer="ring"), "Obstacle 0"),
-        (obstacle(outer=SQUARE, holes=[3]), "rings of obstacle 0"),
         (obstacle(outer=SQUARE, holes=[[[0, 0]]]), "rings of obstacle 0"),
     ],
 )

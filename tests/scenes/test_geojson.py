@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax import Box, Workspace, scenes
+from plr_jax import Workspace, scenes
 
 BOX, TABLE, SHELF = shapely.box(0, 0, 10, 8), shapely.box(2, 2, 4, 5), shapely.box(6, 1, 7, 3)
 
@@ -49,18 +49,11 @@ def test_polygons_may_be_free_space(tmp_path):
     np.testing.assert_array_equal(workspace.bounds.hi, [12, 8])
 
 
-def test_free_polygons_apart_by_rounding_are_joined(tmp_path):
-    path = written(tmp_path, collection(shapely.box(0, 0, 1, 1), shapely.box(1 + 1e-13, 0, 2, 1)))
-    assert scenes.read_geojson(path, polygons="free").free_space.equals(shapely.box(0, 0, 2, 1))
-    wider = scenes.read_geojson(path, polygons="free", bounds=((0.5, 0), (3, 1)))
-    assert wider.free_space.equals(shapely.box(0.5, 0, 2, 1)) and wider.bounds == Box((0.5, 0), (3, 1))
-
-
 @pytest.mark.parametrize(
     "geometry",
     [
         shapely.MultiPolygon([TABLE, SHELF]),
-        shapely.GeometryCollection([TABLE, shapely.GeometryCollection([SHELF])]),
+        shapely.GeometryCollection([TABLE, shapely.MultiPolygon([SHELF])]),
         BOX - TABLE,
     ],
 )
@@ -69,11 +62,6 @@ def test_every_geometry_is_read(geometry, tmp_path):
         workspace = scenes.read_geojson(written(tmp_path, document), bounds=((-1, -1), (11, 9)))
         blocked = shapely.box(-1, -1, 11, 9) - workspace.free_space
         assert shapely.symmetric_difference(blocked, shapely.union_all(geometry)).area == 0
-
-
-def test_altitudes_are_dropped(tmp_path):
-    path = written(tmp_path, polygon([[0, 0, 5], [3, 0, 5], [3, 3, 5], [0, 0, 5]]))
-    assert scenes.read_geojson(path, polygons="free").free_space.area == 4.5
 
 
 TRIANGLE = [[0, 0], [3, 0], [3, 3], [0, 0]]  # of area 4.5
@@ -105,9 +93,9 @@ def test_file_without_polygons_raises(empty, tmp_path):
         scenes.read_geojson(written(tmp_path, empty))
 
 
-def test_empty_holes_are_skipped(tmp_path):
+def test_empty_holes_and_altitudes_are_dropped(tmp_path):
     hole = [[2, 0.5], [2.5, 0.5], [2.5, 1], [2, 1]]  # of area 0.25
-    rings = [TRIANGLE, [], None, hole, []]
+    rings = [[[*corner, 7] for corner in TRIANGLE], [], None, hole, []]  # whose altitudes are dropped
     for document in (polygon(*rings), {"type": "MultiPolygon", "coordinates": [[], rings, None]}):
         assert scenes.read_geojson(written(tmp_path, document), polygons="free").free_space.area == 4.25
 
@@ -140,11 +128,9 @@ KEY = 'the file: expected a {} to have the key "{}", got only '.format
         (FEATURES | {"features": {}}, '"features" of a FeatureCollection to be a list, got {}'),
         ({"type": "Feature", "id": 1}, KEY("Feature", "geometry") + "type, id"),
         ({"type": "Feature", "geometry": []}, r'geometry: expected an object of "type" .* got \[\]'),
-        ({"type": "Feature", "geometry": {"coordinates": []}}, r"geometry: expected an object .* got {'coord"),
         ({"type": "Feature", "geometry": {"type": "Polygon"}}, 'geometry: expected a Polygon to have the key "coord'),
         ({"type": "Polygon", "coordinates": 3}, 'the file: expected "coordinates" of a Polygon to be a list, got 3'),
         (polygon(*SQUARE), r"polygon: expected a ring, .* got \[0, 0\]"),
-        (polygon([["0", "0"], ["1", "0"], ["0", "1"]]), "of numbers, got"),
         (polygon(["12", "34", "57"]), "of numbers, got"),
         (polygon([[True, False], [2, 0], [2, 1]]), "of numbers, got"),
         (polygon([], SQUARE), "polygon: expected an outer ring before its holes"),
@@ -186,7 +172,6 @@ HALLWAY = "((10 3, 12 3, 12 4, 10 4, 10 3))"
         (f"MULTIPOLYGON (EMPTY, {ROOM}, {HALLWAY})", 76),
         (f"MULTIPOLYGON ({ROOM}, ((5 5, 7 5, 7 7, 5 7, 5 5)))", 74),  # which overlap
         (f"GEOMETRYCOLLECTION (POLYGON {ROOM}, GEOMETRYCOLLECTION (MULTIPOLYGON ({HALLWAY})))", 76),
-        (f"GEOMETRYCOLLECTION (POINT EMPTY, POLYGON EMPTY, POLYGON {ROOM}, LINESTRING EMPTY)", 74),
         ("POLYGON Z ((0 0 5, 3 0 5, 3 3 6, 0 0 5))", 4.5),
         ("POLYGON ZM ((0 0 5 1, 3 0 5 2, 3 3 6 3, 0 0 5 1))", 4.5),
         ("POLYGON ((0 0, 3 0, 3 3, 0 0), EMPTY)", 4.5),

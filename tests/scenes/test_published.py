@@ -6,22 +6,22 @@ import shapely
 
 from plr_jax import DiscRobot, PointRobot, RectangleRobot, scenes
 
-
-def test_maze_walls_by_area_and_points():
-    workspace = scenes.maze().workspace
-    # 0.71 + 0.73 + 0.63 + 0.36 + 0.13 + 0.21 of wall, 0.04 thick, nowhere overlapping.
-    assert workspace.free_space.area == pytest.approx(1 - 0.04 * 2.77, abs=1e-9)
-    blocked = [(0.3, 0.21), (0.6, 0.45), (0.3, 0.7), (0.81, 0.6), (0.43, 0.3), (0.21, 0.9)]
-    free = [(0.72, 0.21), (0.26, 0.45), (0.64, 0.7), (0.81, 0.84), (0.43, 0.37), (0.21, 0.78)]
-    assert not workspace.is_free(np.array(blocked)).any()
-    assert workspace.is_free(np.array(free)).all()
+BLOCKED = [(0.3, 0.21), (0.6, 0.45), (0.3, 0.7), (0.81, 0.6), (0.43, 0.3), (0.21, 0.9)]
+FREE = [(0.72, 0.21), (0.26, 0.45), (0.64, 0.7), (0.81, 0.84), (0.43, 0.37), (0.21, 0.78)]
+BESIDE_THIN_WALLS = [(0.3, 0.2), (0.6, 0.44), (0.804, 0.6), (0.816, 0.6)]
 
 
-def test_thin_maze_walls_by_area_and_points():
-    workspace = scenes.thin_maze().workspace
-    assert workspace.free_space.area == pytest.approx(1 - 0.01 * (0.71 + 0.73 + 0.63 + 0.375 + 0.145 + 0.21))
-    assert not workspace.is_free(np.array([(0.3, 0.21), (0.6, 0.45), (0.3, 0.7), (0.81, 0.458)])).any()
-    assert workspace.is_free(np.array([(0.3, 0.2), (0.6, 0.44), (0.804, 0.6), (0.816, 0.6)])).all()
+@pytest.mark.parametrize(
+    ("scene", "wall_area", "free"),
+    [
+        (scenes.maze, 0.04 * (0.71 + 0.73 + 0.63 + 0.36 + 0.13 + 0.21), FREE),
+        (scenes.thin_maze, 0.01 * (0.71 + 0.73 + 0.63 + 0.375 + 0.145 + 0.21), FREE + BESIDE_THIN_WALLS),
+    ],
+)
+def test_maze_walls_by_area_and_points(scene, wall_area, free):
+    workspace = scene().workspace
+    assert workspace.free_space.area == pytest.approx(1 - wall_area, abs=1e-9)
+    assert not workspace.is_free(np.array(BLOCKED)).any() and workspace.is_free(np.array(free)).all()
 
 
 @pytest.mark.parametrize("scene", [scenes.maze, scenes.thin_maze])

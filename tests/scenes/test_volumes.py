@@ -31,9 +31,7 @@ def test_lists_name_blocked_voxels(tmp_path):
 
 def test_published_lists_are_read(data_dir):
     paths = sorted(data_dir.rglob("*.3dmap"))
-    if not paths:
-        pytest.skip("third-party volumes: PLR_JAX_DATA holds no .3dmap")
-    for path in paths:
+    for path in paths or pytest.skip("third-party volumes: PLR_JAX_DATA holds no .3dmap"):
         sizes = path.read_text().partition("\n")[0].split()[1:]
         free = scenes.read_volume(path)
         assert free.shape == tuple(map(int, sizes)) and free.any() and not free.all()
