@@ -12,9 +12,8 @@ SHARE = ("between 0 and 1", lambda share: 0 < share < 1)
 FAR = np.array([[1.0, 2], [3, 4]])
 
 
-@pytest.mark.parametrize(
-    ("function", "arguments", "values", "message"),
-    [
+def test_wrong_value_raises():
+    for function, arguments, values, message in [
         ("as_points", [2], [[1, 2]], r"x must have shape \(n, 2\), got \(2,\)\. Use x\[None\] for a single point"),
         ("as_points", [2], [[1, 2, 3]], r"got \(3,\)\.$"),
         ("as_points", [2], [[[1, 2, 3]]], r"shape \(n, 2\), got \(1, 3\)"),
@@ -42,12 +41,10 @@ FAR = np.array([[1.0, 2], [3, 4]])
         ("as_finite", [], [1j, 10**400, [1.0]], "x must be a finite number of at least 0, got "),
         ("as_number", SHARE, [0, 1.0, -0.1, np.nan, True, np.bool_(True)], "x must be between 0 and 1, got "),
         ("as_number", SHARE, [np.complex128(0.5), "x", [0.5], 10**400], "x must be between 0 and 1, got "),
-    ],
-)
-def test_wrong_value_raises(function, arguments, values, message):
-    for value in values:
-        with pytest.raises(ValueError, match=message):
-            getattr(_arrays, function)("x", value, *arguments)
+    ]:
+        for value in values:
+            with pytest.raises(ValueError, match=message):
+                getattr(_arrays, function)("x", value, *arguments)
 
 
 def test_points_become_float64_without_needless_copy():

@@ -21,10 +21,10 @@ def always(answer):
     return lambda x: np.full(len(x), answer)
 
 
-def report_of(answer, distance):
-    """Report of answers at the points (0, 0), (1, 0), ... whose distances are given."""
-    points = np.stack([np.arange(len(answer)), np.zeros(len(answer))], axis=1)
-    return metrics.error_map(lambda x: np.array(answer), lambda x: np.array(distance), points)
+def report_of(answer, distance, x=None):
+    """Report of answers at points, by default (0, 0), (1, 0), ..., whose distances are given."""
+    x = np.stack([np.arange(len(answer)), np.zeros(len(answer))], axis=1) if x is None else x
+    return metrics.error_map(lambda x: np.array(answer), lambda x: np.array(distance), x)
 
 
 def test_report_of_known_errors():
@@ -37,19 +37,16 @@ def test_report_of_known_errors():
     assert json.loads(json.dumps(dataclasses.asdict(report)))["num_points"] == 4
 
 
-@pytest.mark.parametrize(
-    ("scale", "origin", "said"),
-    [
+def test_place_of_largest_error_is_rounded_like_distances():
+    for scale, origin, said in [
         (1.0, (691104.23456, 5334012.65432), "691106.2346, 5334012.6543"),
         (1e6, (691104.23456, 5334012.65432), "2691104, 5334013"),
         (1e-3, (0.0, 0.5), "0.002, 0.5"),
         (0.0, (691104.23456, 0.5), "691104.2346, 0.5"),
-    ],
-)
-def test_place_of_largest_error_is_rounded_like_distances(scale, origin, said):
-    distance = scale * np.arange(4.0)
-    report = metrics.error_map(lambda x: distance + scale * np.eye(4)[2], lambda x: distance, origin + scale * LINE)
-    assert f"at ({said}), mean" in str(report)
+    ]:
+        distance = scale * np.arange(4.0)
+        report = report_of(distance + scale * np.eye(4)[2], distance, origin + scale * LINE)
+        assert f"at ({said}), mean" in str(report)
 
 
 def test_infinite_answers_are_counted_not_averaged():
@@ -94,9 +91,8 @@ def test_masked_distances_are_unreachable():
     assert (grid[:, :2] == 0).all() and np.isnan(grid[:, 2:]).all()
 
 
-@pytest.mark.parametrize(
-    ("approximation", "distance", "x", "message"),
-    [
+def test_undefined_error_raises():
+    for approximation, distance, x, message in [
         (from_origin, from_origin, np.empty((0, 2)), "at least one point, got none"),
         (from_origin, from_origin, np.zeros(2), r"shape \(n, dim\), got \(2,\)"),
         (from_origin, from_origin, WALLED, r"x must be numbers of shape \(n, dim\), got Workspace"),
@@ -106,11 +102,9 @@ def test_masked_distances_are_unreachable():
         (from_origin, always(1j), GRID, "distance function's answer must be real numbers"),
         (from_origin, always(np.inf), GRID, "No error is defined"),
         (always(np.inf), from_origin, GRID, "No error is defined"),
-    ],
-)
-def test_undefined_error_raises(approximation, distance, x, message):
-    with pytest.raises(ValueError, match=message):
-        metrics.error_map(approximation, distance, x)
+    ]:
+        with pytest.raises(ValueError, match=message):
+            metrics.error_map(approximation, distance, x)
 
 
 def test_error_grid_has_error_at_cell_centers():

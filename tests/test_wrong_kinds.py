@@ -25,9 +25,8 @@ def built(**options):
 
 
 @pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
+def test_argument_of_wrong_type_is_named(tmp_path, monkeypatch):
+    for call, message in [
         (lambda: pj.construct(None, UNIT), "distance_fn must be a function, got None"),
         (lambda: built(weight_fn=5), "weight_fn must be a function, got 5"),
         (lambda: built(split=5), "split must be a function, got 5"),
@@ -75,13 +74,11 @@ def built(**options):
         (lambda: lifelong(TASK, 5, 1), "next_goal must be a function, got 5"),
         (lambda: lifelong(TASK, cone, 1, plan=5), "plan must be a function, got 5"),
         (lambda: UNIT.grid("x"), "resolution must be an integer >= 1, got 'x'"),
-    ],
-)
-def test_argument_of_wrong_type_is_named(call, message, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(ValueError, match=message):
-        call()
-    assert not any(tmp_path.iterdir())
+    ]:
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(ValueError, match=message):
+            call()
+        assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.usefixtures("unchecked_types")

@@ -202,9 +202,8 @@ def test_player_plays_pauses_slides_and_repeats(tmp_path):
     np.testing.assert_allclose(reports, [0, 0.25, 1, 1, 0.05, 0.05, 0.5, 0.6], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_wrong_arguments_raise():
+    for arguments, message in [
         ({"path": PATH[:, 0]}, "A path must have shape"),
         ({"path": PATH[:1]}, "path must move a robot .* got 1 step"),
         ({"path": PATH[[0, 0]]}, "path must move a robot .* got 2 step"),
@@ -213,11 +212,9 @@ def test_player_plays_pauses_slides_and_repeats(tmp_path):
         ({"seconds": float("inf")}, "seconds must be a positive finite number"),
         ({"frames_per_second": 0}, "frames_per_second must be above 0 and at most 50"),
         ({"frames_per_second": 60}, "frames_per_second must be above 0 and at most 50"),
-    ],
-)
-def test_wrong_arguments_raise(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        plot.animate(TEAM, **({"path": PATH} | arguments))
+    ]:
+        with pytest.raises(ValueError, match=message):
+            plot.animate(TEAM, **({"path": PATH} | arguments))
 
 
 def test_other_endings_raise_and_write_nothing(tmp_path):

@@ -122,20 +122,17 @@ def test_samples_are_points_in_colors_of_robots():
     assert len(plot.plot_samples(TEAM, samples[:0]).collections[0].get_offsets()) == 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_wrong_arguments_raise():
+    for arguments, message in [
         ({"path": CORNER_PATH[0]}, "A path must have shape"),
         ({"path": np.full((2, 1, 2), np.nan)}, "A path must be finite, got .* in step 0"),
         ({"begin": 0.5, "end": 0.5}, "begin and end must be shares"),
         ({"begin": -0.1}, "begin and end must be shares"),
         ({"end": float("nan")}, "begin and end must be shares"),
         ({"num_poses": -1}, "num_poses must be at least 0"),
-    ],
-)
-def test_wrong_arguments_raise(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        plot.plot_path(CORNER, **({"path": CORNER_PATH} | arguments))
+    ]:
+        with pytest.raises(ValueError, match=message):
+            plot.plot_path(CORNER, **({"path": CORNER_PATH} | arguments))
 
 
 def test_samples_of_other_shape_raise():

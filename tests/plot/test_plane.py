@@ -163,9 +163,8 @@ SOLID = ThreeCells(domain=Box((0, 0, 0), (1, 1, 1)))
 UNANSWERED_QUARTER = Workspace(((1, 0.5), (2, 1)))
 
 
-@pytest.mark.parametrize(
-    ("draw", "message"),
-    [
+def test_undrawable_input_raises():
+    for draw, message in [
         (lambda: plot.plot_cells(SOLID), "A picture has two axes, so at must fix 1 of 3 coordinates, got 0"),
         (lambda: plot.plot_contours(SOLID), "A picture has two axes, so at must fix 1 of 3 coordinates, got 0"),
         (lambda: plot.plot_surface(SOLID), "Only a 2-D PLR can be drawn as a surface, got one of 3"),
@@ -173,11 +172,9 @@ UNANSWERED_QUARTER = Workspace(((1, 0.5), (2, 1)))
         (lambda: plot.plot_contours(ThreeCells(), workspace=UNANSWERED_QUARTER), "no point in free space has"),
         (lambda: plot.plot_error(np.full((2, 2), np.nan), WORKSPACE), "no error is finite"),
         (lambda: plot.plot_error(np.ma.masked_less([[0.1]], 1), WORKSPACE), "numbers .*, and some are masked"),
-    ],
-)
-def test_undrawable_input_raises(draw, message):
-    with pytest.raises(ValueError, match=message):
-        draw()
+    ]:
+        with pytest.raises(ValueError, match=message):
+            draw()
 
 
 def test_saved_pictures_are_opaque_and_complete(tmp_path):

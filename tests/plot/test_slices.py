@@ -111,9 +111,8 @@ def test_error_grid_of_slice_is_drawn():
     assert labels(ax)[:2] == ("angle 1 (rad)", "angle 2 (rad)")
 
 
-@pytest.mark.parametrize(
-    ("draw", "message"),
-    [
+def test_wrong_arguments_raise():
+    for draw, message in [
         (lambda: plot.plot_contours(Sum(), at={2: 0.0, 1: 1.0}), "at must fix 1 of 3 coordinates, got 2"),
         (lambda: plot.plot_contours(Sum(), at={3: 0.0}), "at must map axes to coordinates"),
         (lambda: plot.plot_contours(Sum(), at={1: 5.0}), "at must lie in Box"),
@@ -122,11 +121,9 @@ def test_error_grid_of_slice_is_drawn():
         (lambda: plot.plot_contours(Sum(), at={2: 0.0}, space=BODY, workspace=ROOM), "either a workspace or a space"),
         (lambda: plot.plot_contours(Sum(), at={2: 0.0}, goal=(1, 1)), r"goal must be one point of shape \(3,\)"),
         (lambda: plot.plot_cells(Sum(), at={1: 1.0}, workspace=ROOM), "needs axes 0 and 1"),
-    ],
-)
-def test_wrong_arguments_raise(draw, message):
-    with pytest.raises(ValueError, match=message):
-        draw()
+    ]:
+        with pytest.raises(ValueError, match=message):
+            draw()
 
 
 # --- slices side by side ----------------------------------------------------------------------------------
@@ -224,9 +221,8 @@ class Flat(Ramp):
 
 
 @pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("plr", "options", "message"),
-    [
+def test_wrong_arguments_of_slices_raise():
+    for plr, options, message in [
         (Flat(), {}, "three dimensions or more, got 2: use plot_contours"),
         (Ramp(), {"axis": 3}, "axis must be below 3 and count at most 64, got 3 and 6"),
         (Ramp(), {"axis": -1}, "axis must be an integer >= 0, got -1"),
@@ -237,8 +233,6 @@ class Flat(Ramp):
         (Ramp(), {"goal": (1, 1)}, r"goal must be one point of shape \(3,\)"),
         (Turned(), {"at": {0: 1, 1: 0.5}, "space": LEFT}, "Expected a space of 5 dimensions, got 3"),
         (Ramp(), {"space": ClearanceSpace(Ramp.domain, lambda q: -np.ones(len(q)), 0)}, "There is nothing to draw"),
-    ],
-)
-def test_wrong_arguments_of_slices_raise(plr, options, message):
-    with pytest.raises(ValueError, match=message):
-        plot.slices(plr, **options)
+    ]:
+        with pytest.raises(ValueError, match=message):
+            plot.slices(plr, **options)

@@ -1,6 +1,5 @@
 """Workspaces from polygons in GeoJSON and in well-known text (WKT)."""
 
-import itertools
 import json
 import warnings
 
@@ -76,21 +75,21 @@ EMPTY = [
 ]
 
 
-@pytest.mark.parametrize("empty", [None, *EMPTY], ids=str)
-def test_empty_geometry_is_skipped(empty, tmp_path):
-    inside = {"type": "GeometryCollection", "geometries": [empty, polygon(TRIANGLE)]}
-    features = {"type": "FeatureCollection", "features": [None, feature(None), polygon(TRIANGLE)]}
-    for document in (inside, {"type": "Feature", "geometry": inside}, features):
-        assert scenes.read_geojson(written(tmp_path, document), polygons="free").free_space.area == 4.5
+def test_empty_geometry_is_skipped(tmp_path):
+    for empty in [None, *EMPTY]:
+        inside = {"type": "GeometryCollection", "geometries": [empty, polygon(TRIANGLE)]}
+        features = {"type": "FeatureCollection", "features": [None, feature(None), polygon(TRIANGLE)]}
+        for document in (inside, {"type": "Feature", "geometry": inside}, features):
+            assert scenes.read_geojson(written(tmp_path, document), polygons="free").free_space.area == 4.5
 
 
 FEATURES = {"type": "FeatureCollection"}
 
 
-@pytest.mark.parametrize("empty", [*EMPTY, feature(None), FEATURES | {"features": []}, FEATURES | {"features": None}])
-def test_file_without_polygons_raises(empty, tmp_path):
-    with pytest.raises(ValueError, match=r"a\.geojson: expected at least one polygon, got none"):
-        scenes.read_geojson(written(tmp_path, empty))
+def test_file_without_polygons_raises(tmp_path):
+    for empty in [*EMPTY, feature(None), FEATURES | {"features": []}, FEATURES | {"features": None}]:
+        with pytest.raises(ValueError, match=r"a\.geojson: expected at least one polygon, got none"):
+            scenes.read_geojson(written(tmp_path, empty))
 
 
 def test_empty_holes_and_altitudes_are_dropped(tmp_path):
@@ -116,9 +115,8 @@ POINTS = "at least 3 finite points"
 KEY = 'the file: expected a {} to have the key "{}", got only '.format
 
 
-@pytest.mark.parametrize(
-    ("document", "message"),
-    [
+def test_broken_geojson_raises(tmp_path):
+    for document, message in [
         ("[" * 10**5, "expected JSON"),
         ([1], "expected GeoJSON"),
         ({"type": "Topology"}, "expected GeoJSON"),
@@ -145,12 +143,9 @@ KEY = 'the file: expected a {} to have the key "{}", got only '.format
         (collection(TABLE, bbox=["0", 0, 1, 1]), '"bbox" to be 4 finite numbers'),
         (collection(TABLE), "no free space: .* bounding box .*: give larger bounds .* a \"bbox\".* polygons='free'"),
         (collection(TABLE, bbox=[2, 2, 4, 5]), "no free space: the obstacles cover its bounds.$"),
-    ],
-    ids=itertools.count(),
-)
-def test_broken_geojson_raises(document, message, tmp_path):
-    with pytest.raises(ValueError, match=rf"(?s)^\S*a\.geojson: .*{message}"):
-        scenes.read_geojson(written(tmp_path, document))
+    ]:
+        with pytest.raises(ValueError, match=rf"(?s)^\S*a\.geojson: .*{message}"):
+            scenes.read_geojson(written(tmp_path, document))
 
 
 def test_unknown_kind_of_polygons_raises(tmp_path, unchecked_types):
@@ -165,9 +160,8 @@ ROOM = "((0 0, 10 0, 10 8, 0 8, 0 0), (2 2, 4 2, 4 5, 2 5, 2 2))"
 HALLWAY = "((10 3, 12 3, 12 4, 10 4, 10 3))"
 
 
-@pytest.mark.parametrize(
-    ("text", "area"),
-    [
+def test_polygons_in_wkt_are_free_space(tmp_path):
+    for text, area in [
         (f"polygon{ROOM}\n\n", 74),
         (f"MULTIPOLYGON (EMPTY, {ROOM}, {HALLWAY})", 76),
         (f"MULTIPOLYGON ({ROOM}, ((5 5, 7 5, 7 7, 5 7, 5 5)))", 74),  # which overlap
@@ -180,13 +174,11 @@ HALLWAY = "((10 3, 12 3, 12 4, 10 4, 10 3))"
         ("polygonz((0 0, 3 0 inf,3 3\t1 2 , 0 0 nan))", 4.5),
         ("MULTIPOLYGON (((0 0, 3 0, 3 3, 0 0)), ((6 6 1, 8 6 1, 8 8 1, 6 6 1)))", 6.5),
         ("GEOMETRYCOLLECTION Z (POLYGON M EMPTY, POLYGON ((0 0, 3 0, 3 3, 0 0)), POINT Z EMPTY)", 4.5),
-    ],
-)
-def test_polygons_in_wkt_are_free_space(text, area, tmp_path):
-    path = written(tmp_path, text, "a.wkt")
-    assert scenes.read_workspace(path).free_space.area == pytest.approx(area, abs=1e-12)
-    around = scenes.read_wkt(path, polygons="obstacles", bounds=((-5, -5), (15, 15)))
-    assert around.free_space.area == pytest.approx(400 - area, abs=1e-12)
+    ]:
+        path = written(tmp_path, text, "a.wkt")
+        assert scenes.read_workspace(path).free_space.area == pytest.approx(area, abs=1e-12)
+        around = scenes.read_wkt(path, polygons="obstacles", bounds=((-5, -5), (15, 15)))
+        assert around.free_space.area == pytest.approx(400 - area, abs=1e-12)
 
 
 def test_published_walkable_area_is_read(data_dir):
@@ -196,9 +188,8 @@ def test_published_walkable_area_is_read(data_dir):
     np.testing.assert_allclose([*workspace.bounds.lo, *workspace.bounds.hi], expected.bounds)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_broken_wkt_raises(tmp_path):
+    for text, message in [
         ("", "expected one geometry in WKT"),
         ("POLYGON EMPTY", "expected at least one polygon, got none"),
         ("POLYGON ((0 0, 1 0, 1 1))", "expected one geometry in WKT, .*closed"),
@@ -211,9 +202,6 @@ def test_published_walkable_area_is_read(data_dir):
         ("POLYGON ((0 0, 1e999 0, 1 1, 0 0))", "polygon 0 must have finite coordinates"),
         ("POLYGON ((0 0, 2 2, 2 0, 0 2, 0 0))", "polygon 0 is not a simple polygon"),
         (f"GEOMETRYCOLLECTION (POLYGON {HALLWAY}, POINT (1 1))", "polygon 1 must be a polygon, got a Point"),
-    ],
-    ids=itertools.count(),
-)
-def test_broken_wkt_raises(text, message, tmp_path):
-    with pytest.raises(ValueError, match=rf"(?s)^\S*a\.wkt: .*{message}"):
-        scenes.read_wkt(written(tmp_path, text, "a.wkt"))
+    ]:
+        with pytest.raises(ValueError, match=rf"(?s)^\S*a\.wkt: .*{message}"):
+            scenes.read_wkt(written(tmp_path, text, "a.wkt"))

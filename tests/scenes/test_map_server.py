@@ -48,9 +48,8 @@ def test_yaw_turns_map_about_corner(tmp_path):
     assert scenes.read_map_server(path).free_space.equals(expected.free_space)
 
 
-@pytest.mark.parametrize(
-    ("change", "pixels"),
-    [
+def test_pixels_below_free_threshold_are_free(tmp_path):
+    for change, pixels in [
         (("negate: 0", "negate: 1"), 1),  # the black one
         (("negate: 0", "negate: true"), 1),
         (("free_thresh: 0.196", "free_thresh: 0.197"), 8),  # 205 is (255 - 205) / 255 = 0.19608
@@ -58,10 +57,8 @@ def test_yaw_turns_map_about_corner(tmp_path):
         (("negate: 0\n", ""), 7),
         ((", 0.0]", "]"), 7),
         (("0.196", "0.196\nmode: scale"), 7),
-    ],
-)
-def test_pixels_below_free_threshold_are_free(change, pixels, tmp_path):
-    assert num_free(written(tmp_path, YAML.replace(*change))) == pixels
+    ]:
+        assert num_free(written(tmp_path, YAML.replace(*change))) == pixels
 
 
 def test_raw_pixels_are_percents(tmp_path):
@@ -71,9 +68,8 @@ def test_raw_pixels_are_percents(tmp_path):
     assert num_free(path, unknown_is_free=True) == 6  # all but 100 and 65 is none above 0.65
 
 
-@pytest.mark.parametrize(
-    ("pixel", "mode", "negate", "value"),
-    [
+def test_alpha_counts_by_mode(tmp_path):
+    for pixel, mode, negate, value in [
         # Trinary: occupancy is 1 - (red + green + blue + alpha) / 1020.
         ((200, 200, 200, 255), "trinary", 0, 0),  # 0.162; 0.216 without alpha
         ((180, 180, 180, 255), "trinary", 0, -1),  # 0.221
@@ -90,21 +86,19 @@ def test_raw_pixels_are_percents(tmp_path):
         ((200, 200, 200, 255), "scale", 0, 4),  # (0.2157 - 0.196) / (0.65 - 0.196) * 100 = 4.3
         ((255, 255, 255, 254), "scale", 0, -1),
         ((40, 40, 40, 0), "raw", 0, 40),
-    ],
-)
-def test_alpha_counts_by_mode(pixel, mode, negate, value, tmp_path):
-    yaml = YAML.replace("negate: 0", f"negate: {negate}\nmode: {mode}")
-    pixels = np.full((1, 2, len(pixel)), pixel, np.uint8)
-    background = 0 if mode == "raw" or negate else 255  # a free pixel
-    pixels[0, 1] = [*[background] * 3, 255 * (not negate)][: len(pixel)]
-    path = written(tmp_path, yaml, pixels)
-    assert num_free(path) == 1 + (value == 0)
-    assert num_free(path, unknown_is_free=True) == 1 + (value <= 65)
-    costs = scenes.read_cost_map(path, cost_travel_multiplier=252).values[0, 0] - 1  # of bytes, inf where blocked
-    if value in (-1, 100):
-        assert costs == np.inf
-    else:
-        np.testing.assert_allclose(costs, np.interp(value, (0, 1, 98), (0, 1, 252)))
+    ]:
+        yaml = YAML.replace("negate: 0", f"negate: {negate}\nmode: {mode}")
+        pixels = np.full((1, 2, len(pixel)), pixel, np.uint8)
+        background = 0 if mode == "raw" or negate else 255  # a free pixel
+        pixels[0, 1] = [*[background] * 3, 255 * (not negate)][: len(pixel)]
+        path = written(tmp_path, yaml, pixels)
+        assert num_free(path) == 1 + (value == 0)
+        assert num_free(path, unknown_is_free=True) == 1 + (value <= 65)
+        costs = scenes.read_cost_map(path, cost_travel_multiplier=252).values[0, 0] - 1  # of bytes, inf where blocked
+        if value in (-1, 100):
+            assert costs == np.inf
+        else:
+            np.testing.assert_allclose(costs, np.interp(value, (0, 1, 98), (0, 1, 252)))
 
 
 def grid_of(path):
@@ -145,9 +139,8 @@ def test_raw_cost_map_has_percents_without_thresholds(tmp_path):
     np.testing.assert_array_equal(scenes.read_cost_map(path).free, [[1, 1, 1, 1, 0, 0, 0, 0]])
 
 
-@pytest.mark.parametrize(
-    ("yaml", "message"),
-    [
+def test_broken_map_raises(tmp_path):
+    for yaml, message in [
         ("", "missing image, resolution, origin"),
         ("image: a.pgm\norigin: [0, 0, 0]", "expected the keys image, resolution, origin; missing resolution"),
         ("[1, 2]", "missing image"),
@@ -165,12 +158,9 @@ def test_raw_cost_map_has_percents_without_thresholds(tmp_path):
         (YAML.replace("map.png", "''"), "image must be the name of a picture, got ''"),
         (YAML.replace("map.png", ".."), "image must be the name of a picture, got '..'"),
         (YAML.replace("map.png", "map.yaml"), "expected a picture"),
-    ],
-    ids=range(17),
-)
-def test_broken_map_raises(yaml, message, tmp_path):
-    with pytest.raises(ValueError, match=rf"(?s)^\S*map\.yaml: .*{message}"):
-        scenes.read_map_server(written(tmp_path, yaml))
+    ]:
+        with pytest.raises(ValueError, match=rf"(?s)^\S*map\.yaml: .*{message}"):
+            scenes.read_map_server(written(tmp_path, yaml))
 
 
 def test_missing_picture_raises(tmp_path):
@@ -178,14 +168,11 @@ def test_missing_picture_raises(tmp_path):
         scenes.read_map_server(written(tmp_path, YAML.replace("map.png", "none.png")))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_broken_cost_map_raises(tmp_path):
+    for change, message in [
         (("0.0]", "0.3]"), "expected an origin with yaw 0 for a raster, got 0.3: rotate the picture"),
         (("0.5", "1e-300"), "resolution must be at least 1.6e-11 at coordinates up to 2"),
         (("0.65", "-1"), "leave a cell that is not blocked"),
-    ],
-)
-def test_broken_cost_map_raises(change, message, tmp_path):
-    with pytest.raises(ValueError, match=rf"(?s)^\S*map\.yaml: .*{message}"):
-        scenes.read_cost_map(written(tmp_path, YAML.replace(*change)))
+    ]:
+        with pytest.raises(ValueError, match=rf"(?s)^\S*map\.yaml: .*{message}"):
+            scenes.read_cost_map(written(tmp_path, YAML.replace(*change)))

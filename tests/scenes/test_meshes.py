@@ -90,9 +90,8 @@ def test_obj_in_other_encoding_is_read_without_named_files(tmp_path):
 
 
 @pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_wrong_options_raise(tmp_path):
+    for options, message in [
         ({}, "expected a pitch, the side of a voxel, for a mesh"),
         ({"pitch": 0}, "pitch must be a positive finite number, got 0"),
         ({"pitch": 1e-3}, r"at most 16,777,216 voxels, got 4000 x 4000 x 4000: give a larger pitch"),
@@ -101,12 +100,10 @@ def test_obj_in_other_encoding_is_read_without_named_files(tmp_path):
         ({"pitch": 1, "bounds": 3}, r"bounds must be a Box or its corners \(lo, hi\), got 3"),
         ({"pitch": 1e-10, "bounds": ((0, 0, 0), (1e-9, 1e-9, 1e-9))}, "triangles within 1,073,741,824 voxels"),
         ({"pitch": 4}, "at least one free voxel"),
-    ],
-)
-def test_wrong_options_raise(options, message, tmp_path):
-    room = obj_of(box((0, 0, 0), (4, 4, 4)))
-    with pytest.raises(ValueError, match=rf"room\.obj: .*{message}"):
-        read(tmp_path, room, "room.obj", **{"pitch": None, "fill": True} | options)
+    ]:
+        room = obj_of(box((0, 0, 0), (4, 4, 4)))
+        with pytest.raises(ValueError, match=rf"room\.obj: .*{message}"):
+            read(tmp_path, room, "room.obj", **{"pitch": None, "fill": True} | options)
 
 
 def test_too_many_met_voxels_raise(monkeypatch):
@@ -244,9 +241,8 @@ def test_ply_elements_may_be_reordered_or_empty(tmp_path):
     np.testing.assert_array_equal(free, read(tmp_path, obj_of(triangle), "b.obj"))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
+def test_broken_ply_raises(tmp_path):
+    for change, message in [
         ((b"format ascii", b"format binary_middle_endian"), "expected a mesh"),
         ((b"element face 11", b"element face -1"), "element 'face' cannot have -1 rows"),
         ((b"element face 11", b"element face 99"), "expected a mesh"),
@@ -258,14 +254,11 @@ def test_ply_elements_may_be_reordered_or_empty(tmp_path):
         ((b"\n3 0 1 2", b"\n3.7 0 1 2"), "a list cannot have 3.7 entries"),
         ((b"\n3 0 1 2", b"\n3 0 1 x"), "expected a mesh"),
         ((b"property double x", b"property double u"), "expected a mesh"),
-    ],
-    ids=range(11),
-)
-def test_broken_ply_raises(change, message, tmp_path):
-    data = ply_of(MIXED, "ascii")
-    assert change[0] in data
-    with pytest.raises(ValueError, match=rf"room\.ply: .*{message}"):
-        read(tmp_path, data.replace(*change), "room.ply", **AROUND)
+    ]:
+        data = ply_of(MIXED, "ascii")
+        assert change[0] in data
+        with pytest.raises(ValueError, match=rf"room\.ply: .*{message}"):
+            read(tmp_path, data.replace(*change), "room.ply", **AROUND)
 
 
 def test_obj_indices_count_from_one_or_backward(tmp_path):

@@ -107,9 +107,8 @@ GRAYS = np.array([0, 1000, 40_000, 65_535])
 ROW_16 = b"\0" + GRAYS.astype(">u2").tobytes()
 
 
-@pytest.mark.parametrize(
-    ("bits", "row", "clear", "free"),
-    [
+def test_transparent_gray_lies_on_white(tmp_path):
+    for bits, row, clear, free in [
         (1, b"\0\x50", (0,), [1, 1, 1, 1]),
         (1, b"\0\x50", (1,), [0, 1, 0, 1]),
         (2, b"\0\x1b", (0,), [1, 0, 1, 1]),
@@ -120,11 +119,9 @@ ROW_16 = b"\0" + GRAYS.astype(">u2").tobytes()
         (16, ROW_16, (), [0, 0, 1, 1]),
         (16, ROW_16, (1000,), [0, 1, 1, 1]),
         (16, ROW_16, (0,), [1, 0, 1, 1]),
-    ],
-)
-def test_transparent_gray_lies_on_white(bits, row, clear, free, tmp_path):
-    (tmp_path / "a.png").write_bytes(png(4, 1, row, bits, transparent=clear))
-    assert_free(tmp_path / "a.png", [free])
+    ]:
+        (tmp_path / "a.png").write_bytes(png(4, 1, row, bits, transparent=clear))
+        assert_free(tmp_path / "a.png", [free])
 
 
 def test_transparent_color_of_16_bits_raises(tmp_path):
@@ -145,9 +142,8 @@ def test_gray_tiff_is_read(tmp_path):
         assert_free(tmp_path / "a.tif", [[0, 0, 1, 1]])
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
+def test_tiff_of_other_numbers_raises(tmp_path):
+    for data in [
         tiff(GRAYS.astype("<u4"), 32),
         tiff(GRAYS.astype("<i4"), 32, 2),
         tiff(np.array([0, -5, 1000, 32767], "<i2"), 16, 2),
@@ -155,14 +151,13 @@ def test_gray_tiff_is_read(tmp_path):
         tiff(GRAYS.astype("<u2"), 16, photometric=0),
         tiff(np.array([0, 15, 255, 128, 15, 255], np.uint8), 12),
         tiff(np.array([0, 0.5, 1], "<f4"), 32, 3),
-    ],
-    ids=["u32", "i32", "i16", "i8", "white is 0", "u12", "f32"],
-)
-def test_tiff_of_other_numbers_raises(data, tmp_path):
-    (tmp_path / "a.tif").write_bytes(data)
-    expected = "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels"
-    with pytest.raises(ValueError, match=rf"a\.tif: {expected}: save it in 8 bits .*; scenes\.read_cost_map"):
-        scenes.read_image(tmp_path / "a.tif")
+    ]:
+        (tmp_path / "a.tif").write_bytes(data)
+        expected = (
+            "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels"
+        )
+        with pytest.raises(ValueError, match=rf"a\.tif: {expected}: save it in 8 bits .*; scenes\.read_cost_map"):
+            scenes.read_image(tmp_path / "a.tif")
 
 
 def test_cost_map_of_64_bit_floats_raises(tmp_path):
@@ -172,9 +167,8 @@ def test_cost_map_of_64_bit_floats_raises(tmp_path):
         scenes.read_cost_map(tmp_path / "a.tif")
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
+def test_broken_picture_raises(tmp_path):
+    for name, content, message in [
         ("a.png", b"", "expected a picture"),
         ("a.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "expected a picture"),  # by Ghostscript
         ("a.png", png(4, 4, bytes(20))[:40], "damaged|expected a picture"),
@@ -188,13 +182,10 @@ def test_cost_map_of_64_bit_floats_raises(tmp_path):
         ("a.pgm", b"P5 -4 4 255\nabc", "expected a picture"),
         ("a.pgm", b"P2 2 2 255\n1 2 3 x", "damaged"),
         ("a.png", png(4, 4, bytes(20)), "No pixel of 4 x 4 is free"),
-    ],
-    ids=range(13),
-)
-def test_broken_picture_raises(name, content, message, tmp_path):
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(ValueError, match=rf"^\S*{name}: .*({message})"):
-        scenes.read_image(tmp_path / name)
+    ]:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ValueError, match=rf"^\S*{name}: .*({message})"):
+            scenes.read_image(tmp_path / name)
 
 
 def test_missing_picture_raises(tmp_path):

@@ -9,25 +9,21 @@ SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
 HOLE = [[1, 1], [1, 2], [2, 2], [2, 1]]
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
+def test_polygons_of_every_form_are_free_space(tmp_path):
+    for data in [
         {"components": [{"outer": SQUARE, "holes": [HOLE]}], "source": "ignored"},
         {"outer": SQUARE, "holes": [HOLE]},
         {"boundary": SQUARE, "holes": [HOLE]},
         {"outer": SQUARE},
-    ],
-)
-def test_polygons_of_every_form_are_free_space(data, tmp_path):
-    (tmp_path / "map.json").write_text(json.dumps(data))
-    workspace = scenes.read_polygons(tmp_path / "map.json")
-    assert shapely.equals(workspace.free_space, shapely.Polygon(SQUARE, [HOLE][: len(data) - 1]))
-    assert scenes.read_polygons(tmp_path / "map.json", squeeze=True).squeeze
+    ]:
+        (tmp_path / "map.json").write_text(json.dumps(data))
+        workspace = scenes.read_polygons(tmp_path / "map.json")
+        assert shapely.equals(workspace.free_space, shapely.Polygon(SQUARE, [HOLE][: len(data) - 1]))
+        assert scenes.read_polygons(tmp_path / "map.json", squeeze=True).squeeze
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_broken_polygons_raise(tmp_path):
+    for text, message in [
         ("[1, 2", "expected JSON"),
         ("[1, 2]", 'expected {"components"'),
         ('{"holes": []}', 'expected {"components"'),
@@ -40,13 +36,11 @@ def test_polygons_of_every_form_are_free_space(data, tmp_path):
         ('{"outer": [[0, 0], [4, 4], [4, 0], [0, 4]]}', "."),
         ('{"outer": [[0, 0], [4, NaN], [4, 0]]}', "."),
         ('{"outer": "ring"}', "."),
-    ],
-)
-def test_broken_polygons_raise(text, message, tmp_path):
-    path = tmp_path / "broken.json"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=rf"broken\.json: .*{message}"):
-        scenes.read_polygons(path)
+    ]:
+        path = tmp_path / "broken.json"
+        path.write_text(text)
+        with pytest.raises(ValueError, match=rf"broken\.json: .*{message}"):
+            scenes.read_polygons(path)
 
 
 def test_published_extremitypathfinder_map(data_dir):

@@ -145,19 +145,16 @@ def test_perturbed_moves_only_starts_and_goals(make):
     assert len({(variant.starts.tobytes(), variant.goals.tobytes()) for variant in variants}) == 2
 
 
-@pytest.mark.parametrize(
-    ("make", "arguments", "message"),
-    [
+@pytest.mark.usefixtures("unchecked_types")
+def test_wrong_arguments_raise():
+    for make, arguments, message in [
         (scenes.door, [(number,) for number in (0, 1, 3, 52, 2.0, True, "2")], "num_robots must be an"),
         (scenes.crowd, [(number,) for number in (0, -1, 2.5, True)], "num_robots must be an integer"),
         (scenes.crowd, [(3, seed) for seed in (-1, 1.5, "a")], "seed must be an integer"),
         (scenes.four_rooms, [(0,), (1,), (5,), (-3,)], "must have 2, 3, 4, 8 robots"),
         (scenes.cross, [(0,), (1,), (5,), (-3,)], "must have 2, 3 robots"),
         (scenes.perturbed, [(scenes.cross(2), 0, each) for each in (0, -1.0, np.inf)], "distance must be a positive"),
-    ],
-)
-@pytest.mark.usefixtures("unchecked_types")
-def test_wrong_arguments_raise(make, arguments, message):
-    for each in arguments:
-        with pytest.raises(ValueError, match=message):
-            make(*each)
+    ]:
+        for each in arguments:
+            with pytest.raises(ValueError, match=message):
+                make(*each)

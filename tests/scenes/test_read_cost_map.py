@@ -27,24 +27,20 @@ def geo(scale, row, column, x, y, **tags):
     return {"scale": (*scale, 0.0), "tie": (row, column, 0.0, x, y, 0.0), **tags}
 
 
-@pytest.mark.parametrize(
-    ("tags", "lo", "hi"),
-    [
+def test_tiff_of_floats_lies_where_tags_say(tmp_path):
+    for tags, lo, hi in [
         ({}, (0, 0), (3, 2)),
         ({"scale": (0.5, 0.5, 0.0)}, (0, 0), (1.5, 1)),
         (geo((0.5, 0.25), 0.0, 0.0, 1e5, 5e6), (1e5, 5e6 - 0.5), (1e5 + 1.5, 5e6)),
         (geo((2.0, 2.0), 1.0, 1.0, 10.0, 20.0), (8, 18), (14, 22)),
         (geo((2.0, 2.0), 0.0, 0.0, 10.0, 20.0, keys=PIXEL_IS_POINT), (9, 17), (15, 21)),
         (geo((2.0, 2.0), 0.0, 0.0, 10.0, 20.0, keys=PIXEL_IS_AREA), (10, 16), (16, 20)),
-    ],
-    ids=range(6),
-)
-def test_tiff_of_floats_lies_where_tags_say(tags, lo, hi, tmp_path):
-    cost = scenes.read_cost_map(tiff(tmp_path, **tags), interpolation="nearest")
-    np.testing.assert_array_equal(cost.values, FACTORS[::-1])
-    np.testing.assert_array_equal([cost.domain.lo, cost.domain.hi], [lo, hi])
-    centers = np.array([(0.5, 0.75), (5 / 6, 0.75), (1 / 6, 0.25), (5 / 6, 0.25)])  # as shares of the width
-    np.testing.assert_array_equal(cost(lo + centers * np.subtract(hi, lo)), [2.5, 3, 4, 0.5])
+    ]:
+        cost = scenes.read_cost_map(tiff(tmp_path, **tags), interpolation="nearest")
+        np.testing.assert_array_equal(cost.values, FACTORS[::-1])
+        np.testing.assert_array_equal([cost.domain.lo, cost.domain.hi], [lo, hi])
+        centers = np.array([(0.5, 0.75), (5 / 6, 0.75), (1 / 6, 0.25), (5 / 6, 0.25)])  # as shares of the width
+        np.testing.assert_array_equal(cost(lo + centers * np.subtract(hi, lo)), [2.5, 3, 4, 0.5])
 
 
 def test_coordinates_in_degrees_warn(tmp_path):
@@ -67,9 +63,8 @@ def test_tiff_of_integers_is_read(kind, tmp_path):
     np.testing.assert_array_equal(cost.values, [[np.inf, 7], [1, 300]])
 
 
-@pytest.mark.parametrize(
-    ("factors", "tags", "message"),
-    [
+def test_broken_tiff_raises(tmp_path):
+    for factors, tags, message in [
         (np.zeros((2, 3), np.uint8), {}, "expected a TIFF of one channel of .*, got a picture of mode L"),
         (np.zeros((2, 3), np.float32), {}, r"values must be from 1e-30 to 1e\+30"),
         (-FACTORS, {}, "got -"),
@@ -80,12 +75,9 @@ def test_tiff_of_integers_is_read(kind, tmp_path):
         (FACTORS, geo((1e-9, 1e-9), 0.0, 0.0, 1e6, 1e6), "resolution must be at least"),
         (np.full((2, 2), 7, np.float32), {"nodata": "7"}, "leave a cell that is not blocked"),
         (FACTORS, {"nodata": "none"}, "could not convert string to float: 'none'"),
-    ],
-    ids=range(10),
-)
-def test_broken_tiff_raises(factors, tags, message, tmp_path):
-    with pytest.raises(ValueError, match=rf"(?s)^\S*a\.tif: .*{message}"):
-        scenes.read_cost_map(tiff(tmp_path, factors, **tags))
+    ]:
+        with pytest.raises(ValueError, match=rf"(?s)^\S*a\.tif: .*{message}"):
+            scenes.read_cost_map(tiff(tmp_path, factors, **tags))
 
 
 def test_tiff_refuses_options_of_map_server(tmp_path):

@@ -54,10 +54,10 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(("text", "message"), BROKEN)
-def test_broken_list_raises(text, message, tmp_path):
-    with pytest.raises(ValueError, match=f"broken.3dmap: .*{message}"):
-        read_list(tmp_path / "broken.3dmap", text)
+def test_broken_list_raises(tmp_path):
+    for text, message in BROKEN:
+        with pytest.raises(ValueError, match=f"broken.3dmap: .*{message}"):
+            read_list(tmp_path / "broken.3dmap", text)
 
 
 WRONG = {
@@ -73,11 +73,11 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize(("array", "message"), WRONG.values(), ids=WRONG)
-def test_other_array_raises(array, message, tmp_path):
-    np.save(tmp_path / "wrong.npy", array, allow_pickle=True)
-    with pytest.raises(ValueError, match=f"wrong.npy: .*({message})"):
-        scenes.read_volume(tmp_path / "wrong.npy")
+def test_other_array_raises(tmp_path):
+    for array, message in WRONG.values():
+        np.save(tmp_path / "wrong.npy", array, allow_pickle=True)
+        with pytest.raises(ValueError, match=f"wrong.npy: .*({message})"):
+            scenes.read_volume(tmp_path / "wrong.npy")
 
 
 def test_damaged_array_raises(tmp_path):
@@ -94,17 +94,14 @@ def test_damaged_array_raises(tmp_path):
 
 
 @pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
+def test_options_of_meshes_raise_for_other_files(tmp_path):
+    for name, options, message in [
         ("volume.vox", {}, r"ends in one of \.npy, \.3dmap, \.stl, \.obj, \.ply"),
         ("volume.npy", {"pitch": 1.0}, "pitch, bounds and fill are for meshes"),
         ("volume.npy", {"bounds": ((0, 0), (1, 1))}, "pitch, bounds and fill are for meshes"),
         ("volume.npy", {"fill": False}, "pitch, bounds and fill are for meshes"),
         ("volume.npy", {"fill": 1}, "fill must be True or False, got 1"),
-    ],
-)
-def test_options_of_meshes_raise_for_other_files(name, options, message, tmp_path):
-    np.save(tmp_path / "volume.npy", np.ones(3, bool))
-    with pytest.raises(ValueError, match=message):
-        scenes.read_volume(tmp_path / name, **options)
+    ]:
+        np.save(tmp_path / "volume.npy", np.ones(3, bool))
+        with pytest.raises(ValueError, match=message):
+            scenes.read_volume(tmp_path / name, **options)
