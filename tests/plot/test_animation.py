@@ -87,16 +87,6 @@ def svg_in(page):
     return ElementTree.fromstring(re.search(r"<svg viewBox.*?</svg>", page, re.DOTALL).group(0))
 
 
-def test_page_holds_poses_and_times(tmp_path):
-    motion = motion_in(page_of(plot.animate(TEAM, PATH, seconds=5), tmp_path))
-    duration = 3 + 10 * TURN
-    assert motion["seconds"] == 5 and motion["duration"] == pytest.approx(duration)
-    np.testing.assert_allclose(motion["times"], [0, 3 / duration, 1], atol=1e-6)
-    assert motion["steps"][0] == [[1, 1], [1, 3, 3], [1, 5]]
-    assert motion["steps"][1] == [[4, 1], [1, 3, 3], [1, 5]]
-    np.testing.assert_allclose(motion["steps"][2][1], [1, 3, 3 + TURN], atol=1e-4)
-
-
 @pytest.mark.parametrize("scale", [1e-3, 1e6])
 def test_poses_are_exact_to_less_than_a_pixel(tmp_path, scale):
     goal = np.array([(0.123456789 * scale, 0.987654321 * scale)])

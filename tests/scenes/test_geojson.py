@@ -65,7 +65,6 @@ def test_every_geometry_is_read(geometry, tmp_path):
 
 TRIANGLE = [[0, 0], [3, 0], [3, 3], [0, 0]]  # of area 4.5
 EMPTY = [
-    polygon([], []),
     polygon(None),
     {"type": "Polygon", "coordinates": None},
     {"type": "MultiPolygon", "coordinates": [[], [[]], None]},
@@ -138,7 +137,6 @@ def test_broken_geojson_raises(tmp_path):
         ('{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 1], [1, 1]]]}', POINTS),
         ('{"type": "Polygon", "coordinates": [[[0, 0], [1e999, 1], [1, 1]]]}', POINTS),
         (polygon([[0, 0], [2, 2], [2, 0], [0, 2]]), "polygon is not a simple polygon"),
-        (polygon([[0, 0], [1, 1], [2, 2]]), "zero area"),
         (collection(TABLE, bbox=[1, 2]), '"bbox" to be 4 finite numbers'),
         (collection(TABLE, bbox=["0", 0, 1, 1]), '"bbox" to be 4 finite numbers'),
         (collection(TABLE), "no free space: .* bounding box .*: give larger bounds .* a \"bbox\".* polygons='free'"),
@@ -192,7 +190,6 @@ def test_broken_wkt_raises(tmp_path):
     for text, message in [
         ("", "expected one geometry in WKT"),
         ("POLYGON EMPTY", "expected at least one polygon, got none"),
-        ("POLYGON ((0 0, 1 0, 1 1))", "expected one geometry in WKT, .*closed"),
         ("POLYGON ((0 0, 1 0, 1 1 2 3 4, 0 0))", "expected one geometry in WKT"),
         (f"POLYGON {ROOM}\nPOLYGON {HALLWAY}", "Put several geometries into a GEOMETRYCOLLECTION"),
         ("SRID=4326;POLYGON ((0 0, 1 0, 1 1, 0 0))", "Unknown type: 'SRID=4326;POLYGON'"),
@@ -200,7 +197,6 @@ def test_broken_wkt_raises(tmp_path):
         ("GEOMETRYCOLLECTION (" * 33 + f"POLYGON {HALLWAY}" + ")" * 33, "at most 32 deep"),
         ("GEOMETRYCOLLECTION (" * 10**5 + ")" * 10**5, "at most 32 deep"),
         ("POLYGON ((0 0, 1e999 0, 1 1, 0 0))", "polygon 0 must have finite coordinates"),
-        ("POLYGON ((0 0, 2 2, 2 0, 0 2, 0 0))", "polygon 0 is not a simple polygon"),
         (f"GEOMETRYCOLLECTION (POLYGON {HALLWAY}, POINT (1 1))", "polygon 1 must be a polygon, got a Point"),
     ]:
         with pytest.raises(ValueError, match=rf"(?s)^\S*a\.wkt: .*{message}"):

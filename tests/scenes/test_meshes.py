@@ -73,16 +73,6 @@ def test_voxels_begin_at_lower_corner_of_bounds(tmp_path):
     assert corner_indices(~around) == ([1, 0, 1], [6, 4, 4])
 
 
-@pytest.mark.full  # imports trimesh
-@pytest.mark.parametrize("ending", ["obj", "stl", "ply"])
-def test_mesh_files_of_trimesh_are_read(ending, tmp_path):
-    trimesh = pytest.importorskip("trimesh")
-    room = box((-1, 0.1, 5), (1.1, 2, 6))
-    trimesh.Trimesh(**trimesh.triangles.to_kwargs(room)).export(tmp_path / f"room.{ending}")
-    free = scenes.read_volume(tmp_path / f"room.{ending}", pitch=0.25, fill=False)
-    np.testing.assert_array_equal(free, read(tmp_path, obj_of(room), "other.obj", pitch=0.25))
-
-
 def test_obj_in_other_encoding_is_read_without_named_files(tmp_path):
     (tmp_path / "walls.mtl").write_text("newmtl wall\nmap_Kd /dev/zero\n")
     head = "# Möbel\nmtllib walls.mtl\nusemtl wall\n".encode("latin-1")

@@ -37,44 +37,41 @@ def test_published_lists_are_read(data_dir):
         assert free.shape == tuple(map(int, sizes)) and free.any() and not free.all()
 
 
-BROKEN = [
-    ("", r"with first line 'voxel nx ny nz', got ''"),
-    ("voxel 2 2 2 2\n", "expected a list of voxels"),
-    ("voxel 2 -2 2\n", "expected a list of voxels"),
-    ("voxel 2 2.0 2\n", "expected a list of voxels"),
-    ("voxel 0 2 2\n", "expected one to 16,777,216 voxels in a file of this size, got 0 x 2 x 2"),
-    ("voxel 500 500 500\n0 0 0\n", "expected one to 16,777,216 voxels in a file of this size, got 500 x 500 x 500"),
-    ("voxel 2 2 2\n0 0\n", "expected a blocked voxel 'x y z' in each line, got '0 0'"),
-    ("voxel 2 2 2\n0 0 0\n0 1\n", "expected a blocked voxel 'x y z' in each line .*columns changed from 3 to 2"),
-    ("voxel 2 2 2\n0 0 a\n", "expected a blocked voxel 'x y z' in each line .*'a'"),
-    ("voxel 2 2 2\n0 0 2\n", r"within \(2, 2, 2\), got \[0.0, 0.0, 2.0\]"),
-    ("voxel 2 2 2\n0 -1 0\n", r"within \(2, 2, 2\), got \[0.0, -1.0, 0.0\]"),
-    ("voxel 2 2 2\n0 0.5 0\n", r"got \[0.0, 0.5, 0.0\]"),
-    ("voxel 1 1 1\n0 0 0\n", "at least one free voxel"),
-]
-
-
 def test_broken_list_raises(tmp_path):
-    for text, message in BROKEN:
+    for text, message in [
+        ("", r"with first line 'voxel nx ny nz', got ''"),
+        ("voxel 2 2 2 2\n", "expected a list of voxels"),
+        ("voxel 2 -2 2\n", "expected a list of voxels"),
+        ("voxel 2 2.0 2\n", "expected a list of voxels"),
+        ("voxel 0 2 2\n", "expected one to 16,777,216 voxels in a file of this size, got 0 x 2 x 2"),
+        (
+            "voxel 500 500 500\n0 0 0\n",
+            "expected one to 16,777,216 voxels in a file of this size, got 500 x 500 x 500",
+        ),
+        ("voxel 2 2 2\n0 0\n", "expected a blocked voxel 'x y z' in each line, got '0 0'"),
+        ("voxel 2 2 2\n0 0 0\n0 1\n", "expected a blocked voxel 'x y z' in each line .*columns changed from 3 to 2"),
+        ("voxel 2 2 2\n0 0 a\n", "expected a blocked voxel 'x y z' in each line .*'a'"),
+        ("voxel 2 2 2\n0 0 2\n", r"within \(2, 2, 2\), got \[0.0, 0.0, 2.0\]"),
+        ("voxel 2 2 2\n0 -1 0\n", r"within \(2, 2, 2\), got \[0.0, -1.0, 0.0\]"),
+        ("voxel 2 2 2\n0 0.5 0\n", r"got \[0.0, 0.5, 0.0\]"),
+        ("voxel 1 1 1\n0 0 0\n", "at least one free voxel"),
+    ]:
         with pytest.raises(ValueError, match=f"broken.3dmap: .*{message}"):
             read_list(tmp_path / "broken.3dmap", text)
 
 
-WRONG = {
-    "pickles": (np.array([None, 1]), "Python objects"),
-    "floats": (np.ones((2, 2)), "booleans, or integers 0 and 1, got other values or type, float64"),
-    "occupancy": (np.array([0, 100]), "got other values or type, int64"),
-    "negative": (np.array([0, -1]), "got other values or type, int64"),
-    "records": (np.ones(2, [("a", bool)]), "got other values or type"),
-    "no axis": (np.array(True), r"one to 4 axes .*shape \(\)"),
-    "five axes": (np.ones((1, 1, 1, 2, 1), bool), "one to 4 axes"),
-    "nothing": (np.zeros((0, 3), bool), "something else or a damaged file|one to 268,435,456 voxels"),
-    "all blocked": (np.zeros((2, 2), bool), "at least one free voxel"),
-}
-
-
 def test_other_array_raises(tmp_path):
-    for array, message in WRONG.values():
+    for array, message in [
+        (np.array([None, 1]), "Python objects"),
+        (np.ones((2, 2)), "booleans, or integers 0 and 1, got other values or type, float64"),
+        (np.array([0, 100]), "got other values or type, int64"),
+        (np.array([0, -1]), "got other values or type, int64"),
+        (np.ones(2, [("a", bool)]), "got other values or type"),
+        (np.array(True), r"one to 4 axes .*shape \(\)"),
+        (np.ones((1, 1, 1, 2, 1), bool), "one to 4 axes"),
+        (np.zeros((0, 3), bool), "something else or a damaged file|one to 268,435,456 voxels"),
+        (np.zeros((2, 2), bool), "at least one free voxel"),
+    ]:
         np.save(tmp_path / "wrong.npy", array, allow_pickle=True)
         with pytest.raises(ValueError, match=f"wrong.npy: .*({message})"):
             scenes.read_volume(tmp_path / "wrong.npy")
@@ -95,6 +92,7 @@ def test_damaged_array_raises(tmp_path):
 
 @pytest.mark.usefixtures("unchecked_types")
 def test_options_of_meshes_raise_for_other_files(tmp_path):
+    np.save(tmp_path / "volume.npy", np.ones(3, bool))
     for name, options, message in [
         ("volume.vox", {}, r"ends in one of \.npy, \.3dmap, \.stl, \.obj, \.ply"),
         ("volume.npy", {"pitch": 1.0}, "pitch, bounds and fill are for meshes"),
@@ -102,6 +100,5 @@ def test_options_of_meshes_raise_for_other_files(tmp_path):
         ("volume.npy", {"fill": False}, "pitch, bounds and fill are for meshes"),
         ("volume.npy", {"fill": 1}, "fill must be True or False, got 1"),
     ]:
-        np.save(tmp_path / "volume.npy", np.ones(3, bool))
         with pytest.raises(ValueError, match=message):
             scenes.read_volume(tmp_path / name, **options)
