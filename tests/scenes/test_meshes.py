@@ -154,9 +154,7 @@ def read(folder, data, name, **options):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize(
-    ("outline", "is_open"), [(DOOR, np.s_[4:6, 0:2]), (WINDOW, np.s_[4:6, 1:3])], ids=["door", "window"]
-)
+@pytest.mark.parametrize(("outline", "is_open"), [(DOOR, np.s_[4:6, 0:2]), (WINDOW, np.s_[4:6, 1:3])])
 def test_concave_faces_leave_openings_free(axis, outline, is_open, tmp_path):
     expected = np.zeros((10, 4), bool)
     expected[is_open] = True

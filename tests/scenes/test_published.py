@@ -11,17 +11,14 @@ FREE = [(0.72, 0.21), (0.26, 0.45), (0.64, 0.7), (0.81, 0.84), (0.43, 0.37), (0.
 BESIDE_THIN_WALLS = [(0.3, 0.2), (0.6, 0.44), (0.804, 0.6), (0.816, 0.6)]
 
 
-@pytest.mark.parametrize(
-    ("scene", "wall_area", "free"),
-    [
+def test_maze_walls_by_area_and_points():
+    for scene, wall_area, free in [
         (scenes.maze, 0.04 * (0.71 + 0.73 + 0.63 + 0.36 + 0.13 + 0.21), FREE),
         (scenes.thin_maze, 0.01 * (0.71 + 0.73 + 0.63 + 0.375 + 0.145 + 0.21), FREE + BESIDE_THIN_WALLS),
-    ],
-)
-def test_maze_walls_by_area_and_points(scene, wall_area, free):
-    workspace = scene().workspace
-    assert workspace.free_space.area == pytest.approx(1 - wall_area, abs=1e-9)
-    assert not workspace.is_free(np.array(BLOCKED)).any() and workspace.is_free(np.array(free)).all()
+    ]:
+        workspace = scene().workspace
+        assert workspace.free_space.area == pytest.approx(1 - wall_area, abs=1e-9)
+        assert not workspace.is_free(np.array(BLOCKED)).any() and workspace.is_free(np.array(free)).all()
 
 
 @pytest.mark.parametrize("scene", [scenes.maze, scenes.thin_maze])
@@ -68,21 +65,17 @@ TANGLE = union_of([(0, 0, 8, 0.9), (3.15, -1.38, 4.85, 2.28)])
 TANGLE_ENDS = [(1.2, 0.45, 0, 6.8, 0.45, 0), (6.8, 0.45, 0, 1.2, 0.45, 0)]
 
 
-@pytest.mark.parametrize(
-    ("problem", "free", "robot", "ends"),
-    [
+def test_scene_has_walls_robots_and_ends():
+    for problem, free, robot, ends in [
         (scenes.single_door(), DOORWAY, DiscRobot(0.4), [(2.13, 2.07, 8.21, 1.94)]),
         *[(scenes.four_rooms(n), FOUR_ROOMS, DiscRobot(0.4), FOUR_ENDS[:n]) for n in (2, 3, 4)],
         (scenes.four_rooms(8), FOUR_ROOMS, DiscRobot(0.4), EIGHT_ENDS),
         *[(scenes.cross(n), CROSS, DiscRobot(0.4), CROSS_ENDS[:n]) for n in (2, 3)],
         (scenes.tangle(), TANGLE, RectangleRobot(1.8, 0.5), TANGLE_ENDS),
-    ],
-    ids=range(8),
-)
-def test_scene_has_walls_robots_and_ends(problem, free, robot, ends):
-    assert shapely.symmetric_difference(problem.workspace.free_space, free).area < 1e-9
-    assert problem.robots == (robot,) * len(ends)
-    np.testing.assert_array_equal(np.concatenate([problem.starts, problem.goals], axis=1), ends)
+    ]:
+        assert shapely.symmetric_difference(problem.workspace.free_space, free).area < 1e-9
+        assert problem.robots == (robot,) * len(ends)
+        np.testing.assert_array_equal(np.concatenate([problem.starts, problem.goals], axis=1), ends)
 
 
 def test_floor_plan_by_area_perimeter_and_centroid():
@@ -127,10 +120,9 @@ def test_crowd_is_spread_without_overlaps(num_robots, seed):
         assert np.abs(np.concatenate([problem.starts, problem.goals]).mean(axis=0) / side - 0.5).max() < 0.1
 
 
-@pytest.mark.parametrize("make", [lambda: scenes.cross(3), scenes.tangle, scenes.maze])
-def test_perturbed_moves_only_starts_and_goals(make):
+@pytest.mark.parametrize(("make", "distance"), [(scenes.tangle, 0.1), (scenes.maze, 0.02)])
+def test_perturbed_moves_only_starts_and_goals(make, distance):
     problem = make()
-    distance = 0.02 if problem.workspace.bounds.width.max() == 1 else 0.1
     variants = [scenes.perturbed(problem, seed, distance) for seed in (0, 1, 1)]
     for variant in variants:
         assert (variant.workspace, variant.robots) == (problem.workspace, problem.robots)

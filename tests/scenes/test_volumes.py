@@ -9,16 +9,14 @@ def read_list(path, text):
     return scenes.read_volume(path)
 
 
-@pytest.mark.parametrize(
-    ("shape", "kind"), [((7,), bool), ((3, 4), np.uint8), ((2, 3, 4), ">i2"), ((2, 3, 2, 2), int)]
-)
-def test_arrays_of_booleans_or_integers_are_read(shape, kind, tmp_path):
-    free = np.random.default_rng(0).random(shape) < 0.7
-    for array in (free.astype(kind), np.asfortranarray(free.astype(kind))):
-        np.save(tmp_path / "volume.npy", array)
-        volume = scenes.read_volume(str(tmp_path / "volume.npy"))
-        np.testing.assert_array_equal(volume, free)
-        assert volume.dtype == bool and volume.flags["C_CONTIGUOUS"] and volume.flags["OWNDATA"]
+def test_arrays_of_booleans_or_integers_are_read(tmp_path):
+    for shape, kind in [((7,), bool), ((3, 4), np.uint8), ((2, 3, 4), ">i2"), ((2, 3, 2, 2), int)]:
+        free = np.random.default_rng(0).random(shape) < 0.7
+        for array in (free.astype(kind), np.asfortranarray(free.astype(kind))):
+            np.save(tmp_path / "volume.npy", array)
+            volume = scenes.read_volume(str(tmp_path / "volume.npy"))
+            np.testing.assert_array_equal(volume, free)
+            assert volume.dtype == bool and volume.flags["C_CONTIGUOUS"] and volume.flags["OWNDATA"]
 
 
 def test_lists_name_blocked_voxels(tmp_path):
