@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hostile_files import hostile
 from hostile_readers import READERS, Reader, corridor
+from PIL import Image
 
 from experiments._browser import IS_DRAWN, Browser, axe_core, chromium
 from plr_jax import PairPLR, VisibilityGraph, construct, construct_pairs, plot, scenes
@@ -150,6 +151,18 @@ def test_both_ends_of_pairs_can_be_dragged(functions, browser, tmp_path):
         return isFree ? Math.abs(values[j * view.columns + i] - shown().distance(at(0, 0), goal)) : 0; })""",
     )
     assert apart.max() < 0.02 and np.median(apart) < 1e-6
+
+
+def test_background_follows_theme(functions, browser, tmp_path):
+    backgrounds = []
+    for theme in ("light", "dark"):
+        browser.prefer(prefers_color_scheme=theme)
+        opened(browser, page_of(functions["cones"]), tmp_path)
+        browser.picture(tmp_path / "page.png")
+        with Image.open(tmp_path / "page.png") as image:
+            backgrounds.append(image.convert("L").getpixel((image.width - 20, 2)))
+    assert backgrounds[0] > 250 and backgrounds[1] < 40
+    browser.prefer(prefers_color_scheme="light")
 
 
 def test_chosen_file_is_opened(functions, browser, tmp_path):

@@ -203,7 +203,6 @@ def test_pictures_are_drawn_on_given_axes():
     flat, solid = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2, projection="3d")
     assert plot.plot_error(np.array([[0.1]]), WORKSPACE, flat) is flat
     assert flat.get_xlim() == (0, 2)
-    assert "x (workspace units)" in texts(flat)
     assert plot.plot_surface(ThreeCells(), solid) is solid
     assert len(figure.axes) == 3  # the two given and a color bar for the surface
     ax = plot.plot_contours(ThreeCells(), resolution=20)

@@ -102,8 +102,6 @@ def test_error_grid_of_slice_is_drawn():
     np.testing.assert_allclose(grid[free], 0.25)
     ax = plot.plot_error(grid, BODY, at={2: 0.0}, unit="s")
     assert labels(ax) == ("x (workspace units)", "y (workspace units)", "error $|L - V|$ (s)")
-    ax = plot.plot_error(metrics.error_grid(OfAngles(), OfAngles(), ARM, resolution=20), ARM)
-    assert labels(ax)[:2] == ("angle 1 (rad)", "angle 2 (rad)")
 
 
 def test_wrong_arguments_raise():

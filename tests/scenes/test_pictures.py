@@ -172,7 +172,6 @@ def test_broken_picture_raises(tmp_path):
         ("a.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "expected a picture"),  # by Ghostscript
         ("a.png", png(4, 4, bytes(20))[:40], "damaged|expected a picture"),
         ("a.png", png(4, 4, bytes(3)), "damaged"),
-        ("a.png", png(10**9, 1), "expected a picture"),
         ("a.png", png(40_000, 40_000), "expected a picture"),
         ("a.png", png(12_000, 8_000), "at most 16,777,216 pixels, 12,582,912 in color, got 12,000 x 8,000"),
         ("a.png", png(4_000, 4_000, kind=2), "at most 16,777,216 pixels, 12,582,912 in color, got 4,000 x 4,000"),

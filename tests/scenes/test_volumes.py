@@ -27,14 +27,6 @@ def test_lists_name_blocked_voxels(tmp_path):
     assert read_list(path, "voxel 4 3 2").all() and read_list(path, "voxel 1 1 1\n").all()
 
 
-def test_published_lists_are_read(data_dir):
-    paths = sorted(data_dir.rglob("*.3dmap"))
-    for path in paths or pytest.skip("third-party volumes: PLR_JAX_DATA holds no .3dmap"):
-        sizes = path.read_text().partition("\n")[0].split()[1:]
-        free = scenes.read_volume(path)
-        assert free.shape == tuple(map(int, sizes)) and free.any() and not free.all()
-
-
 def test_broken_list_raises(tmp_path):
     for text, message in [
         ("", r"with first line 'voxel nx ny nz', got ''"),
