@@ -188,7 +188,7 @@ def test_saved_pictures_are_opaque_and_complete(tmp_path):
     }
     assert dict(mpl.rcParams) == before
     for name, ax in pictures.items():
-        ax.figure.set_dpi(80)
+        ax.figure.set_dpi(60)
         plot.save(ax, tmp_path / "picture.png")
         pixels = imread(tmp_path / "picture.png")
         assert (pixels[..., 3:] == 1.0).all() and (pixels[0, 0] == 1.0).all()

@@ -192,13 +192,12 @@ def test_other_coordinates_of_more_dimensions_are_given():
 
 
 def test_saved_slices_have_white_rim(tmp_path):
-    for count in (1, 4):
-        panels = plot.slices(Ramp(), count=count, space=LEFT, goal=(1, 0.5, 2), resolution=30)
-        panels[-1].figure.set_dpi(60)
-        plot.save(panels[-1], tmp_path / "slices.png")
-        picture = imread(tmp_path / "slices.png")[..., :3]
-        rim = np.concatenate([picture[[0, -1]].reshape(-1, 3), picture[:, [0, -1]].reshape(-1, 3)])
-        assert (rim == 1).all() and picture.std() > 0.1
+    panels = plot.slices(Ramp(), count=3, space=LEFT, goal=(1, 0.5, 2), resolution=30)
+    panels[-1].figure.set_dpi(60)
+    plot.save(panels[-1], tmp_path / "slices.png")
+    picture = imread(tmp_path / "slices.png")[..., :3]
+    rim = np.concatenate([picture[[0, -1]].reshape(-1, 3), picture[:, [0, -1]].reshape(-1, 3)])
+    assert (rim == 1).all() and picture.std() > 0.1
 
 
 class Flat(Ramp):
