@@ -79,7 +79,7 @@ def test_numbers_of_any_type_in_range_pass():
     assert _arrays.as_number("limit", np.inf, "positive", lambda limit: limit > 0) == np.inf
 
 
-def test_padded_size_is_given_size_or_power_of_two():
+def test_padded_size_is_given_or_power_of_two():
     assert [_arrays.padded_size(n, ()) for n in (0, 1, 3, 4, 5)] == [1, 1, 4, 4, 8]
     assert [_arrays.padded_size(n, (1, 6)) for n in (0, 2, 7)] == [1, 6, 8]
 

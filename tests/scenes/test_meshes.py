@@ -73,7 +73,7 @@ def test_voxels_begin_at_lower_corner_of_bounds(tmp_path):
     assert corner_indices(~around) == ([1, 0, 1], [6, 4, 4])
 
 
-def test_obj_in_other_encoding_is_read_without_named_files(tmp_path):
+def test_obj_does_not_load_files_it_names(tmp_path):
     (tmp_path / "walls.mtl").write_text("newmtl wall\nmap_Kd /dev/zero\n")
     head = "# Möbel\nmtllib walls.mtl\nusemtl wall\n".encode("latin-1")
     assert read(tmp_path, head + obj_of(box((0, 0, 0), (4, 4, 4))), "room.obj").sum() == 8
