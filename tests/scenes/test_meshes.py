@@ -73,6 +73,26 @@ def test_voxels_begin_at_lower_corner_of_bounds(tmp_path):
     assert corner_indices(~around) == ([1, 0, 1], [6, 4, 4])
 
 
+def test_stl_is_read_as_binary_or_text(tmp_path):
+    binary, text = stl_files()
+    expected = read(tmp_path, binary, "a.stl", pitch=0.25)
+    assert expected.shape == (13, 4, 6)
+    variants = [b"solid room".ljust(80) + binary[80:], binary + b"\0", binary + bytes(49), text, text.upper()]
+    variants += [text.replace(b"\n", b"\r\n  "), text + text.replace(b"room", b"other"), text.replace(b"room", b"")]
+    for data in variants:
+        np.testing.assert_array_equal(read(tmp_path, data, "b.stl", pitch=0.25), expected)
+
+
+def test_damaged_stl_raises(tmp_path):
+    binary, text = stl_files()
+    for promised in (0, 9, 11, 2**32 - 1):
+        with pytest.raises(ValueError, match=rf"promises {promised:,} triangles, its bytes hold 10"):
+            read(tmp_path, binary[:80] + struct.pack("<I", promised) + binary[84:], "a.stl", pitch=0.25)
+    for data in (binary[:-1], binary[:-50], binary[:84], binary[:40], text[:-20], text.replace(b"vertex", b"", 1)):
+        with pytest.raises(ValueError, match=r"a\.stl: expected a mesh"):
+            read(tmp_path, data, "a.stl", pitch=0.25)
+
+
 def test_obj_does_not_load_files_it_names(tmp_path):
     (tmp_path / "walls.mtl").write_text("newmtl wall\nmap_Kd /dev/zero\n")
     head = "# Möbel\nmtllib walls.mtl\nusemtl wall\n".encode("latin-1")
@@ -261,23 +281,3 @@ def test_obj_indices_count_from_one_or_backward(tmp_path):
     for wrong in (b"f 1 2 0", b"f 1 2 99", b"f 1 2 -99", b"f 1 2 x", b"f 1 2 3.5"):
         with pytest.raises(ValueError, match=r"c\.obj: expected a mesh"):
             read(tmp_path, b"v 0 0 0\nv 1 0 0\nv 0 1 0\n" + wrong, "c.obj")
-
-
-def test_stl_is_read_as_binary_or_text(tmp_path):
-    binary, text = stl_files()
-    expected = read(tmp_path, binary, "a.stl", pitch=0.25)
-    assert expected.shape == (13, 4, 6)
-    variants = [b"solid room".ljust(80) + binary[80:], binary + b"\0", binary + bytes(49), text, text.upper()]
-    variants += [text.replace(b"\n", b"\r\n  "), text + text.replace(b"room", b"other"), text.replace(b"room", b"")]
-    for data in variants:
-        np.testing.assert_array_equal(read(tmp_path, data, "b.stl", pitch=0.25), expected)
-
-
-def test_damaged_stl_raises(tmp_path):
-    binary, text = stl_files()
-    for promised in (0, 9, 11, 2**32 - 1):
-        with pytest.raises(ValueError, match=rf"promises {promised:,} triangles, its bytes hold 10"):
-            read(tmp_path, binary[:80] + struct.pack("<I", promised) + binary[84:], "a.stl", pitch=0.25)
-    for data in (binary[:-1], binary[:-50], binary[:84], binary[:40], text[:-20], text.replace(b"vertex", b"", 1)):
-        with pytest.raises(ValueError, match=r"a\.stl: expected a mesh"):
-            read(tmp_path, data, "a.stl", pitch=0.25)
