@@ -1,4 +1,4 @@
-"""Batches in parts, on all cores: every row is answered once, in its place."""
+"""Batches that are split into parts, one part per core at a time."""
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +12,8 @@ def sums(x, y):
     return (np.asarray(x).sum(axis=1) - np.asarray(y)[:, 0],)
 
 
-@pytest.mark.parametrize("shape", [(0,), (1,), (7,), (8,), (9,), (250,), (1000,), (30, 1)])
-def test_every_row_is_answered_in_its_place_and_batches_are_broadcast(shape):
+@pytest.mark.parametrize("shape", [(0,), (1,), (7,), (9,), (1000,), (30, 1)])
+def test_rows_keep_their_place_and_batches_broadcast(shape):
     rng = np.random.default_rng(0)
     x, y = (rng.uniform(size=size).astype(np.float32) for size in ((*shape, 3), (*shape[:-1], shape[-1], 1)))
     y = y[:, 0] if len(shape) == 2 else y
@@ -21,7 +21,7 @@ def test_every_row_is_answered_in_its_place_and_batches_are_broadcast(shape):
     np.testing.assert_allclose(answer, x.sum(axis=-1) - y[..., 0], rtol=1e-6, atol=1e-6)
 
 
-def test_parts_are_of_one_size_a_power_of_two_and_an_error_in_one_is_raised():
+def test_parts_share_one_size_and_errors_are_raised():
     sizes = set()
 
     def refuses(x):
@@ -36,7 +36,7 @@ def test_parts_are_of_one_size_a_power_of_two_and_an_error_in_one_is_raised():
     assert sizes == {64}
 
 
-def test_what_is_traced_is_on_no_host():
+def test_traced_arrays_are_on_no_host():
     assert is_on_one_host(np.zeros(3), jnp.zeros(3))
     jax.jit(lambda x: pytest.fail("traced") if is_on_one_host(x) else x)(jnp.zeros(3))
     assert num_cores() >= 1

@@ -3,8 +3,6 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from plr_jax import Workspace, metrics
 from plr_jax.geometry.box import Box
@@ -23,14 +21,13 @@ def always(answer):
     return lambda x: np.full(len(x), answer)
 
 
-def report_of(answer, distance):
-    """Of what is answered at points of a line."""
-    points = np.zeros((len(answer), 2))
-    points[:, 0] = np.arange(len(answer))
-    return metrics.error_map(lambda x: np.array(answer), lambda x: np.array(distance), points)
+def report_of(answer, distance, x=None):
+    """Report of answers at points, by default (0, 0), (1, 0), ..., whose distances are given."""
+    x = np.stack([np.arange(len(answer)), np.zeros(len(answer))], axis=1) if x is None else x
+    return metrics.error_map(lambda x: np.array(answer), lambda x: np.array(distance), x)
 
 
-def test_known_errors_give_known_numbers():
+def test_report_of_known_errors():
     report = report_of([0.0, 1.1, 1.7, 3.0], [0.0, 1, 2, 3])
     assert report.max == pytest.approx(0.3) and report.mean == pytest.approx(0.1)
     assert report.quantiles[0.5] == pytest.approx(0.05)
@@ -40,23 +37,19 @@ def test_known_errors_give_known_numbers():
     assert json.loads(json.dumps(dataclasses.asdict(report)))["num_points"] == 4
 
 
-@pytest.mark.parametrize(
-    ("scale", "origin", "said"),
-    [
+def test_place_of_largest_error_is_rounded_like_distances():
+    for scale, origin, said in [
         (1.0, (691104.23456, 5334012.65432), "691106.2346, 5334012.6543"),
-        (1e3, (691104.23456, 5334012.65432), "693104.2, 5334012.7"),
         (1e6, (691104.23456, 5334012.65432), "2691104, 5334013"),
         (1e-3, (0.0, 0.5), "0.002, 0.5"),
         (0.0, (691104.23456, 0.5), "691104.2346, 0.5"),
-    ],
-)
-def test_the_place_of_the_largest_error_is_told_as_finely_as_distances(scale, origin, said):
-    distance = scale * np.arange(4.0)
-    report = metrics.error_map(lambda x: distance + scale * np.eye(4)[2], lambda x: distance, origin + scale * LINE)
-    assert f"at ({said}), mean" in str(report)
+    ]:
+        distance = scale * np.arange(4.0)
+        report = report_of(distance + scale * np.eye(4)[2], distance, origin + scale * LINE)
+        assert f"at ({said}), mean" in str(report)
 
 
-def test_infinite_answers_are_counted_and_not_averaged():
+def test_infinite_answers_are_counted_not_averaged():
     inf, nan = np.inf, np.nan
     report = report_of([1.5, 1.0, inf, nan, inf, 2.0, nan], [1.0, 1.0, 1.0, 1.0, inf, inf, inf])
     assert (report.num_points, report.num_unreachable, report.num_unanswered, report.num_invented) == (7, 3, 2, 1)
@@ -64,15 +57,14 @@ def test_infinite_answers_are_counted_and_not_averaged():
     assert "over 4 points; 2 of them not answered" in str(report)
 
 
-@given(st.lists(st.tuples(st.floats(0, 1e6), st.floats(0, 1e6)), min_size=1, max_size=50))
-def test_report_agrees_with_numpy_on_the_raw_errors(pairs):
-    answer, distance = np.array(pairs).T
+def test_report_agrees_with_numpy():
+    answer, distance = np.random.default_rng(0).exponential(size=(2, 500))
     report, error = report_of(answer, distance), np.abs(answer - distance)
     assert report.max == error.max() and report.mean == pytest.approx(error.mean())
     assert report.quantiles == {q: np.quantile(error, q) for q in (0.5, 0.9, 0.99, 0.999)}
 
 
-def test_both_functions_are_asked_the_points_given_once_and_may_compute_in_place():
+def test_functions_are_called_once_and_may_change_points():
     asked, x = [], np.array([[0.0, 1], [3, 4]])
 
     def recorded(x):
@@ -99,27 +91,23 @@ def test_masked_distances_are_unreachable():
     assert (grid[:, :2] == 0).all() and np.isnan(grid[:, 2:]).all()
 
 
-@pytest.mark.parametrize(
-    ("approximation", "distance", "x", "message"),
-    [
+def test_undefined_error_raises():
+    for approximation, distance, x, message in [
         (from_origin, from_origin, np.empty((0, 2)), "at least one point, got none"),
         (from_origin, from_origin, np.zeros(2), r"shape \(n, dim\), got \(2,\)"),
         (from_origin, from_origin, WALLED, r"x must be numbers of shape \(n, dim\), got Workspace"),
         (lambda x: np.zeros((len(x), 1)), from_origin, GRID, "approximation must give one number per point"),
         (from_origin, lambda x: np.zeros(3), GRID, "distance function must give one number per point"),
         (from_origin, always(np.nan), GRID, "distance function gives NaN at"),
-        (from_origin, always(-np.inf), GRID, "distance function gives -inf at"),
         (from_origin, always(1j), GRID, "distance function's answer must be real numbers"),
         (from_origin, always(np.inf), GRID, "No error is defined"),
         (always(np.inf), from_origin, GRID, "No error is defined"),
-    ],
-)
-def test_what_has_no_error_is_refused(approximation, distance, x, message):
-    with pytest.raises(ValueError, match=message):
-        metrics.error_map(approximation, distance, x)
+    ]:
+        with pytest.raises(ValueError, match=message):
+            metrics.error_map(approximation, distance, x)
 
 
-def test_error_grid_has_the_error_of_every_cell_center():
+def test_error_grid_has_error_at_cell_centers():
     grid = metrics.error_grid(
         lambda x: np.where(x[:, 1] > 0.75, np.inf, from_origin(x) + x[:, 0]),
         lambda x: np.where(x[:, 0] <= 1, from_origin(x), np.inf),

@@ -10,16 +10,15 @@ from plr_jax._types import DimensionedFn, PiecewiseFunction
 
 
 @pytest.mark.skipif(os.environ.get("PLR_JAX_CHECK_SHAPES") != "1", reason="PLR_JAX_CHECK_SHAPES=1 checks shapes")
-def test_a_wrong_shape_within_the_package_is_caught():
+def test_wrong_shape_inside_package_raises():
     padded(np.zeros((2, 3)), 4)
     with pytest.raises(TypeCheckError):
         padded([0.0, 1.0], 4)
 
 
-@pytest.mark.parametrize("leaf", ["plane", "continuous"])
-def test_plrs_are_piecewise_functions_that_fill_their_domain(leaf):
+def test_plr_is_piecewise_function_filling_its_domain():
     oracle = Euclidean((0.5, 0.5))
-    plr = construct(oracle, ((0, 0), (1, 1)), leaf=leaf, max_leaves=4)
+    plr = construct(oracle, ((0, 0), (1, 1)), max_leaves=4)
     assert isinstance(plr, PiecewiseFunction) and not isinstance(oracle, PiecewiseFunction)
     assert isinstance(plr, DimensionedFn) and isinstance(oracle, DimensionedFn) and not isinstance(len, DimensionedFn)
     lo, hi = map(np.asarray, plr.leaf_boxes)

@@ -1,9 +1,8 @@
-import matplotlib as mpl
 import numpy as np
 import pytest
 import shapely
 from matplotlib.collections import PathCollection
-from matplotlib.colors import same_color
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
@@ -27,7 +26,7 @@ def polygons(ax, solid):
     """Robots drawn as solid bodies (True), as faded ones (False), or as dashed outlines (None)."""
     found = [patch for patch in ax.patches if type(patch) is Polygon and patch.get_closed()]
     if solid is None:
-        return [p for p in found if not p.get_fill() and p.get_linestyle() != "-" and p.get_linestyle() != "solid"]
+        return [p for p in found if not p.get_fill() and p.get_linestyle() not in ("-", "solid")]
     return [p for p in found if p.get_fill() and (p.get_facecolor()[3] == 1.0) == solid]
 
 
@@ -36,20 +35,19 @@ def centers(patches):
 
 
 def colors(patches):
-    return [mpl.colors.to_hex(patch.get_edgecolor()).upper() for patch in patches]
+    return [to_hex(patch.get_edgecolor()).upper() for patch in patches]
 
 
 def numbers(ax):
     return sorted(text.get_text() for text in ax.texts)
 
 
-def test_a_problem_shows_bodies_at_starts_and_outlines_at_goals_in_the_size_and_heading_of_the_robots():
+def test_problem_shows_bodies_at_starts_outlines_at_goals():
     ax = plot.plot_problem(TEAM)
     solid, dashed = polygons(ax, True), polygons(ax, None)
     np.testing.assert_allclose(centers(solid), np.array(STARTS)[:, :2], atol=1e-12)
     np.testing.assert_allclose(centers(dashed), np.array(GOALS)[:, :2], atol=1e-12)
-    assert colors(dashed) == list(ROBOT_COLORS[:3])
-    assert all(same_color(body.get_facecolor(), color) for body, color in zip(solid, ROBOT_COLORS, strict=False))
+    assert colors(dashed) == [to_hex(body.get_facecolor()).upper() for body in solid] == list(ROBOT_COLORS[:3])
     assert numbers(ax) == ["0", "0", "1", "1", "2", "2"]
     disc, rectangle, point = (shapely.Polygon(patch.get_xy()) for patch in dashed)
     assert disc.area == pytest.approx(np.pi * 0.5**2, rel=0.003)
@@ -57,7 +55,7 @@ def test_a_problem_shows_bodies_at_starts_and_outlines_at_goals_in_the_size_and_
     assert 0 < point.area < 0.1
 
 
-def test_a_bar_shows_where_a_rectangle_heads():
+def test_bar_and_front_show_heading_of_rectangle():
     turned = Problem(TEAM.workspace, [ROBOTS[1]], [(2, 3, np.pi / 2)], [(8, 3, np.pi)])
     ax = plot.plot_problem(turned)
     (bar,) = ax.lines
@@ -66,12 +64,8 @@ def test_a_bar_shows_where_a_rectangle_heads():
     np.testing.assert_allclose(front.get_xy().mean(axis=0), [8 - 0.5, 3], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "problem",
-    [TEAM, scenes.tangle(), scenes.maze(), scenes.four_rooms(8), scenes.cross(3)],
-    ids=["team", "tangle", "maze", "four_rooms_8", "cross_3"],
-)
-def test_numbers_overlap_nothing_that_would_hide_them(problem):
+@pytest.mark.parametrize("problem", [TEAM, scenes.tangle(), scenes.four_rooms(8)], ids=["team", "tangle", "rooms"])
+def test_numbers_are_readable(problem):
     ax = plot.plot_problem(problem)
     ax.figure.canvas.draw()
     to_data = ax.transData.inverted()
@@ -88,18 +82,16 @@ def test_numbers_overlap_nothing_that_would_hide_them(problem):
             assert ax.texts[k].get_color() == ink_on(ROBOT_COLORS[under[0]])
 
 
-def test_a_path_is_a_line_a_robot_with_a_solid_body_at_its_end():
+def test_path_is_line_with_body_at_end():
     ax = plot.plot_path(TEAM, PATH)
     lines = [line for line in ax.lines if line.get_color() in ROBOT_COLORS]
-    for i, line in enumerate(lines):
-        assert line.get_color() == ROBOT_COLORS[i]
-        np.testing.assert_allclose(line.get_xydata(), PATH[:, i, :2])
-    assert len(lines) == 3
+    assert [line.get_color() for line in lines] == list(ROBOT_COLORS[:3])
+    np.testing.assert_allclose([line.get_xydata() for line in lines], PATH[:, :, :2].swapaxes(0, 1))
     np.testing.assert_allclose(centers(polygons(ax, True)), np.array(GOALS)[:, :2], atol=1e-12)
     assert numbers(ax) == ["0", "1", "2"]
 
 
-def test_faded_bodies_are_evenly_spaced_in_time_and_drawn_once_where_robots_wait():
+def test_faded_bodies_are_evenly_spaced_in_time():
     ax = plot.plot_path(CORNER, CORNER_PATH, num_poses=4)
     np.testing.assert_allclose(centers(polygons(ax, False)), [(1, 1), (2, 1), (3, 1), (4, 1)], atol=1e-12)
     assert len(polygons(plot.plot_path(CORNER, CORNER_PATH, num_poses=0), False)) == 0
@@ -109,7 +101,7 @@ def test_faded_bodies_are_evenly_spaced_in_time_and_drawn_once_where_robots_wait
     np.testing.assert_allclose(faded, [(1, 1), (2, 1), (3, 1), (9, 1), (9, 2)], atol=1e-12)
 
 
-def test_a_part_of_a_path_ends_where_the_next_begins():
+def test_part_of_path_ends_where_next_begins():
     first = plot.plot_path(CORNER, CORNER_PATH, end=0.5)
     second = plot.plot_path(CORNER, CORNER_PATH, begin=0.5)
     np.testing.assert_allclose(first.lines[0].get_xydata(), [(1, 1), (3, 1)])
@@ -120,45 +112,37 @@ def test_a_part_of_a_path_ends_where_the_next_begins():
     np.testing.assert_allclose(centers(polygons(alone, True)), [(1, 1)], atol=1e-12)
 
 
-def test_samples_are_points_in_the_colors_of_the_robots():
+def test_samples_are_points_in_colors_of_robots():
     samples = np.array([STARTS, GOALS, PATH[1]])
     ax = plot.plot_samples(TEAM, samples)
     (points,) = (c for c in ax.collections if isinstance(c, PathCollection))
     np.testing.assert_array_equal(points.get_offsets(), samples[..., :2].reshape(-1, 2))
-    assert [mpl.colors.to_hex(c).upper() for c in points.get_facecolors()] == list(ROBOT_COLORS[:3]) * 3
+    assert [to_hex(c).upper() for c in points.get_facecolors()] == list(ROBOT_COLORS[:3]) * 3
     assert len(polygons(ax, True)) == len(polygons(ax, None)) == 3
     assert len(plot.plot_samples(TEAM, samples[:0]).collections[0].get_offsets()) == 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_wrong_arguments_raise():
+    for arguments, message in [
         ({"path": CORNER_PATH[0]}, "A path must have shape"),
         ({"path": np.full((2, 1, 2), np.nan)}, "A path must be finite, got .* in step 0"),
         ({"begin": 0.5, "end": 0.5}, "begin and end must be shares"),
         ({"begin": -0.1}, "begin and end must be shares"),
         ({"end": float("nan")}, "begin and end must be shares"),
         ({"num_poses": -1}, "num_poses must be at least 0"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        plot.plot_path(CORNER, **({"path": CORNER_PATH} | arguments))
+    ]:
+        with pytest.raises(ValueError, match=message):
+            plot.plot_path(CORNER, **({"path": CORNER_PATH} | arguments))
 
 
-@pytest.mark.parametrize("samples", [np.zeros((3, 2)), np.zeros((3, 2, 2)), [["a"]]])
-def test_samples_of_another_shape_are_refused(samples):
-    with pytest.raises(ValueError, match=r"Samples must .* \(n, robots, dof\) = \(n, 1, 2\)"):
-        plot.plot_samples(CORNER, samples)
+def test_samples_of_other_shape_raise():
+    for samples in (np.zeros((3, 2)), np.zeros((3, 2, 2)), [["a"]]):
+        with pytest.raises(ValueError, match=r"Samples must .* \(n, robots, dof\) = \(n, 1, 2\)"):
+            plot.plot_samples(CORNER, samples)
 
 
-def test_given_axes_are_drawn_on_and_nothing_is_cut_off(tmp_path):
+def test_pictures_are_drawn_on_given_axes():
     ax = Figure().add_subplot()
     assert plot.plot_problem(TEAM, ax) is ax
     assert plot.plot_path(TEAM, PATH, ax) is ax
     assert plot.plot_samples(TEAM, PATH, ax) is ax
-    for ax in (plot.plot_problem(TEAM), plot.plot_path(TEAM, PATH), plot.plot_samples(TEAM, PATH)):
-        plot.save(ax, tmp_path / "picture.png")
-        page, content = ax.figure.bbox, ax.figure.get_tightbbox().transformed(ax.figure.dpi_scale_trans)
-        assert content.x0 >= page.x0 and content.y0 >= page.y0
-        assert content.x1 <= page.x1 and content.y1 <= page.y1

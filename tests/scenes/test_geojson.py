@@ -1,14 +1,14 @@
-import itertools
+"""Workspaces from polygons in GeoJSON, in well-known text (WKT), and in other JSON."""
+
 import json
-import warnings
 
 import numpy as np
 import pytest
 import shapely
 
-from plr_jax import Box, Workspace, scenes
+from plr_jax import Workspace, scenes
 
-BOX, TABLE = shapely.box(0, 0, 10, 8), shapely.box(2, 2, 4, 5)
+BOX, TABLE, SHELF = shapely.box(0, 0, 10, 8), shapely.box(2, 2, 4, 5), shapely.box(6, 1, 7, 3)
 
 
 def written(folder, document, name="a.geojson"):
@@ -18,26 +18,26 @@ def written(folder, document, name="a.geojson"):
 
 
 def feature(geometry):
-    return {
-        "type": "Feature",
-        "properties": {"name": "x"},
-        "geometry": geometry and json.loads(shapely.to_geojson(geometry)),
-    }
+    coordinates = geometry and json.loads(shapely.to_geojson(geometry))
+    return {"type": "Feature", "properties": {"name": "x"}, "geometry": coordinates}
 
 
 def collection(*geometries, **more):
     return {"type": "FeatureCollection", "features": [feature(each) for each in geometries], **more}
 
 
-def test_polygons_are_obstacles_within_bounds_or_their_own_bounding_box(tmp_path):
-    path = written(tmp_path, collection(TABLE, None, shapely.box(6, 1, 7, 3)))
+def polygon(*rings):
+    return {"type": "Polygon", "coordinates": list(rings)}
+
+
+def test_bounds_are_given_or_bbox_or_extent(tmp_path):
+    path = written(tmp_path, collection(TABLE, None, SHELF))
     given = scenes.read_geojson(path, bounds=((0, 0), (10, 8)))
-    assert given.free_space.equals(Workspace(((0, 0), (10, 8)), [TABLE, shapely.box(6, 1, 7, 3)]).free_space)
+    assert given.free_space.equals(Workspace(((0, 0), (10, 8)), [TABLE, SHELF]).free_space)
     np.testing.assert_array_equal(scenes.read_geojson(path).bounds.lo, [2, 1])
-    with_box = written(tmp_path, collection(TABLE, bbox=[0, 0, 10, 8]))
-    np.testing.assert_array_equal(scenes.read_geojson(with_box).bounds.hi, [10, 8])
-    with_box = written(tmp_path, collection(TABLE, bbox=[0, 0, -5, 10, 8, 5]))
-    np.testing.assert_array_equal(scenes.read_workspace(with_box).bounds.hi, [10, 8])
+    for bbox in ([0, 0, 10, 8], [0, 0, -5, 10, 8, 5]):
+        bounds = scenes.read_workspace(written(tmp_path, collection(TABLE, bbox=bbox))).bounds
+        np.testing.assert_array_equal([bounds.lo, bounds.hi], [(0, 0), (10, 8)])
 
 
 def test_polygons_may_be_free_space(tmp_path):
@@ -47,147 +47,97 @@ def test_polygons_may_be_free_space(tmp_path):
     np.testing.assert_array_equal(workspace.bounds.hi, [12, 8])
 
 
-def test_free_polygons_that_differ_by_rounding_are_joined(tmp_path):
-    path = written(tmp_path, collection(shapely.box(0, 0, 1, 1), shapely.box(1 + 1e-13, 0, 2, 1)))
-    assert scenes.read_geojson(path, polygons="free").free_space.equals(shapely.box(0, 0, 2, 1))
-    wider = scenes.read_geojson(path, polygons="free", bounds=((0.5, 0), (3, 1)))
-    assert wider.free_space.equals(shapely.box(0.5, 0, 2, 1)) and wider.bounds == Box((0.5, 0), (3, 1))
+def test_every_geometry_is_read(tmp_path):
+    pair = shapely.MultiPolygon([TABLE, SHELF])
+    for geometry in (pair, shapely.GeometryCollection([shapely.box(8, 5, 9, 7), pair]), BOX - TABLE):
+        for document in (json.loads(shapely.to_geojson(geometry)), feature(geometry)):
+            workspace = scenes.read_geojson(written(tmp_path, document), bounds=((-1, -1), (11, 9)))
+            blocked = shapely.box(-1, -1, 11, 9) - workspace.free_space
+            assert shapely.symmetric_difference(blocked, shapely.union_all(geometry)).area == 0
 
 
-@pytest.mark.parametrize(
-    "geometry",
-    [
-        TABLE,
-        shapely.MultiPolygon([TABLE, shapely.box(6, 1, 7, 3)]),
-        shapely.GeometryCollection([TABLE, shapely.GeometryCollection([shapely.box(6, 1, 7, 3)])]),
-        BOX - TABLE,
-    ],
-)
-def test_geometries_stand_alone_too(geometry, tmp_path):
-    for document in (json.loads(shapely.to_geojson(geometry)), feature(geometry)):
-        workspace = scenes.read_geojson(written(tmp_path, document), bounds=((-1, -1), (11, 9)))
-        blocked = shapely.box(-1, -1, 11, 9) - workspace.free_space
-        assert shapely.symmetric_difference(blocked, shapely.union_all(geometry)).area == 0
-
-
-def test_altitudes_are_dropped(tmp_path):
-    ring = [[0, 0, 5], [3, 0, 5], [3, 3, 5], [0, 0, 5]]
-    path = written(tmp_path, {"type": "Polygon", "coordinates": [ring]})
-    assert scenes.read_geojson(path, polygons="free").free_space.area == 4.5
-
-
-TRIANGLE = {"type": "Polygon", "coordinates": [[[0, 0], [3, 0], [3, 3], [0, 0]]]}
-NOTHING = [
-    {"type": "Polygon", "coordinates": []},
-    {"type": "Polygon", "coordinates": [[]]},
-    {"type": "Polygon", "coordinates": [[], []]},
-    {"type": "Polygon", "coordinates": [None]},
+TRIANGLE = [[0, 0], [3, 0], [3, 3], [0, 0]]  # of area 4.5
+EMPTY = [
+    polygon(None),
     {"type": "Polygon", "coordinates": None},
-    {"type": "MultiPolygon", "coordinates": []},
     {"type": "MultiPolygon", "coordinates": [[], [[]], None]},
-    {"type": "GeometryCollection", "geometries": []},
-    {"type": "GeometryCollection", "geometries": [None, {"type": "Polygon", "coordinates": []}]},
-    {"type": "Feature", "geometry": None},
-    {"type": "FeatureCollection", "features": []},
-    {"type": "FeatureCollection", "features": None},
+    {"type": "GeometryCollection", "geometries": [None, polygon()]},
     {"type": "Point", "coordinates": []},
-    {"type": "MultiLineString", "coordinates": []},
-    None,
 ]
 
 
-@pytest.mark.parametrize("nothing", NOTHING, ids=str)
-def test_what_is_null_or_empty_counts_for_nothing_anywhere(nothing, tmp_path):
-    with pytest.raises(ValueError, match=r"a\.geojson: expected (at least one polygon, got none|GeoJSON)"):
-        scenes.read_geojson(written(tmp_path, nothing if nothing else "null"))
-    is_geometry = nothing is None or not nothing["type"].startswith("Feature")
-    inside = {"type": "GeometryCollection", "geometries": [nothing, TRIANGLE]}
-    for document in (
-        {"type": "FeatureCollection", "features": [nothing if not is_geometry else None, feature(None), TRIANGLE]},
-        *([inside, {"type": "Feature", "geometry": inside}] if is_geometry else []),
-    ):
-        assert scenes.read_geojson(written(tmp_path, document), polygons="free").free_space.area == 4.5
+def test_empty_geometry_is_skipped(tmp_path):
+    for empty in [None, *EMPTY]:
+        inside = {"type": "GeometryCollection", "geometries": [empty, polygon(TRIANGLE)]}
+        features = {"type": "FeatureCollection", "features": [None, feature(None), polygon(TRIANGLE)]}
+        for document in (inside, {"type": "Feature", "geometry": inside}, features):
+            assert scenes.read_geojson(written(tmp_path, document), polygons="free").free_space.area == 4.5
 
 
-@pytest.mark.parametrize("rings", [[[]], [None], [[], [], None]])
-def test_empty_holes_count_for_nothing(rings, tmp_path):
+FEATURES = {"type": "FeatureCollection"}
+
+
+def test_file_without_polygons_raises(tmp_path):
+    for empty in [*EMPTY, feature(None), FEATURES | {"features": []}, FEATURES | {"features": None}]:
+        with pytest.raises(ValueError, match=r"a\.geojson: expected at least one polygon, got none"):
+            scenes.read_geojson(written(tmp_path, empty))
+
+
+def test_empty_holes_and_altitudes_are_dropped(tmp_path):
     hole = [[2, 0.5], [2.5, 0.5], [2.5, 1], [2, 1]]  # of area 0.25
-    polygon = {"type": "Polygon", "coordinates": [*TRIANGLE["coordinates"], *rings, hole, *rings]}
-    for document in (polygon, {"type": "MultiPolygon", "coordinates": [[], polygon["coordinates"], None]}):
+    rings = [[[*corner, 7] for corner in TRIANGLE], [], None, hole, []]  # whose altitudes are dropped
+    for document in (polygon(*rings), {"type": "MultiPolygon", "coordinates": [[], rings, None]}):
         assert scenes.read_geojson(written(tmp_path, document), polygons="free").free_space.area == 4.25
 
 
-def test_degrees_are_warned_of(tmp_path):
-    town = shapely.box(13.37, 52.51, 13.38, 52.52) - shapely.box(13.374, 52.513, 13.376, 52.515)
+def test_coordinates_in_degrees_warn(tmp_path):
+    town = shapely.box(13.37, 52.51, 13.38, 52.52)
     with pytest.warns(UserWarning, match=r"a\.geojson: coordinates look like degrees of longitude and latitude"):
         scenes.read_geojson(written(tmp_path, collection(town)), polygons="free")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        scenes.read_geojson(written(tmp_path, collection(shapely.box(0, 0, 1, 1))), polygons="free")
-        scenes.read_geojson(written(tmp_path, collection(shapely.box(3e5, 5e6, 3e5 + 10, 5e6 + 9))), polygons="free")
+    # Other coordinates do not warn; a warning is an error.
+    for lo, width in (((0, 0), 1), ((3e5, 5e6), 10), ((13.37, 52.51), 1), ((0.37, 0.51), 0.1), ((150, 100), 0.1)):
+        plane = shapely.box(*lo, *np.add(lo, width))
+        scenes.read_geojson(written(tmp_path, collection(plane)), polygons="free")
 
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 0]]
+POINTS = "at least 3 finite points"
+KEY = 'the file: expected a {} to have the key "{}", got only '.format
 
 
-@pytest.mark.parametrize(
-    ("document", "message"),
-    [
-        ("", "expected JSON"),
+def test_broken_geojson_raises(tmp_path):
+    for document, message in [
         ("[" * 10**5, "expected JSON"),
         ([1], "expected GeoJSON"),
         ({"type": "Topology"}, "expected GeoJSON"),
-        (collection(), "expected at least one polygon, got none"),
-        (collection(None), "expected at least one polygon, got none"),
-        (collection(shapely.Point(1, 2)), r"features\[0\] geometry: expected .*, Polygon, got 'Point'"),
-        (collection(TABLE, shapely.LineString([(0, 0), (1, 1)])), r"features\[1\] geometry: .* got 'LineString'"),
-        ({"type": "FeatureCollection", "features": [3]}, r"features\[0\]: expected an object .* got 3"),
-        (
-            {"type": "FeatureCollection"},
-            'the file: expected a FeatureCollection to have the key "features", got only type',
-        ),
-        ({"type": "FeatureCollection", "features": {}}, '"features" of a FeatureCollection to be a list, got {}'),
-        ({"type": "Feature", "id": 1}, 'the file: expected a Feature to have the key "geometry", got only type, id'),
+        (collection(TABLE, shapely.Point(1, 2)), r"features\[1\] geometry: expected .*, Polygon, got 'Point'"),
+        (FEATURES | {"features": [3]}, r"features\[0\]: expected an object .* got 3"),
+        (FEATURES, KEY("FeatureCollection", "features") + "type"),
+        (FEATURES | {"features": {}}, '"features" of a FeatureCollection to be a list, got {}'),
+        ({"type": "Feature", "id": 1}, KEY("Feature", "geometry") + "type, id"),
         ({"type": "Feature", "geometry": []}, r'geometry: expected an object of "type" .* got \[\]'),
-        ({"type": "Feature", "geometry": {"coordinates": []}}, r"geometry: expected an object .* got {'coord"),
-        ({"type": "GeometryCollection"}, 'a GeometryCollection to have the key "geometries"'),
-        ({"type": "MultiPolygon"}, 'a MultiPolygon to have the key "coordinates"'),
-        ({"type": "Polygon"}, 'the file: expected a Polygon to have the key "coordinates"'),
-        (
-            feature(TABLE) | {"geometry": {"type": "Polygon"}},
-            'geometry: expected a Polygon to have the key "coordinates"',
-        ),
+        ({"type": "Feature", "geometry": {"type": "Polygon"}}, 'geometry: expected a Polygon to have the key "coord'),
         ({"type": "Polygon", "coordinates": 3}, 'the file: expected "coordinates" of a Polygon to be a list, got 3'),
-        ({"type": "Polygon", "coordinates": SQUARE}, r"polygon: expected a ring, .* got \[0, 0\]"),
-        ({"type": "Polygon", "coordinates": [[["0", "0"], ["1", "0"], ["0", "1"]]]}, "of numbers, got"),
-        ({"type": "Polygon", "coordinates": [["12", "34", "57"]]}, "of numbers, got"),
-        ({"type": "Polygon", "coordinates": [[[True, False], [2, 0], [2, 1]]]}, "of numbers, got"),
-        ({"type": "Polygon", "coordinates": []}, "expected at least one polygon, got none"),
-        ({"type": "Polygon", "coordinates": [[], SQUARE]}, "polygon: expected an outer ring before its holes"),
+        (polygon(*SQUARE), r"polygon: expected a ring, .* got \[0, 0\]"),
+        (polygon(["12", "34", "57"]), "of numbers, got"),
+        (polygon([[True, False], [2, 0], [2, 1]]), "of numbers, got"),
+        (polygon([], SQUARE), "polygon: expected an outer ring before its holes"),
         ({"type": "MultiPolygon", "coordinates": [3]}, "polygon 0: expected a list of rings, got 3"),
-        ({"type": "Polygon", "coordinates": [SQUARE[:2]]}, "at least 3 finite points"),
-        ({"type": "Polygon", "coordinates": [[[0, 0], [1], [1, 1]]]}, "at least 3 finite points"),
-        ({"type": "Polygon", "coordinates": [[[0, 0], ["a", 1], [1, 1]]]}, "at least 3 finite points"),
-        ('{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 1], [1, 1]]]}', "at least 3 finite points"),
-        ('{"type": "Polygon", "coordinates": [[[0, 0], [1e999, 1], [1, 1]]]}', "at least 3 finite points"),
-        ({"type": "Polygon", "coordinates": [[[0, 0], [2, 2], [2, 0], [0, 2]]]}, "polygon is not a simple polygon"),
-        ({"type": "Polygon", "coordinates": [[[0, 0], [1, 1], [2, 2]]]}, "zero area"),
+        (polygon(SQUARE[:2]), POINTS),
+        (polygon([[0, 0], [1], [1, 1]]), POINTS),
+        ('{"type": "Polygon", "coordinates": [[[0, 0], [NaN, 1], [1, 1]]]}', POINTS),
+        ('{"type": "Polygon", "coordinates": [[[0, 0], [1e999, 1], [1, 1]]]}', POINTS),
+        (polygon([[0, 0], [2, 2], [2, 0], [0, 2]]), "polygon is not a simple polygon"),
         (collection(TABLE, bbox=[1, 2]), '"bbox" to be 4 finite numbers'),
         (collection(TABLE, bbox=["0", 0, 1, 1]), '"bbox" to be 4 finite numbers'),
-        (
-            collection(TABLE),
-            "no free space: .* bounding box of the polygons: give larger bounds .* a \"bbox\".* polygons='free'",
-        ),
+        (collection(TABLE), "no free space: .* bounding box .*: give larger bounds .* a \"bbox\".* polygons='free'"),
         (collection(TABLE, bbox=[2, 2, 4, 5]), "no free space: the obstacles cover its bounds.$"),
-    ],
-    ids=itertools.count(),
-)
-def test_what_is_no_map_is_refused_by_name(document, message, tmp_path):
-    with pytest.raises(ValueError, match=rf"(?s)^\S*a\.geojson: .*{message}"):
-        scenes.read_geojson(written(tmp_path, document))
+    ]:
+        with pytest.raises(ValueError, match=rf"(?s)^\S*a\.geojson: .*{message}"):
+            scenes.read_geojson(written(tmp_path, document))
 
 
-def test_polygons_are_one_of_two(tmp_path, unchecked_types):
+def test_unknown_kind_of_polygons_raises(tmp_path, unchecked_types):
     with pytest.raises(ValueError, match="polygons must be 'obstacles' or 'free', got 'walls'"):
         scenes.read_geojson(written(tmp_path, collection(TABLE)), polygons="walls")
 
@@ -199,76 +149,94 @@ ROOM = "((0 0, 10 0, 10 8, 0 8, 0 0), (2 2, 4 2, 4 5, 2 5, 2 2))"
 HALLWAY = "((10 3, 12 3, 12 4, 10 4, 10 3))"
 
 
-@pytest.mark.parametrize(
-    ("text", "area"),
-    [
-        (f"POLYGON {ROOM}", 74),
+def test_polygons_in_wkt_are_free_space(tmp_path):
+    for text, area in [
         (f"polygon{ROOM}\n\n", 74),
-        (f"MULTIPOLYGON ({ROOM}, {HALLWAY})", 76),
         (f"MULTIPOLYGON (EMPTY, {ROOM}, {HALLWAY})", 76),
         (f"MULTIPOLYGON ({ROOM}, ((5 5, 7 5, 7 7, 5 7, 5 5)))", 74),  # which overlap
         (f"GEOMETRYCOLLECTION (POLYGON {ROOM}, GEOMETRYCOLLECTION (MULTIPOLYGON ({HALLWAY})))", 76),
-        (f"GEOMETRYCOLLECTION (POINT EMPTY, POLYGON EMPTY, POLYGON {ROOM}, LINESTRING EMPTY)", 74),
         ("POLYGON Z ((0 0 5, 3 0 5, 3 3 6, 0 0 5))", 4.5),
-        ("POLYGON ((0 0 5, 3 0 5, 3 3 nan, 0 0 5))", 4.5),
-        ("POLYGON M ((0 0 5, 3 0 5, 3 3 6, 0 0 5))", 4.5),
         ("POLYGON ZM ((0 0 5 1, 3 0 5 2, 3 3 6 3, 0 0 5 1))", 4.5),
-        ("MULTIPOLYGON Z (((0 0 5, 3 0 5, 3 3 6, 0 0 5)))", 4.5),
         ("POLYGON ((0 0, 3 0, 3 3, 0 0), EMPTY)", 4.5),
         # Altitudes of some points only, and dimensions that are not those of the points.
         ("POLYGON ((0 0 5, 3 0, 3 3 -1.5E+2, 0 0))", 4.5),
-        ("polygonz((0 0, 3 0 inf,3 3\t1 2 , 0 0 7))", 4.5),
+        ("polygonz((0 0, 3 0 inf,3 3\t1 2 , 0 0 nan))", 4.5),
         ("MULTIPOLYGON (((0 0, 3 0, 3 3, 0 0)), ((6 6 1, 8 6 1, 8 8 1, 6 6 1)))", 6.5),
         ("GEOMETRYCOLLECTION Z (POLYGON M EMPTY, POLYGON ((0 0, 3 0, 3 3, 0 0)), POINT Z EMPTY)", 4.5),
-    ],
-)
-def test_polygons_in_well_known_text_are_free_space(text, area, tmp_path):
-    path = written(tmp_path, text, "a.wkt")
-    assert scenes.read_wkt(path).free_space.area == pytest.approx(area, abs=1e-12)
-    assert scenes.read_workspace(path).free_space.area == pytest.approx(area, abs=1e-12)
-    around = scenes.read_wkt(path, polygons="obstacles", bounds=((-5, -5), (15, 15)))
-    assert around.free_space.area == pytest.approx(400 - area, abs=1e-12)
+    ]:
+        path = written(tmp_path, text, "a.wkt")
+        assert scenes.read_workspace(path).free_space.area == pytest.approx(area, abs=1e-12)
+        around = scenes.read_wkt(path, polygons="obstacles", bounds=((-5, -5), (15, 15)))
+        assert around.free_space.area == pytest.approx(400 - area, abs=1e-12)
 
 
-def test_shapely_polygons_are_free_space_too():
-    geometry = shapely.from_wkt(f"GEOMETRYCOLLECTION (POLYGON {ROOM}, POLYGON {HALLWAY})")
-    assert scenes.read_workspace(geometry).free_space.area == 76
-    wider = scenes.read_workspace(geometry, bounds=((-5, -5), (15, 15)))
-    assert wider.free_space.area == 76 and wider.bounds.width.tolist() == [20, 20]
-    with pytest.raises(
-        ValueError, match=r"expected options of this kind of file \(bounds, squeeze\), got resolution"
-    ):
-        scenes.read_workspace(geometry, resolution=1)
-
-
-def test_a_walkable_area_of_a_building_is_read(data_dir):
+def test_published_walkable_area_is_read(data_dir):
     expected = shapely.from_wkt((data_dir / "jupedsim" / "arena.wkt").read_text())
     workspace = scenes.read_workspace(data_dir / "jupedsim" / "arena.wkt")
     assert workspace.free_space.area == pytest.approx(expected.area, rel=1e-9)
     np.testing.assert_allclose([*workspace.bounds.lo, *workspace.bounds.hi], expected.bounds)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
+def test_broken_wkt_raises(tmp_path):
+    for text, message in [
         ("", "expected one geometry in WKT"),
         ("POLYGON EMPTY", "expected at least one polygon, got none"),
-        ("POLYGON ((0 0, 1 0, 1 1))", "expected one geometry in WKT, .*closed"),
-        ("POLYGON ((0 0, 1 0, 1 x, 0 0))", "expected one geometry in WKT"),
-        ("POLYGON ((0 0, 1 0, 1 1 x, 0 0))", "expected one geometry in WKT"),
         ("POLYGON ((0 0, 1 0, 1 1 2 3 4, 0 0))", "expected one geometry in WKT"),
         (f"POLYGON {ROOM}\nPOLYGON {HALLWAY}", "Put several geometries into a GEOMETRYCOLLECTION"),
         ("SRID=4326;POLYGON ((0 0, 1 0, 1 1, 0 0))", "Unknown type: 'SRID=4326;POLYGON'"),
         ("CURVEPOLYGON ((0 0, 1 0, 1 1, 0 0))", "expected one geometry in WKT, .*Nonlinear"),
+        ("GEOMETRYCOLLECTION (" * 33 + f"POLYGON {HALLWAY}" + ")" * 33, "at most 32 deep"),
         ("GEOMETRYCOLLECTION (" * 10**5 + ")" * 10**5, "at most 32 deep"),
-        ("POLYGON ((0 0, 1 nan, 1 1, 0 0))", "polygon 0 must have finite coordinates"),
         ("POLYGON ((0 0, 1e999 0, 1 1, 0 0))", "polygon 0 must have finite coordinates"),
-        ("POLYGON ((0 0, 2 2, 2 0, 0 2, 0 0))", "polygon 0 is not a simple polygon"),
         (f"GEOMETRYCOLLECTION (POLYGON {HALLWAY}, POINT (1 1))", "polygon 1 must be a polygon, got a Point"),
-        ("LINESTRING (0 0, 1 1)", "polygon 0 must be a polygon, got a LineString"),
-    ],
-    ids=itertools.count(),
-)
-def test_what_is_no_well_known_text_of_polygons_is_refused_by_name(text, message, tmp_path):
-    with pytest.raises(ValueError, match=rf"(?s)^\S*a\.wkt: .*{message}"):
-        scenes.read_wkt(written(tmp_path, text, "a.wkt"))
+    ]:
+        with pytest.raises(ValueError, match=rf"(?s)^\S*a\.wkt: .*{message}"):
+            scenes.read_wkt(written(tmp_path, text, "a.wkt"))
+
+
+# --- polygons in JSON -------------------------------------------------------------------------------------
+
+RING = [[0, 0], [4, 0], [4, 4], [0, 4]]
+HOLE = [[1, 1], [1, 2], [2, 2], [2, 1]]
+
+
+def test_polygons_of_every_form_are_free_space(tmp_path):
+    walls = {"outer": RING, "holes": [HOLE]}
+    forms = [
+        {"components": [walls], "source": "ignored"},
+        walls,
+        {"boundary": RING, "holes": [HOLE]},
+        {"outer": RING},
+    ]
+    for data in forms:
+        (tmp_path / "map.json").write_text(json.dumps(data))
+        workspace = scenes.read_polygons(tmp_path / "map.json")
+        assert shapely.equals(workspace.free_space, shapely.Polygon(RING, [HOLE][: len(data) - 1]))
+        assert scenes.read_polygons(tmp_path / "map.json", squeeze=True).squeeze
+
+
+def test_broken_polygons_raise(tmp_path):
+    for text, message in [
+        ("[1, 2", "expected JSON"),
+        ("[1, 2]", 'expected {"components"'),
+        ('{"holes": []}', 'expected {"components"'),
+        ('{"components": 3}', 'expected {"components"'),
+        ('{"components": [3]}', "Component 0 must be a mapping with an 'outer' ring"),
+        ('{"components": [{"holes": []}]}', "Component 0 must be a mapping with an 'outer' ring"),
+        ('{"components": []}', "."),
+        ('{"outer": [[0, 0], [4, 0], [4, 4]], "holes": 3}', "Component 0 must be a mapping with an 'outer' ring"),
+        ('{"outer": [[0, 0], [4, 0]]}', "."),
+        ('{"outer": [[0, 0], [4, 4], [4, 0], [0, 4]]}', "."),
+        ('{"outer": [[0, 0], [4, NaN], [4, 0]]}', "."),
+        ('{"outer": "ring"}', "."),
+    ]:
+        path = tmp_path / "broken.json"
+        path.write_text(text)
+        with pytest.raises(ValueError, match=rf"broken\.json: .*{message}"):
+            scenes.read_polygons(path)
+
+
+def test_published_extremitypathfinder_map(data_dir):
+    workspace = scenes.read_polygons(data_dir / "extremitypathfinder/example.json")
+    # Shoelace formula by hand: a 10 x 10 square with a dent of 5, less holes of 3.75 and 1.
+    assert workspace.free_space.area == pytest.approx(95 - 3.75 - 1)

@@ -1,23 +1,10 @@
-import csv
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 import shapely
 
 from plr_jax import scenes
 
-DATA = os.environ.get("PLR_JAX_DATA")
-needs_data = pytest.mark.skipif(DATA is None, reason="PLR_JAX_DATA is not set: third-party maps are absent")
-PAIRS = [
-    "movingai/dao/den009d",
-    "movingai/dao/den101d",
-    "movingai/dao/den312d",
-    "movingai/dao/den520d",
-    "movingai/da2/ht_store",
-    "polyanya_arena/arena",
-]
+MAPS = ["dao/den009d", "dao/den101d", "dao/den312d", "dao/den520d", "da2/ht_store"]
 
 
 def read(path, *rows, **options):
@@ -25,7 +12,7 @@ def read(path, *rows, **options):
     return scenes.read_map(path, **options)
 
 
-def test_letters_become_unit_squares_with_lattice_corners(tmp_path):
+def test_letters_become_unit_squares(tmp_path):
     workspace = read(tmp_path / "small.map", "@....", "T.@..", "OWSG@")
     passable = {(1, 0), (2, 0), (3, 0), (4, 0), (1, 1), (3, 1), (4, 1), (2, 2), (3, 2)}
     cells = [(x, y) for x in range(1, 5) for y in range(3)]
@@ -35,12 +22,18 @@ def test_letters_become_unit_squares_with_lattice_corners(tmp_path):
     np.testing.assert_array_equal([workspace.bounds.lo, workspace.bounds.hi], [(1, 0), (5, 3)])
 
 
-def test_boundaries_of_blocked_cells_are_free_and_straight_walls_have_no_points_between_their_corners(tmp_path):
+def test_boundary_of_blocked_cell_is_free(tmp_path):
     ring = read(tmp_path / "ring.map", "...", ".@.", "...")
     assert ring.is_free(np.array([(1.0, 1.0), (1.5, 1.0), (2.0, 1.7)])).all()
     assert not ring.is_free(np.array([(1.5, 1.5)])).any()
+
+
+def test_straight_walls_have_only_corner_points(tmp_path):
     hole = read(tmp_path / "hole.map", *["." * 9] * 4, *["...@@@..."] * 3, *["." * 9] * 4)
-    assert shapely.get_num_coordinates(hole.free_space) <= 2 * (5 + 1)
+    assert shapely.get_num_coordinates(hole.free_space) == 2 * (4 + 1)
+
+
+def test_squeeze_is_passed_on(tmp_path):
     for squeeze in (True, False):
         assert read(tmp_path / "touch.map", ".@", "@.", squeeze=squeeze).squeeze == squeeze
 
@@ -61,24 +54,12 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "text", "message"), BROKEN)
-def test_broken_files_are_refused(kind, text, message, tmp_path):
-    path = tmp_path / f"broken.{kind}"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=rf"broken\.{kind}.*{message}"):
-        (scenes.read_map if kind == "map" else scenes.read_scen)(path)
-
-
-@needs_data
-@pytest.mark.parametrize("name", PAIRS)
-def test_a_map_equals_its_published_polygons(name):
-    from_cells = scenes.read_map(Path(DATA, f"{name}.map"))
-    from_polygons = scenes.read_polygons(Path(DATA, f"{name}_polygons.json"))
-    difference = shapely.symmetric_difference(from_cells.free_space, from_polygons.free_space)
-    assert difference.area == 0.0
-    assert from_cells.bounds == from_polygons.bounds
-    text = Path(DATA, f"{name}.map").read_text()
-    assert from_cells.free_space.area == text.split("map\n", 1)[1].count(".")
+def test_broken_file_raises(tmp_path):
+    for kind, text, message in BROKEN:
+        path = tmp_path / f"broken.{kind}"
+        path.write_text(text)
+        with pytest.raises(ValueError, match=rf"broken\.{kind}.*{message}"):
+            (scenes.read_map if kind == "map" else scenes.read_scen)(path)
 
 
 def test_scenarios_are_read_row_by_row(tmp_path):
@@ -91,27 +72,11 @@ def test_scenarios_are_read_row_by_row(tmp_path):
     np.testing.assert_array_equal(scenario.octile_lengths, [2.82843, 2])
 
 
-@needs_data
-def test_the_arena_scenario_holds_the_published_queries():
-    """Every published query of `arena_euclid.csv` is a row of `arena.scen`, with the same octile length."""
-    scenario = scenes.read_scen(Path(DATA, "polyanya_arena/arena.scen"))
-    lengths = {
-        (*start, *goal): length
-        for start, goal, length in zip(scenario.starts, scenario.goals, scenario.octile_lengths, strict=True)
-    }
-    with Path(DATA, "polyanya_arena/arena_euclid.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert len(rows) == 160
-    for row in rows:
-        query = tuple(float(row[key]) for key in ("start_x", "start_y", "goal_x", "goal_y"))
-        assert lengths[query] == float(row["octile_length"])
-
-
-@needs_data
-def test_starts_and_goals_of_scenarios_are_free():
-    for name in ("movingai/dao/den101d", "movingai/da2/ht_store", "movingai/mapf/random-32-32-10"):
-        workspace = scenes.read_map(Path(DATA, f"{name}.map"))
-        scen = next(Path(DATA, name).parent.glob(f"{Path(name).name}*.scen"))
-        scenario = scenes.read_scen(scen)
-        assert workspace.is_free(scenario.starts).all()
-        assert workspace.is_free(scenario.goals).all()
+@pytest.mark.parametrize("name", [*(f"movingai/{name}" for name in MAPS), "polyanya_arena/arena"])
+def test_published_map_equals_its_published_polygons(name, data_dir):
+    from_cells = scenes.read_map(data_dir / f"{name}.map")
+    from_polygons = scenes.read_polygons(data_dir / f"{name}_polygons.json")
+    assert shapely.symmetric_difference(from_cells.free_space, from_polygons.free_space).area == 0.0
+    assert from_cells.bounds == from_polygons.bounds
+    text = (data_dir / f"{name}.map").read_text()
+    assert from_cells.free_space.area == text.split("map\n", 1)[1].count(".")

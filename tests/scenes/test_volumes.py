@@ -1,13 +1,7 @@
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from plr_jax import scenes
-
-DATA = os.environ.get("PLR_JAX_DATA")
-PUBLISHED = sorted(Path(DATA).rglob("*.3dmap")) if DATA else []
 
 
 def read_list(path, text):
@@ -15,18 +9,17 @@ def read_list(path, text):
     return scenes.read_volume(path)
 
 
-@pytest.mark.parametrize("shape", [(7,), (3, 4), (2, 3, 4), (2, 3, 2, 2)])
-@pytest.mark.parametrize("kind", [bool, np.uint8, np.int64, ">i2"])
-def test_arrays_of_booleans_or_integers_are_read_as_they_are(shape, kind, tmp_path):
-    free = np.random.default_rng(0).random(shape) < 0.7
-    for array in (free.astype(kind), np.asfortranarray(free.astype(kind))):
-        np.save(tmp_path / "volume.npy", array)
-        volume = scenes.read_volume(str(tmp_path / "volume.npy"))
-        np.testing.assert_array_equal(volume, free)
-        assert volume.dtype == bool and volume.flags["C_CONTIGUOUS"] and volume.flags["OWNDATA"]
+def test_arrays_of_booleans_or_integers_are_read(tmp_path):
+    for shape, kind in [((7,), bool), ((3, 4), np.uint8), ((2, 3, 4), ">i2"), ((2, 3, 2, 2), int)]:
+        free = np.random.default_rng(0).random(shape) < 0.7
+        for array in (free.astype(kind), np.asfortranarray(free.astype(kind))):
+            np.save(tmp_path / "volume.npy", array)
+            volume = scenes.read_volume(str(tmp_path / "volume.npy"))
+            np.testing.assert_array_equal(volume, free)
+            assert volume.dtype == bool and volume.flags["C_CONTIGUOUS"] and volume.flags["OWNDATA"]
 
 
-def test_lists_name_the_voxels_that_are_blocked(tmp_path):
+def test_lists_name_blocked_voxels(tmp_path):
     path = tmp_path / "Small.3DMAP"
     free = read_list(path, "voxel 4 3 2\r\n0 2 1\r\n3 0 0\r\n\r\n3 0 0\r\n")
     assert free.shape == (4, 3, 2)
@@ -34,62 +27,47 @@ def test_lists_name_the_voxels_that_are_blocked(tmp_path):
     assert read_list(path, "voxel 4 3 2").all() and read_list(path, "voxel 1 1 1\n").all()
 
 
-@pytest.mark.skipif(not PUBLISHED, reason="PLR_JAX_DATA holds no .3dmap: third-party volumes are absent")
-def test_published_lists_are_read():
-    for path in PUBLISHED:
-        sizes = path.read_text().partition("\n")[0].split()[1:]
-        free = scenes.read_volume(path)
-        assert free.shape == tuple(map(int, sizes)) and free.any() and not free.all()
+def test_broken_list_raises(tmp_path):
+    for text, message in [
+        ("", r"with first line 'voxel nx ny nz', got ''"),
+        ("voxel 2 2 2 2\n", "expected a list of voxels"),
+        ("voxel 2 -2 2\n", "expected a list of voxels"),
+        ("voxel 2 2.0 2\n", "expected a list of voxels"),
+        ("voxel 0 2 2\n", "expected one to 16,777,216 voxels in a file of this size, got 0 x 2 x 2"),
+        (
+            "voxel 500 500 500\n0 0 0\n",
+            "expected one to 16,777,216 voxels in a file of this size, got 500 x 500 x 500",
+        ),
+        ("voxel 2 2 2\n0 0\n", "expected a blocked voxel 'x y z' in each line, got '0 0'"),
+        ("voxel 2 2 2\n0 0 0\n0 1\n", "expected a blocked voxel 'x y z' in each line .*columns changed from 3 to 2"),
+        ("voxel 2 2 2\n0 0 a\n", "expected a blocked voxel 'x y z' in each line .*'a'"),
+        ("voxel 2 2 2\n0 0 2\n", r"within \(2, 2, 2\), got \[0.0, 0.0, 2.0\]"),
+        ("voxel 2 2 2\n0 -1 0\n", r"within \(2, 2, 2\), got \[0.0, -1.0, 0.0\]"),
+        ("voxel 2 2 2\n0 0.5 0\n", r"got \[0.0, 0.5, 0.0\]"),
+        ("voxel 1 1 1\n0 0 0\n", "at least one free voxel"),
+    ]:
+        with pytest.raises(ValueError, match=f"broken.3dmap: .*{message}"):
+            read_list(tmp_path / "broken.3dmap", text)
 
 
-BROKEN = [
-    ("", r"with first line 'voxel nx ny nz', got ''"),
-    ("octile 2 2 2\n", "expected a list of voxels"),
-    ("voxel 2 2\n", "expected a list of voxels"),
-    ("voxel 2 2 2 2\n", "expected a list of voxels"),
-    ("voxel 2 -2 2\n", "expected a list of voxels"),
-    ("voxel 2 2.0 2\n", "expected a list of voxels"),
-    ("voxel 0 2 2\n", "expected one to 16,777,216 voxels in a file of this size, got 0 x 2 x 2"),
-    ("voxel 500 500 500\n0 0 0\n", "expected one to 16,777,216 voxels in a file of this size, got 500 x 500 x 500"),
-    ("voxel 999999999 999999999 999999999\n", "expected one to 16,777,216 voxels"),
-    ("voxel 2 2 2\n0 0\n", "expected a blocked voxel 'x y z' in each line, got '0 0'"),
-    ("voxel 2 2 2\n0 0 0\n0 1\n", "expected a blocked voxel 'x y z' in each line .*columns changed from 3 to 2"),
-    ("voxel 2 2 2\n0 0 a\n", "expected a blocked voxel 'x y z' in each line .*'a'"),
-    ("voxel 2 2 2\n0 0 2\n", r"within \(2, 2, 2\), got \[0.0, 0.0, 2.0\]"),
-    ("voxel 2 2 2\n0 -1 0\n", r"within \(2, 2, 2\), got \[0.0, -1.0, 0.0\]"),
-    ("voxel 2 2 2\n0 0.5 0\n", r"got \[0.0, 0.5, 0.0\]"),
-    ("voxel 2 2 2\n0 nan 0\n", r"got \[0.0, nan, 0.0\]"),
-    ("voxel 1 1 1\n0 0 0\n", "at least one free voxel"),
-]
+def test_other_array_raises(tmp_path):
+    for array, message in [
+        (np.array([None, 1]), "Python objects"),
+        (np.ones((2, 2)), "booleans, or integers 0 and 1, got other values or type, float64"),
+        (np.array([0, 100]), "got other values or type, int64"),
+        (np.array([0, -1]), "got other values or type, int64"),
+        (np.ones(2, [("a", bool)]), "got other values or type"),
+        (np.array(True), r"one to 4 axes .*shape \(\)"),
+        (np.ones((1, 1, 1, 2, 1), bool), "one to 4 axes"),
+        (np.zeros((0, 3), bool), "something else or a damaged file|one to 268,435,456 voxels"),
+        (np.zeros((2, 2), bool), "at least one free voxel"),
+    ]:
+        np.save(tmp_path / "wrong.npy", array, allow_pickle=True)
+        with pytest.raises(ValueError, match=f"wrong.npy: .*({message})"):
+            scenes.read_volume(tmp_path / "wrong.npy")
 
 
-@pytest.mark.parametrize(("text", "message"), BROKEN)
-def test_broken_lists_are_refused_by_name(text, message, tmp_path):
-    with pytest.raises(ValueError, match=f"broken.3dmap: .*{message}"):
-        read_list(tmp_path / "broken.3dmap", text)
-
-
-WRONG = {
-    "pickles": (np.array([None, 1]), "Python objects"),
-    "floats": (np.ones((2, 2)), "booleans, or integers 0 and 1, got other values or type, float64"),
-    "occupancy": (np.array([0, 100]), "got other values or type, int64"),
-    "negative": (np.array([0, -1]), "got other values or type, int64"),
-    "records": (np.ones(2, [("a", bool)]), "got other values or type"),
-    "no axis": (np.array(True), r"one to 4 axes .*shape \(\)"),
-    "five axes": (np.ones((1, 1, 1, 2, 1), bool), "one to 4 axes"),
-    "nothing": (np.zeros((0, 3), bool), "something else or a damaged file|one to 268,435,456 voxels"),
-    "all blocked": (np.zeros((2, 2), bool), "at least one free voxel"),
-}
-
-
-@pytest.mark.parametrize(("array", "message"), WRONG.values(), ids=WRONG)
-def test_other_arrays_are_refused_by_name(array, message, tmp_path):
-    np.save(tmp_path / "wrong.npy", array, allow_pickle=True)
-    with pytest.raises(ValueError, match=f"wrong.npy: .*({message})"):
-        scenes.read_volume(tmp_path / "wrong.npy")
-
-
-def test_what_is_no_array_or_less_than_its_header_says_is_refused(tmp_path):
+def test_damaged_array_raises(tmp_path):
     path = tmp_path / "wrong.npy"
     np.save(path, np.ones((4, 4), bool))
     whole = path.read_bytes()
@@ -103,17 +81,14 @@ def test_what_is_no_array_or_less_than_its_header_says_is_refused(tmp_path):
 
 
 @pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
+def test_options_of_meshes_raise_for_other_files(tmp_path):
+    np.save(tmp_path / "volume.npy", np.ones(3, bool))
+    for name, options, message in [
         ("volume.vox", {}, r"ends in one of \.npy, \.3dmap, \.stl, \.obj, \.ply"),
         ("volume.npy", {"pitch": 1.0}, "pitch, bounds and fill are for meshes"),
         ("volume.npy", {"bounds": ((0, 0), (1, 1))}, "pitch, bounds and fill are for meshes"),
         ("volume.npy", {"fill": False}, "pitch, bounds and fill are for meshes"),
         ("volume.npy", {"fill": 1}, "fill must be True or False, got 1"),
-    ],
-)
-def test_options_of_other_kinds_are_refused(name, options, message, tmp_path):
-    np.save(tmp_path / "volume.npy", np.ones(3, bool))
-    with pytest.raises(ValueError, match=message):
-        scenes.read_volume(tmp_path / name, **options)
+    ]:
+        with pytest.raises(ValueError, match=message):
+            scenes.read_volume(tmp_path / name, **options)

@@ -1,31 +1,34 @@
-"""One door for all maps."""
+"""Workspaces read from files whose format follows from their ending and content."""
 
 import json
 
 import pytest
+import shapely
 
 from plr_jax import scenes
 
 
-def test_files_are_known_by_their_ending_and_what_is_in_them(tmp_path):
+def test_reader_follows_from_ending_and_content(tmp_path):
     scenes.save(scenes.maze(), tmp_path / "scene.json")
     (tmp_path / "polygons.json").write_text(json.dumps({"outer": [[0, 0], [3, 0], [0, 3]]}))
     (tmp_path / "grid.MAP").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
     (tmp_path / "map.pgm").write_bytes(b"P5 3 2 255 " + b"\xff" * 6)
     (tmp_path / "map.yaml").write_text("image: map.pgm\nresolution: 0.5\norigin: [0, 0, 0]")
     expected = {"scene.json": scenes.maze().workspace.free_space.area, "polygons.json": 4.5, "grid.MAP": 2}
-    for name, area in {**expected, "map.yaml": 1.5}.items():
+    for name, area in {**expected, "map.pgm": 6, "map.yaml": 1.5}.items():
         assert scenes.read_workspace(tmp_path / name).free_space.area == pytest.approx(area)
 
 
-@pytest.mark.parametrize("text", ["image: a.pgm\norigin: [0, 0, 0]", "resolution: 0.05", "negate: 0", "mode: raw"])
-def test_a_map_server_file_that_lacks_a_key_is_told_so(text, tmp_path):
-    (tmp_path / "map.yaml").write_text(text)
-    with pytest.raises(ValueError, match=r"map\.yaml: expected the keys image, resolution, origin; missing "):
-        scenes.read_workspace(tmp_path / "map.yaml")
+def test_shapely_polygons_are_free_space():
+    geometry = shapely.MultiPolygon([shapely.box(0, 0, 10, 8) - shapely.box(2, 2, 4, 5), shapely.box(10, 3, 12, 4)])
+    assert scenes.read_workspace(geometry).free_space.area == 76
+    wider = scenes.read_workspace(geometry, bounds=((-5, -5), (15, 15)))
+    assert wider.free_space.area == 76 and wider.bounds.width.tolist() == [20, 20]
+    with pytest.raises(ValueError, match=r"options of this kind of file \(bounds, squeeze\), got resolution"):
+        scenes.read_workspace(geometry, resolution=1)
 
 
-def test_what_cannot_be_read_is_said_by_name(tmp_path):
+def test_unreadable_file_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"a\.doc: expected a file that ends in one of \.map, \.json"):
         scenes.read_workspace(tmp_path / "a.doc")
     (tmp_path / "a.map").write_text("type octile\nheight 1\nwidth 2\nmap\n..\n")
