@@ -102,7 +102,7 @@ def hard_points(plr, n=2000, seed=0):
     inside = rng.uniform(domain.lo, domain.hi, (n, plr.dim))
     faces = domain.lo + domain.width * rng.integers(0, 65, (n, plr.dim)) / 64
     mixed = np.where(rng.random((n, plr.dim)) < 0.5, inside, faces)
-    corners = np.array(list(product(*zip(domain.lo, domain.hi, strict=True))))
+    corners = rng.permutation(list(product(*zip(domain.lo, domain.hi, strict=True))))[:16]
     of_type = np.float64 if is_far(plr) else np.float32
     beside = [np.nextafter(corners.astype(of_type), of_type(to)) for to in (-np.inf, np.inf)]
     around = inside + domain.width * rng.integers(-3, 4, (n, plr.dim))
