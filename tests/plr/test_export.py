@@ -15,13 +15,6 @@ from plr_jax import Box, VisibilityGraph, Workspace, construct, construct_pairs,
 
 pytestmark = pytest.mark.usefixtures("unchecked_types")  # which know no symbolic sizes
 
-WORKSPACE = Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]])
-
-
-@pytest.fixture(scope="module")
-def pairs():
-    return construct_pairs(WORKSPACE, max_bytes=300)
-
 
 def points(n, dim=2, seed=0):
     return np.random.default_rng(seed).uniform(0, 1, (n, dim)).astype(np.float32)
@@ -29,6 +22,10 @@ def points(n, dim=2, seed=0):
 
 def in_square(n):
     return (points(n),)
+
+
+def in_cube(n):
+    return (9 * points(n, 3) - 4.5,)
 
 
 def indexed(n):
@@ -39,31 +36,36 @@ def two(n):
     return points(n), points(n, seed=1)
 
 
-CONES = "maze of cones"
-QUERIES = {
-    "plane": (lambda pairs: case("maze of planes"), in_square),
-    "cone, pages": (lambda pairs: case(CONES), in_square),
-    "continuous": (lambda pairs: case("maze of values"), in_square),
-    "smooth": (lambda pairs: case("maze of gradients"), in_square),
-    "folded": (lambda pairs: case("folded car"), lambda n: (9 * points(n, 3) - 4.5,)),
-    "bounds": (lambda pairs: case(CONES).bounds, in_square),
-    "lower": (lambda pairs: case("maze of planes").lower, in_square),
-    "waypoint": (lambda pairs: case(CONES).waypoint, in_square),
-    "gradient": (lambda pairs: jax.vmap(jax.grad(case(CONES))), in_square),
-    "clamp": (lambda pairs: lambda x: case("maze of planes")(2 * x, outside="clamp"), in_square),
-    "stack, trie": (lambda pairs: stack([case(CONES), case(CONES)]), indexed),
-    "stack, several models": (lambda pairs: stack([case(CONES), case("maze of planes")]), indexed),
-    "pairs": (lambda pairs: pairs, two),
-}
+def two_models():
+    return stack([case("maze of cones"), case("maze of planes")])
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("name", QUERIES)
-def test_of_any_number_of_points(name, pairs):
-    """Also by bytes, which ``jax.export`` writes with the package flatbuffers."""
+def clamped():
+    return lambda x: case("maze of planes")(2 * x, outside="clamp")
+
+
+def pairs():
+    workspace = Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]])
+    return construct_pairs(workspace, max_bytes=300)
+
+
+@pytest.mark.parametrize(
+    ("make", "points"),
+    [
+        (clamped, in_square),
+        pytest.param(lambda: case("maze of gradients"), in_square, marks=pytest.mark.full),
+        pytest.param(lambda: case("folded car"), in_cube, marks=pytest.mark.full),
+        pytest.param(lambda: case("maze of cones").bounds, in_square, marks=pytest.mark.full),
+        pytest.param(lambda: case("maze of cones").waypoint, in_square, marks=pytest.mark.full),
+        pytest.param(lambda: jax.vmap(jax.grad(case("maze of cones"))), in_square, marks=pytest.mark.full),
+        pytest.param(two_models, indexed, marks=pytest.mark.full),
+        pytest.param(pairs, two, marks=pytest.mark.full),
+    ],
+)
+def test_exported_queries_answer_any_number_of_points(make, points):
+    """Programs become bytes, which ``jax.export`` writes with the package flatbuffers."""
     pytest.importorskip("flatbuffers")
-    make, points = QUERIES[name]
-    query, (size,) = make(pairs), export.symbolic_shape("n")
+    query, (size,) = make(), export.symbolic_shape("n")
     shapes = [jax.ShapeDtypeStruct((size, *each.shape[1:]), each.dtype) for each in points(2)]
     program = export.deserialize(export.export(jax.jit(query))(*shapes).serialize())
     for n in (1, 300):
@@ -73,7 +75,7 @@ def test_of_any_number_of_points(name, pairs):
 
 
 @pytest.mark.full
-def test_arrays_of_a_plr_are_an_argument_of_what_is_serialized():
+def test_exported_programs_take_the_arrays_of_a_plr():
     pytest.importorskip("flatbuffers", reason="jax.export writes bytes by the package flatbuffers")
     domain = Box((-1, -1), (3, 2))
     one, other = (construct(VisibilityGraph(Workspace(domain), (0.3, y)), domain, leaf="cone") for y in (0, 1))
@@ -119,7 +121,7 @@ CODE = """
 
 
 @pytest.mark.full
-def test_answers_are_the_same_and_on_the_devices_of_their_points():
+def test_answers_are_on_the_devices_of_their_points():
     flags = f"--xla_force_host_platform_device_count=4 {os.environ.get('XLA_FLAGS', '')}"
     command, environment = [sys.executable, "-c", textwrap.dedent(CODE)], {**os.environ, "XLA_FLAGS": flags}
     done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
