@@ -2,8 +2,6 @@
 
 import struct
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -155,7 +153,6 @@ def test_exact_images_of_points_get_equal_answers():
     for signs in ((-1, 1, -1), (1, -1, -1), (-1, -1, 1)):
         np.testing.assert_array_equal(plr(x * np.float32(signs)), plr(x))
         np.testing.assert_array_equal(leaf_of(plr, x * np.float32(signs)), leaf_of(plr, x))
-    assert np.isfinite(jax.grad(plr)(jnp.zeros(3))).all()
 
 
 def test_byte_budgets_include_the_folding():

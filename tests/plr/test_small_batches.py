@@ -37,11 +37,11 @@ def eager_answers(plr, x):
     yield from (stacked(index, wide), stacked(index, wide, outside="nan"))
     yield of_team(np.stack([wide, wide[::-1]], axis=1))
     if not plr.tables.unresolved:
-        yield from (plr(jnp.asarray(x)), plr(x[0]), plr(x, outside="nan"))
+        yield from (plr(jnp.asarray(x)), plr(x, outside="nan"))
         with jax.enable_x64(True):
-            yield from (plr(wide), plr(jnp.asarray(wide), outside="clamp"))
+            yield plr(wide)
     if plr.max_error is not None:
-        yield from (*plr.bounds(wide), *plr.bounds(x[0]), LowerBound.stack([plr.lower])(wide[:, None]))
+        yield from (*plr.bounds(wide), LowerBound.stack([plr.lower])(wide[:, None]))
     if plr.leaf.name == "cone":
         yield plr.waypoint(wide)
 

@@ -16,10 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 FOLDER = Path(__file__).parent / "vectors"
-_CHOSEN = (
-    "maze of planes, maze of values, maze of gradients, maze of cones, cones of exits, cones in space, random planes"
-)
-_CHOSEN += ", deep, around, random values, smooth around, folded car, folded car of planes, far cones, far folded car"
+_CHOSEN = "maze of planes, maze of values, maze of gradients, maze of cones, cones of exits, cones in space"
+_CHOSEN += ", random planes, deep, around, random values, smooth around"
+_CHOSEN += ", folded car, folded car of planes, far cones, far folded car"
 _POINTS = 200
 
 
@@ -50,7 +49,7 @@ def read_vector(name: str) -> Vector:
 
 def write() -> None:
     """Write all vectors."""
-    from portable_helpers import SlowReader, case, hard_points
+    from portable_helpers import CASES, SlowReader, hard_points
 
     from plr_jax import save
 
@@ -58,7 +57,7 @@ def write() -> None:
     for path in FOLDER.glob("*.json"):  # beside files that are refused
         path.unlink()
     for name in _CHOSEN.split(", "):
-        plr, file = case(name), name.replace(" ", "_")
+        plr, file = CASES[name](), name.replace(" ", "_")
         every = hard_points(plr, 60)
         x = every[np.sort(np.random.default_rng(1).choice(len(every), _POINTS, replace=False))]
         save(plr, FOLDER / f"{file}.plr")
