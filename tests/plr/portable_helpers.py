@@ -16,11 +16,13 @@ from plr_jax import (
     NearestGoal,
     ReedsShepp,
     VisibilityGraph,
+    VoxelSpace,
     Workspace,
     construct,
     from_bytes,
     load,
     scenes,
+    solve_eikonal,
 )
 from plr_jax.plr._file import encode
 
@@ -46,6 +48,10 @@ def _maze(leaf, max_bytes, *other_goals):
     return construct(oracle, ((0, 0), (1, 1)), leaf=leaf, max_bytes=max_bytes, certified=True)
 
 
+def _straight():
+    return solve_eikonal(VoxelSpace(np.ones((6, 5, 4), bool)), (1.3, 2.0, 0.5), max_leaves=40)
+
+
 CASES = {
     "maze of planes": lambda: _maze("plane", 512),
     "maze of values": lambda: _maze("continuous", 400),
@@ -64,6 +70,7 @@ CASES = {
     "around twice": lambda: _random(2, "continuous", 5, periodic=(True, True)),
     "folded car": lambda: construct(ReedsShepp((0, 0, 0), 1), TURNS, leaf="continuous", max_leaves=100),
     "folded car of planes": lambda: construct(ReedsShepp((1, 0.5, 0.6), 1), ASIDE, leaf="plane", max_leaves=100),
+    "straight bound": _straight,
     "far planes": lambda: construct(Euclidean((5e5 + 90, 4e6 + 70)), GRID_ZONE, leaf="plane", max_leaves=50),
     "far cones": lambda: construct(
         VisibilityGraph(Workspace(GRID_ZONE), (5e5 + 90, 4e6 + 70)), GRID_ZONE, leaf="cone"
@@ -80,9 +87,9 @@ def case(name: str) -> PLR:
     return load(path) if path.exists() else CASES[name]()
 
 
-def cases(*quick):
-    """Return the names of all PLRs as parameters of a test; all but these are left to the full tests."""
-    return [pytest.param(name, marks=() if name in quick else pytest.mark.full) for name in CASES]
+def full(*names):
+    """Return names of PLRs as parameters of full tests."""
+    return [pytest.param(name, marks=pytest.mark.full) for name in names]
 
 
 def is_far(plr):

@@ -6,14 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from portable_helpers import case, is_far
+from portable_helpers import case, full, is_far
 
 from plr_jax import PLR, Box, Euclidean, Workspace, construct, construct_pairs, evaluate, from_bytes, stack
 from plr_jax.plr._plr import leaf_of
 
-QUICK = ("maze of cones", "around", "folded car")
-KINDS = (*QUICK, "maze of gradients", "maze of planes", "around twice", "far planes", "far folded car")
-COMPILED = [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in KINDS]
+KINDS = ("maze of cones", "folded car", "maze of gradients", "maze of planes", "around", "around twice")
+KINDS += ("far planes", "far folded car")
+COMPILED = pytest.mark.parametrize("name", [*KINDS[:2], *full(*KINDS[2:])])
 OUTSIDE = ("inf", "clamp", "nan")
 
 
@@ -55,7 +55,7 @@ def compiled_answers(name):
     return x, *jax.tree.map(np.asarray, values_and_gradients(plr, x))
 
 
-@pytest.mark.parametrize("name", COMPILED)
+@COMPILED
 def test_compiled_answers_equal_answers_of_one_point(name):
     plr, (x, (values, _), (clamped, _)) = case(name), compiled_answers(name)
     close = {"rtol": 1e-6, "atol": 0 if plr.tables.folding is None else 1e-5}
@@ -65,7 +65,7 @@ def test_compiled_answers_equal_answers_of_one_point(name):
     np.testing.assert_allclose(clamped, plr(x, outside="clamp"), **close)
 
 
-@pytest.mark.parametrize("name", COMPILED)
+@COMPILED
 def test_gradients_equal_finite_differences(name):
     """Differences of a leaf's function, which needs no step into another leaf. Clamped, gradients lead back."""
     plr, (x, (values, gradient), (_, clamped_gradient)) = case(name), compiled_answers(name)

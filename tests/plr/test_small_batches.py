@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from plr_helpers import UNIT
-from portable_helpers import case, hard_points, same_bits
+from portable_helpers import case, full, hard_points, same_bits
 
-from plr_jax import PLR, PlaneSpace, VisibilityGraph, Workspace, construct, from_bytes, scenes, solve_eikonal, stack
+from plr_jax import PLR, VisibilityGraph, Workspace, construct, from_bytes, stack
 from plr_jax.plr import _stack, query, small_batches, team
 from plr_jax.plr._plr import LowerBound, leaf_of
 
@@ -46,17 +46,12 @@ def eager_answers(plr, x):
         yield plr.waypoint(wide)
 
 
-def with_straight_bound():
-    return solve_eikonal(PlaneSpace(scenes.maze().workspace), (0.06, 0.07), max_bytes=600)
-
-
 FULL = ("straight bound", "random planes on a line", "random values", "around", "folded car", "far folded car")
 
 
-@pytest.mark.parametrize("name", ["maze of cones", *(pytest.param(name, marks=pytest.mark.full) for name in FULL)])
+@pytest.mark.parametrize("name", ["maze of cones", *full(*FULL)])
 def test_numpy_answers_of_small_batches_equal_compiled_ones(name, monkeypatch):
-    plr = with_straight_bound() if name == "straight bound" else case(name)
-    plr = from_bytes(plr.to_bytes())  # has not been called yet
+    plr = from_bytes(case(name).to_bytes())  # has not been called yet
     x = hard_points(plr, 100, seed=3).astype(np.float32)
     x[np.abs(x) < 1e-11] = 0  # smaller numbers are left to compiled code
     before = num_compiled()
