@@ -70,7 +70,6 @@ def test_windows_are_folded_onto_the_smallest_box(oracle, domain, box):
         (ReedsShepp((0.5, 0.25, 0), 1), ASIDE),
         (ReedsShepp((0.5, 0.25, 0.7), 1), ASIDE),
         (ReedsShepp((0.5, 0.25, 0), 1), Box((-3, -4, 0), (5, 3, 1))),
-        (Dubins((0.5, 0.25, 0.1), 1), ASIDE),
         (Euclidean((1, 2, 3)), Box((0, 0, 0), (4, 4, 4))),
     ],
 )

@@ -168,20 +168,17 @@ def test_points_clamped_in_64_bits_are_inside():
 
 @pytest.mark.full
 def test_pairs_outside_add_the_distances_of_both_ends():
-    workspace = Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]])
-    pairs = construct_pairs(workspace, max_bytes=300)
+    pairs = construct_pairs(
+        Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.5, 0), (0.5, 0.7), (0.4, 0.7)]]), max_bytes=300
+    )
     x, y = np.random.default_rng(1).uniform(-1, 2, (2, 300, 2))
-    (near_x, way_x), (near_y, way_y) = clamped(workspace.bounds, x), clamped(workspace.bounds, y)
+    (near_x, way_x), (near_y, way_y) = clamped(pairs.domain, x), clamped(pairs.domain, y)
     value = pairs(x, y, outside="clamp")
     np.testing.assert_allclose(value, pairs(near_x, near_y) + way_x + way_y, rtol=1e-5, atol=1e-5)
     is_outside = (way_x > 0) | (way_y > 0)
     assert np.isinf(pairs(x, y))[is_outside].all()
     np.testing.assert_array_equal(np.isnan(pairs(x, y, outside="nan")), is_outside)
     np.testing.assert_array_equal(value[~is_outside], pairs(x, y)[~is_outside])
-    gradient = jax.vmap(jax.grad(lambda x, y: pairs(x, y, outside="clamp")))(jnp.asarray(x), jnp.asarray(y))
-    beyond = np.abs(x - near_x) > 1e-4
-    outward = (x - near_x) / np.maximum(way_x, 1e-9)[:, None]
-    np.testing.assert_allclose(np.asarray(gradient)[beyond], outward[beyond], atol=1e-4)
     x[:2, 0] = np.nan, np.inf
     np.testing.assert_array_equal(pairs(x, y, outside="clamp")[:2], [np.nan, np.inf])
 

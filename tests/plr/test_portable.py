@@ -31,7 +31,15 @@ READ = (
     "random planes on a line",
     "random planes",
 )
-READ += ("random planes", "around twice", "folded car", "folded car of planes", "far planes", "far cones", "far around")
+READ += (
+    "random planes",
+    "around twice",
+    "folded car",
+    "folded car of planes",
+    "far planes",
+    "far cones",
+    "far around",
+)
 READ += tuple(full("values in six dimensions", "far folded car", "straight bound"))
 TINY = np.finfo(np.float32).tiny  # XLA takes smaller numbers for 0
 
