@@ -6,85 +6,15 @@ from operator import add
 
 import numpy as np
 import pytest
-from plr_helpers import chain, random_contents
 from vectors import FOLDER
 
-from plr_jax import (
-    PLR,
-    Box,
-    Euclidean,
-    NearestGoal,
-    ReedsShepp,
-    VisibilityGraph,
-    VoxelSpace,
-    Workspace,
-    construct,
-    from_bytes,
-    load,
-    scenes,
-    solve_eikonal,
-)
-from plr_jax.plr._file import encode
-
-TURNS = Box((-4, -4, -np.pi), (4, 4, np.pi), periodic=(False, False, True))
-ASIDE = Box((-2, -4, -np.pi), (6, 3, np.pi), periodic=(False, False, True))
-FAR_TURNS = Box((998, -1e3 - 4, -np.pi), (1004, -1e3 + 2, np.pi), periodic=(False, False, True))
-GRID_ZONE = Box((5e5, 4e6), (5e5 + 2000.3, 4e6 + 1500.7))
-
-
-def _waves(x):
-    return 3 + np.sin(3 * x[:, 0]) + np.cos(2 * x[:, -1])
-
-
-def _random(dim, leaf, seed=0, **options):
-    return from_bytes(encode(random_contents(seed, dim, leaf, **options)))
-
-
-def _maze(leaf, max_bytes, *other_goals):
-    problem = scenes.maze()
-    oracle = VisibilityGraph(problem.workspace, problem.goals[0])
-    if other_goals:
-        oracle = NearestGoal([oracle, *map(oracle.with_goal, other_goals)])
-    return construct(oracle, ((0, 0), (1, 1)), leaf=leaf, max_bytes=max_bytes, certified=True)
-
-
-def _straight():
-    return solve_eikonal(VoxelSpace(np.ones((6, 5, 4), bool)), (1.3, 2.0, 0.5), max_leaves=40)
-
-
-CASES = {
-    "maze of planes": lambda: _maze("plane", 512),
-    "maze of values": lambda: _maze("continuous", 400),
-    "maze of gradients": lambda: _maze("smooth", 300),
-    "maze of cones": lambda: _maze("cone", 300),
-    "cones of exits": lambda: _maze("cone", 300, (0.1, 0.1), (0.9, 0.1)),
-    "cones in space": lambda: _random(3, "cone", 7),
-    "one leaf": lambda: construct(Euclidean((1, 2)), ((-3, -1), (2, 4)), leaf="plane", max_leaves=1),
-    "random planes on a line": lambda: _random(1, "plane", 1),
-    "random planes": lambda: _random(5, "plane", 2),
-    "random values": lambda: _random(3, "continuous", 3),
-    "values in six dimensions": lambda: construct(_waves, (-np.ones(6), np.ones(6)), leaf="continuous", max_leaves=4),
-    "deep": lambda: _random(2, "plane", 4, cells=chain([0, 1] * 12)),
-    "around": lambda: construct(_waves, Box((-0.3, 1), (3, 1.7), periodic=(False, True)), max_leaves=40),
-    "smooth around": lambda: _random(2, "smooth", 6, periodic=(False, True)),
-    "around twice": lambda: _random(2, "continuous", 5, periodic=(True, True)),
-    "folded car": lambda: construct(ReedsShepp((0, 0, 0), 1), TURNS, leaf="continuous", max_leaves=100),
-    "folded car of planes": lambda: construct(ReedsShepp((1, 0.5, 0.6), 1), ASIDE, leaf="plane", max_leaves=100),
-    "straight bound": _straight,
-    "far planes": lambda: construct(Euclidean((5e5 + 90, 4e6 + 70)), GRID_ZONE, leaf="plane", max_leaves=50),
-    "far cones": lambda: construct(
-        VisibilityGraph(Workspace(GRID_ZONE), (5e5 + 90, 4e6 + 70)), GRID_ZONE, leaf="cone"
-    ),
-    "far around": lambda: construct(_waves, Box((1000, 3), (1003, 3.5), periodic=(False, True)), max_leaves=40),
-    "far folded car": lambda: construct(ReedsShepp((1e3, -1e3, 2), 1), FAR_TURNS, leaf="continuous", max_leaves=100),
-}
+from plr_jax import PLR, load
 
 
 @cache
 def case(name: str) -> PLR:
-    """Return a PLR by name: its stored file if there is one, else built."""
-    path = FOLDER / f"{name.replace(' ', '_')}.plr"
-    return load(path) if path.exists() else CASES[name]()
+    """Return the PLR of this name from ``tests/plr/vectors``, with spaces for underscores."""
+    return load(FOLDER / f"{name.replace(' ', '_')}.plr")
 
 
 def full(*names):
