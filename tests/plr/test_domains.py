@@ -231,7 +231,7 @@ def test_32_bit_points_that_are_too_coarse_raise():
         lambda: stacked(0, jnp.asarray(x)),
         lambda: jax.jit(stacked)(0, x),
     ):
-        with pytest.raises(ValueError, match="float32 points.*too coarse.*float64 points.*enable jax_enable_x64"):
+        with pytest.raises(ValueError, match=r"float32 points.*too coarse.*float64 points.*enable jax_enable_x64"):
             call()
     with jax.enable_x64(True):
         np.testing.assert_allclose(farther(jnp.asarray(x)), 0.7 * np.sqrt(2), atol=0.02)

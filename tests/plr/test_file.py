@@ -14,7 +14,6 @@ from plr_helpers import (
     assert_refused_for_little,
     chain,
     contents_of_planes,
-    points,
     quarters_in_another_order,
     random_contents,
     sealed,
@@ -37,17 +36,6 @@ MODELS = ("plane", "continuous", "smooth")
 MOST = 50 * 2**20
 
 
-def assert_same(one, other):
-    """Check that two PLRs have equal bits in all that a query reads."""
-    assert one.to_bytes() == other.to_bytes() and one.leaf == other.leaf
-    leaves, structure = jax.tree_util.tree_flatten(one)
-    other_leaves, other_structure = jax.tree_util.tree_flatten(other)
-    assert structure == other_structure
-    for mine, theirs in zip(leaves, other_leaves, strict=True):
-        assert mine.dtype == theirs.dtype
-        np.testing.assert_array_equal(mine, theirs)
-
-
 @pytest.mark.parametrize("model", [Plane(coefficient_bits=5), "smooth"])
 def test_saved_and_pickled_plrs_are_equal(model, tmp_path):
     plr = construct(walled, UNIT, leaf=model, max_bytes=200, options=BuildOptions(num_samples=32))
@@ -56,9 +44,10 @@ def test_saved_and_pickled_plrs_are_equal(model, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a.plr"]
     assert (tmp_path / "a.plr").stat().st_size == plr.num_bytes == len(plr.to_bytes())
     for again in (from_bytes(plr.to_bytes()), load(str(tmp_path / "a.plr")), pickle.loads(pickle.dumps(plr))):
-        assert_same(again, plr)
-    x = points(1000, 0)
-    np.testing.assert_array_equal(np.asarray(again(x)).view(np.int32), np.asarray(plr(x)).view(np.int32))
+        assert again.to_bytes() == plr.to_bytes() and again.leaf == plr.leaf
+        assert jax.tree.structure(again) == jax.tree.structure(plr)
+        for one, other in zip(jax.tree.leaves(again), jax.tree.leaves(plr), strict=True):
+            np.testing.assert_array_equal(one, other, strict=True)
 
 
 @given(st.integers(0, 1000), st.sampled_from([1, 2, 3, 18]), st.sampled_from(MODELS), st.integers(0, 7))
@@ -253,13 +242,13 @@ def test_cells_too_deep_for_a_query_raise():
 
 
 @pytest.mark.parametrize(
-    ("dim", "axes_of_halves", "most", "message"),
+    ("dim", "axes_of_halves", "message"),
     [
-        (3, [[1] * 10, [2] * 10], 1500, "its 2048 leaves share more than 262144 faces"),
-        (6, [[1, 2, 3] * 2, [4, 5] * 3], 300, "the constraints of its tied leaves may have at most"),
+        (3, [[1] * 10, [2] * 10], "its 2048 leaves share more than 262144 faces"),
+        (6, [[1, 2, 3] * 2, [4, 5] * 3], "the constraints of its tied leaves may have at most"),
     ],
 )
-def test_too_many_constraints_of_tied_leaves_raise_early(dim, axes_of_halves, most, message):
+def test_too_many_constraints_of_tied_leaves_raise_early(dim, axes_of_halves, message):
     """Each half of a box has all its leaves split along one axis after another."""
     halves = Cells.root(dim).split(np.array([0]))
     parts = [halves[[0]], halves[[1]]]
@@ -267,5 +256,4 @@ def test_too_many_constraints_of_tied_leaves_raise_early(dim, axes_of_halves, mo
         for axis in axes:
             parts[side] = parts[side].split(np.full(len(parts[side]), axis))
     data = with_body("continuous", parts[0].append(parts[1]), partial(sets, counts=[0, 0]))
-    assert len(data) < most
     assert_refused_for_little(from_bytes, data, message, MOST)
