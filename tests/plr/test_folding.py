@@ -2,6 +2,7 @@
 
 import struct
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import given
@@ -125,14 +126,14 @@ def points(domain, n=1000, seed=0):
 @pytest.mark.parametrize(
     ("oracle", "domain", "most"),
     [
-        (*TURNED, 0.06),
-        (ReedsShepp((1e3, -1e3, 2), 1), FAR, 0.06),
+        (*TURNED, 0.1),
+        (ReedsShepp((1e3, -1e3, 2), 1), FAR, 0.1),
         (Dubins((0, 0, np.pi / 2), 1), AROUND, 0.4),  # the distance jumps
         (*STRAIGHT, 0.06),
     ],
 )
 def test_answers_are_near_the_distance_and_equal_at_images(oracle, domain, most):
-    plr = construct(oracle, domain, leaf="continuous", max_leaves=300)
+    plr = construct(oracle, domain, leaf="continuous", max_leaves=150)
     assert plr.domain == domain and plr.folded_domain != domain
     x = points(domain)
     assert np.abs(np.asarray(plr(x)) - oracle(x)).mean() < most
@@ -152,6 +153,7 @@ def test_exact_images_of_points_get_equal_answers():
     for signs in ((-1, 1, -1), (1, -1, -1), (-1, -1, 1)):
         np.testing.assert_array_equal(plr(x * np.float32(signs)), plr(x))
         np.testing.assert_array_equal(leaf_of(plr, x * np.float32(signs)), leaf_of(plr, x))
+    assert np.isfinite(jax.grad(plr)(jax.numpy.zeros(3))).all()
 
 
 def test_byte_budgets_include_the_folding():

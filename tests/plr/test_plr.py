@@ -34,17 +34,16 @@ def test_points_of_any_batch_shape(plr):
 
 
 @pytest.mark.parametrize("leaf", ["plane"], scope="session")
-def test_saving_arrays_of_several_plrs_raises(plr, x, tmp_path, unchecked_types):
+def test_saving_arrays_of_several_plrs_raises(plr, tmp_path, unchecked_types):
     """Once, the file held only the first PLR."""
     several = jax.tree.map(lambda *arrays: jnp.stack(arrays), plr, plr)
-    np.testing.assert_array_equal(jax.vmap(lambda plr: plr(x))(several)[1], plr(x))
     assert "stacked" in repr(several)
     with pytest.raises(ValueError, match="its arrays are stacked"):
         save(several, tmp_path / "several.plr")
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("leaf", ["smooth"], scope="session")
+@pytest.mark.parametrize("leaf", ["plane"], scope="session")
 def test_plrs_of_one_size_class_share_a_program(plr, leaf, x):
     evaluate_points(plr.tables, x)
     compiled = evaluate_points._cache_size()

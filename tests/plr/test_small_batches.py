@@ -34,7 +34,7 @@ def eager_answers(plr, x):
     wide, index = x.astype(np.float64) * (1 + 1e-12), np.arange(len(x)) % 4 - 1
     stacked, of_team = stack([plr, plr]), PLR.stack([plr, plr])
     yield from (plr(wide), plr(wide, outside="clamp"), leaf_of(plr, wide).astype(float))
-    yield from (stacked(index, wide), stacked(index, wide, outside="nan"))
+    yield stacked(index, wide, outside="nan")
     yield of_team(np.stack([wide, wide[::-1]], axis=1))
     if not plr.tables.unresolved:
         yield from (plr(jnp.asarray(x)), plr(x, outside="nan"))
