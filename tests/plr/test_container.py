@@ -335,8 +335,7 @@ def test_invalid_containers_raise(change, message):
         b"\x25\x02" + bytes([1, 19, 0, 20, 60]),  # decimals that are all zero
         b"\x25\x02" + bytes([0, 1, 0x80, 0, 2, 6]),  # a zero of two bytes
         b"\x25\x42" + CORNERS + b"\0\0",  # neither a label nor layers
-        b"\x25\x42" + CORNERS + b"\x81\0a\0",  # the label's length, the number of layers, and a size
-        b"\x25\x47" + CORNERS + b"\x01a\x01\x85\0",
+        b"\x25\x42" + CORNERS + b"\x81\0a\0",  # the label's length in two bytes
         b"\x15\x02" + bytes([16]) + bytes([0]) + varint(2 * 9007199254740989),  # a float with a shorter decimal
     ],
 )
@@ -353,8 +352,6 @@ LABELED = b"\x25\x42" + CORNERS
     [
         (b"\x05\x02" + b"\xff" * 50, "a number that is too large"),
         (b"\x05\x82" + varint(2**69) + bytes(50), f"must have 1 to 255 axes, but states {2**69}"),
-        (b"\x05\xa2" + varint(20_000) + bytes(50), "must have 1 to 255 axes, but states 20000"),
-        (b"\x25\x02" + b"\xff" * 50, "coordinates of 255 decimals"),
         (b"\x25\x02\x00" + b"\xff" * 50, "a number that is too large"),
         (LABELED + varint(1001) + bytes(5000), "a label of 1001 bytes"),
         (LABELED + varint(900), "too early"),
@@ -362,7 +359,6 @@ LABELED = b"\x25\x42" + CORNERS
         (LABELED + b"\x02\xc0\x80\0", "its label is no text"),  # a zero in two bytes
         (LABELED + b"\x03\xed\xa0\x80\0", "its label is no text"),  # half a surrogate pair
         (LABELED + b"\0" + varint(33) + bytes(50), "it states 33 layers, more than 32"),
-        (LABELED + b"\0" + varint(2**69) + bytes(50), f"it states {2**69} layers"),
         (b"\x25\x47" + CORNERS + b"\0\x20" + varint(2**69) * 32 + bytes(50), "too early"),
         (LABELED + b"\0\x01\x06" + bytes(50), "it is a progressive file .* only plr_jax 0.1 reads"),
         (b"\x25\x22" + CORNERS + bytes(16) + b"\0\xff" + bytes(50), "too early"),  # 255 mirrors

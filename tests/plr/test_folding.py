@@ -45,7 +45,6 @@ POINT, PLANE = np.diag([-1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, 1.0])
         # A window that is not about the goal folds onto its larger parts, and only along mirrors that cut it.
         (Euclidean((1, 5)), FOUR, Box((0, -5), (3, -1))),
         (Euclidean((4, 2)), FOUR, Box((-4, 0), (0, 2))),
-        (Euclidean((9, 9)), FOUR, None),
         (Dubins((0, 0, np.pi / 4), 1), WINDOW, None),  # turned, the box is not smaller
         (Euclidean((0, 0)), FOUR, None),
         # What is no reflection, or reverses angles alone, is left out.

@@ -46,22 +46,19 @@ def test_all_models_represent_planes_exactly(leaf, dim):
 # Planes: what a query answers, how they are rounded to few bits, and how they are written.
 
 
-@pytest.fixture(scope="module")
-def exact():
-    return construct(walled, UNIT, max_leaves=100)
-
-
-def test_answers_are_the_plane_of_the_containing_leaf(exact, x):
-    np.testing.assert_allclose(exact(x), evaluate_by_search(exact, x), atol=1e-6)
-    gradient = jax.vmap(jax.grad(exact))(jnp.asarray(x))
-    np.testing.assert_allclose(gradient, exact.slope[leaf_by_search(exact, x)], rtol=1e-6)
+@pytest.mark.parametrize("leaf", ["plane"], scope="session")
+def test_answers_are_the_plane_of_the_containing_leaf(plr, x):
+    np.testing.assert_allclose(plr(x), evaluate_by_search(plr, x), atol=1e-6)
+    gradient = jax.vmap(jax.grad(plr))(jnp.asarray(x))
+    np.testing.assert_allclose(gradient, plr.slope[leaf_by_search(plr, x)], rtol=1e-6)
     of_cone, doubles = construct(cone, UNIT, max_leaves=40), x.astype(np.float64)
     with jax.enable_x64(True):
         np.testing.assert_allclose(of_cone(doubles), evaluate_by_search(of_cone, doubles), rtol=1e-12)
 
 
-def test_coefficients_are_floats_without_and_integers_with_budget(exact):
-    assert exact.stored.bits == 32 and construct(walled, UNIT, max_bytes=500).stored.bits in range(8, 17)
+def test_coefficients_are_floats_without_and_integers_with_budget():
+    assert construct(walled, UNIT, max_leaves=5).stored.bits == 32
+    assert construct(walled, UNIT, max_bytes=500).stored.bits in range(8, 17)
     assert construct(walled, UNIT, max_leaves=5, leaf=Plane(coefficient_bits=12)).stored.bits == 12
 
 

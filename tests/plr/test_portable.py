@@ -99,7 +99,7 @@ def test_numpy_answers_equal_compiled_answers(name):
 @pytest.mark.parametrize("name", vector_names())
 def test_stored_answers_are_reproduced_bit_for_bit(name):
     """Every reader must give the answers in ``tests/plr/vectors``, and files keep their bytes."""
-    path, x, expected, waypoints = read_vector(name)
+    (x, expected, waypoints), path = read_vector(name), FOLDER / f"{name}.plr"
     f, plr = load_numpy(path), case(name)
     known = ((x == 0) | ~(np.abs(x) < TINY)).all(axis=1)
     assert same_bits(f(x), expected) and same_bits(SlowReader(plr)(x[::4]), expected[::4])
@@ -298,11 +298,8 @@ int main(void)
     while (fread(&size, 4, 1, stdin) == 1) {
         unsigned char *bytes = (unsigned char *)malloc(size ? size : 1); /* so that no byte behind them may be read */
         struct plr_jax f;
-        int error;
-        if (fread(bytes, 1, size, stdin) != size) {
-            return 1;
-        }
-        error = plr_jax_open(&f, bytes, size);
+        int error = fread(bytes, 1, size, stdin) != size;
+        error = error ? 9 : plr_jax_open(&f, bytes, size);
         printf("%d", error);
         for (i = 0; !error && i < 40u; ++i) {
             float x[PLR_JAX_MAX_DIM], way[PLR_JAX_MAX_DIM];

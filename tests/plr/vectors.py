@@ -12,7 +12,6 @@ points.
 import json
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -25,24 +24,15 @@ def vector_names() -> list[str]:
     return sorted(path.stem for path in FOLDER.glob("*.json"))
 
 
-class Vector(NamedTuple):
-    """A file, points, and the answers there; ``waypoints`` are None unless leaves are cones."""
-
-    path: Path
-    points: np.ndarray
-    distances: np.ndarray
-    waypoints: np.ndarray | None
-
-
-def read_vector(name: str) -> Vector:
-    """Read the vector of this name."""
+def read_vector(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return points, distances, and waypoints, which are None unless leaves are cones."""
     table = json.loads((FOLDER / f"{name}.json").read_text())
     points, waypoints = (
         np.array([[float.fromhex(along) for along in point] for point in table.get(key, [])], table["type"])
         for key in ("points", "waypoints")
     )
     distances = np.array([int(text, 16) for text in table["distances"]], np.uint32).view(np.float32)
-    return Vector(FOLDER / f"{name}.plr", points, distances, waypoints if len(waypoints) else None)
+    return points, distances, waypoints if len(waypoints) else None
 
 
 def write(name: str) -> None:
