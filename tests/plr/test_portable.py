@@ -1,6 +1,5 @@
 """Readers without JAX, in NumPy, C and JavaScript, answer as a slow reader that follows the words of the format."""
 
-import os
 import pickle
 import platform
 import re
@@ -8,54 +7,48 @@ import shutil
 import subprocess
 import sys
 import zlib
-from functools import partial
 
 import jax
 import numpy as np
 import pytest
-from portable_helpers import CASES, SlowReader, case, hard_points, is_far, same_bits
+from portable_helpers import SlowReader, case, full, hard_points, is_far, same_bits
 from vectors import FOLDER, read_vector, vector_names
 
 from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes, stack_bytes
 from experiments._js_modules import NodeModule
-from plr_jax import Box, VisibilityGraph, VoxelSpace, construct, load, load_numpy, scenes, solve_eikonal
+from plr_jax import Box, construct, load_numpy
 from plr_jax.plr._file import decode, encode
 from plr_jax.plr.portable.c import CEmitter
 from plr_jax.plr.portable.javascript import JavaScriptEmitter, float32_literal, js_cone_reader, js_file_reader
 from plr_jax.plr.portable.numpy import LeafTable
 
-# Answers of ``plr.numpy()``, against a slow reader that follows the words of the format, and against ``plr(x)``.
+TINY = np.finfo(np.float32).tiny  # XLA takes smaller numbers for 0
+
+# The reader in NumPy, ``plr.numpy()``, against a slow reader that follows the words of the format, and ``plr(x)``.
 
 
-@pytest.fixture(params=CASES)
+QUICK = ("one leaf", "random planes on a line", "random planes", "deep", "maze of cones", "maze of gradients")
+QUICK += ("around twice", "folded car", "far cones", "far around")
+LONG = ("values in six dimensions", "cones in space", "folded car of planes", "far folded car", "straight bound")
+
+
+@pytest.fixture(params=[*QUICK, *full(*LONG)])
 def plr(request):
     return case(request.param)
 
 
-def test_answers_are_those_of_the_words(plr):
-    f, reader = plr.numpy(), SlowReader(plr)
-    x = hard_points(plr, 80)
-    assert same_bits(f(x), reader(x))
-    wide = hard_points(plr, 30, seed=1).astype(np.float64) * (1 + 1e-12)
-    assert same_bits(f(wide), reader(wide))
-    if plr.leaf.name == "cone":
-        assert same_bits(f.waypoint(x), reader.waypoint(x))
-
-
-def test_single_and_few_points_are_answered_as_in_batches(plr):
-    """Arrays of at most eight points, too, and waypoints."""
-    f, x = plr.numpy(), hard_points(plr, 40).astype(np.float64)
+def test_single_points_and_small_arrays_equal_batches(plr):
+    f, x = plr.numpy(), hard_points(plr, 12).astype(np.float64)
     for answers in (f, f.waypoint) if plr.leaf.name == "cone" else (f,):
         expected = answers(x)
-        for few in (1, 3, 8):
-            parts = np.array_split(np.arange(len(x)), len(x) // few)
-            assert same_bits(np.concatenate([answers(x[part]) for part in parts]), expected)
+        parts = np.array_split(np.arange(len(x)), len(x) // 8)
+        assert same_bits(np.concatenate([answers(x[part]) for part in parts]), expected)
         assert same_bits([answers(tuple(point)) for point in x.tolist()], expected)
-    for given in (map(tuple, x.tolist()), x.tolist(), x):
+    for given in (x.tolist(), x):
         assert same_bits([f(point) for point in given], f(x))
     assert isinstance(f(tuple(x[0].tolist())), np.float32)
     assert same_bits(pickle.loads(pickle.dumps(f))(x), f(x))
-    for factor in (1 - 1e-9, 1 + 1e-9, 1 + 1e-7):  # of 64 bits, beside faces
+    for factor in (1 - 1e-9, 1 + 1e-9, 1 + 1e-7):  # beside faces, in 64 bits
         assert same_bits([f(tuple(point)) for point in (x * factor).tolist()], f(x * factor))
     x[::2, 0] = np.nan
     x[::3, -1] = plr.domain.hi[-1] + 2 * plr.domain.width[-1]
@@ -64,96 +57,99 @@ def test_single_and_few_points_are_answered_as_in_batches(plr):
         assert same_bits(f(x[:8], outside=outside), f(x, outside=outside)[:8])
 
 
-def test_answers_are_those_of_jax_bit_for_bit(plr):
-    """Outside, too, whatever is asked for there."""
-    f, x = plr.numpy(), hard_points(plr, 1500, seed=2)
-    around = plr.domain.lo + plr.domain.width * np.random.default_rng(1).uniform(-2, 3, (1000, plr.dim))
-    x = np.concatenate([x, around.astype(x.dtype)])
-    x[np.abs(x) < np.finfo(np.float32).tiny] = 0  # for which XLA takes what is smaller
-    is_outside = np.isinf(f(x))
+def points_around(plr):
+    """Return hard points, points beside faces of cells, and points of a box five times as wide as the domain."""
+    x, rng = hard_points(plr, 500, seed=2), np.random.default_rng(1)
+    around = plr.domain.lo + plr.domain.width * rng.uniform(-2, 3, (1000, plr.dim))
+    beside = rng.integers(0, 129, (1000, plr.dim)) / 128 + rng.uniform(-1, 1, (1000, plr.dim)) * 2.0**-22
+    x = np.concatenate([x, around.astype(x.dtype), (plr.domain.lo + plr.domain.width * beside).astype(x.dtype)])
+    x[np.abs(x) < TINY] = 0
+    return x
+
+
+def test_numpy_answers_outside_the_domain(plr):
+    f, x = plr.numpy(), points_around(plr)
+    is_outside, is_finite = np.isinf(f(x)), np.isfinite(x).all(axis=1)
     assert is_outside.sum() > 20 and np.isnan(f(x, outside="nan"))[is_outside].all()
-    finite = np.isfinite(x).all(axis=1)
     clamped = f(x, outside="clamp")
-    assert np.isinf(clamped[is_outside & ~finite]).all() and np.isfinite(clamped[finite]).all()
+    assert np.isinf(clamped[is_outside & ~is_finite]).all() and np.isfinite(clamped[is_finite]).all()
     for outside in ("clamp", "nan"):
         assert same_bits(f(x, outside=outside)[~is_outside], f(x)[~is_outside])
-    if is_far(plr):  # in 64 bits, host code wraps by an exact remainder: farther around, it is elsewhere
-        x = x[~((np.abs(x) > 1e9) & np.isfinite(x)).any(axis=1)]
-        answer, expected = np.asarray(plr(x)), f(x)
-        np.testing.assert_allclose(answer, expected, rtol=3e-7)
-        assert np.mean(answer == expected) > 0.99 * np.mean(~np.isnan(expected))
-        x = x[np.isfinite(x).all(axis=1)]
-        theirs = np.asarray(plr(x, outside="clamp"))
-        close = np.isclose(f(x, outside="clamp"), theirs, rtol=1e-4, atol=1e-3 * plr.domain.width.max())
-        assert close.mean() > 0.97  # the others are beside a face across which the function jumps
-        return
-    for outside in ("inf", "clamp"):
-        answer, expected = jax.jit(partial(plr, outside=outside))(x), f(x, outside=outside)
-        answer = np.asarray(answer)
+
+
+FULL = ("maze of planes", "random planes on a line", "cones in space", "random values", "around", "smooth around")
+
+
+@pytest.mark.parametrize("name", ["maze of gradients", "deep", "folded car", *full(*FULL)])
+def test_numpy_answers_equal_compiled_answers(name):
+    plr = case(name)
+    f, x = plr.numpy(), points_around(plr)
+
+    @jax.jit
+    def compiled(x):
+        clamped = plr(x, outside="clamp")
+        return plr(x), clamped, 0.5 * clamped  # nothing is fused with what a caller computes
+
+    clamped = f(x, outside="clamp")
+    for answer, expected in zip(map(np.asarray, compiled(x)), (f(x), clamped, 0.5 * clamped), strict=True):
         np.testing.assert_array_equal(answer, expected)  # but for the sign of zero
-        assert same_bits(answer[expected != 0], expected[expected != 0])
-    np.testing.assert_array_equal(jax.jit(lambda x: 2 * plr(x, outside="clamp"))(x), 2 * expected)
+        assert same_bits(answer[expected != 0], expected[expected != 0].astype(np.float32))
 
 
 @pytest.mark.parametrize("name", vector_names())
-def test_vectors_are_answered_bit_for_bit(name):
-    """What every reader of the format must give, which is in ``tests/plr/vectors``; and files keep their bytes."""
-    assert len(vector_names()) >= 14 and sum(path.stat().st_size for path in FOLDER.iterdir()) < 300_000
-    path, x, expected, waypoints = read_vector(name)
-    f, plr = load_numpy(path), load(path)
-    assert same_bits(f(x), expected)
-    assert waypoints is None or same_bits(f.waypoint(x), waypoints)
+def test_stored_answers_are_reproduced_bit_for_bit(name):
+    """Every reader must give the answers in ``tests/plr/vectors``, and files keep their bytes."""
+    (x, expected, waypoints), path = read_vector(name), FOLDER / f"{name}.plr"
+    f, plr = load_numpy(path), case(name)
+    known = ((x == 0) | ~(np.abs(x) < TINY)).all(axis=1)
+    assert same_bits(f(x), expected) and same_bits(SlowReader(plr)(x[::4]), expected[::4])
+    if waypoints is not None:
+        assert same_bits(f.waypoint(x), waypoints)
+        np.testing.assert_array_equal(plr.waypoint(x)[known], waypoints[known])
     assert encode(decode(path.read_bytes())) == path.read_bytes()
     answer = np.asarray(plr(x))
-    if x.dtype == np.float64 and plr.container.folding is not None:  # far from the origin, host code folds and wraps
-        near = ~((np.abs(x) > 1e9) & np.isfinite(x)).any(axis=1)  # farther around, it is elsewhere
+    if is_far(plr) and any(plr.domain.periodic):  # JAX wraps by an exact remainder
+        near = ~((np.abs(x) > 1e9) & np.isfinite(x)).any(axis=1)  # farther around, answers differ
         np.testing.assert_allclose(answer[near], expected[near], rtol=3e-7)
         assert np.mean((answer == expected)[near]) > 0.9
         return
-    known = ((x == 0) | ~(np.abs(x) < np.finfo(np.float32).tiny)).all(axis=1)  # XLA takes what is smaller for 0
     assert known.mean() > 0.8
     assert same_bits(answer[known], expected[known])
 
 
-def test_its_text_bounds_and_waypoints_are_those_of_the_plr():
-    plr, plain, far = case("maze of cones"), case("random planes"), case("far cones")
+def test_numpy_bounds_equal_those_of_jax():
+    plr, plain = case("maze of cones"), case("random planes").numpy()
     size = f"NumpyPLR('cone', dim=2, num_leaves={plr.num_leaves}, max_error={plr.max_error:.3g}"
     assert repr(plr.numpy()) == f"{size}, Box([0.0, 0.0], [1.0, 1.0]))"
-    assert repr(plain.numpy()).startswith(f"NumpyPLR('plane', dim=5, num_leaves={plain.num_leaves}, Box([")
     x, f = hard_points(plr, 500), plr.numpy()
-    x[np.abs(x) < np.finfo(np.float32).tiny] = 0  # for which XLA takes what is smaller
-    np.testing.assert_array_equal(f.waypoint(x), plr.waypoint(x))
+    x[np.abs(x) < TINY] = 0
     for mine, theirs in zip(f.bounds(x), plr.bounds(x), strict=True):
         assert same_bits(mine, theirs)
-    assert f.max_error == plr.max_error and far.numpy().max_error is None
-    assert f.domain == plr.domain and f.dim == 2
-    x = hard_points(far, 100)
-    np.testing.assert_array_equal(far.numpy().waypoint(x), far.waypoint(x))
-    assert far.numpy().waypoint(x).dtype == np.float64
-    for call, message in ((plain.numpy().bounds, "Nothing is proven"), (plain.numpy().waypoint, "have no sources")):
+    assert f.max_error == plr.max_error and f.domain == plr.domain and f.dim == 2 and plain.max_error is None
+    for call, message in ((plain.bounds, "Nothing is proven"), (plain.waypoint, "have no sources")):
         with pytest.raises(ValueError, match=message):
             call(np.zeros((1, 5)))
+
+
+SHAPES = (0.5, [], [0.1], [0.1, 0.2, 0.3], [[0.1]], np.zeros((3, 3)))
 
 
 @pytest.mark.parametrize(
     ("x", "message"),
     [
-        *(
-            (x, rf"shape \(\.\.\., 2\), got {re.escape(str(np.shape(x)))}")
-            for x in (0.5, [], [0.1], [0.1, 0.2, 0.3], [[0.1]], np.zeros((3, 3)))
-        ),
+        *((x, rf"shape \(\.\.\., 2\), got {re.escape(str(np.shape(x)))}") for x in SHAPES),
         *((x, "real numbers") for x in ("ab", ["a", "b"], [1j, 0], jax.numpy.zeros((2, 2), complex), [5.0, "a"])),
         *((x, "Points must") for x in ([[1], [2, 3]], [None, 1], [5.0, None], [5.0, 1j], [5.0, [1, 2]])),
     ],
 )
 @pytest.mark.usefixtures("unchecked_types")
-def test_points_of_another_kind_are_refused(x, message):
+def test_points_of_wrong_shape_or_type_raise(x, message):
     for answer in (case("maze of planes"), case("maze of planes").numpy()):
         with pytest.raises(ValueError, match=message):
             answer(x)
 
 
-def test_points_come_in_any_shape_and_type(monkeypatch):
+def test_points_of_any_layout_and_type_get_the_same_answers(monkeypatch):
     f = case("maze of planes").numpy()
     x = np.random.default_rng(0).random((3, 4, 2))
     expected = f(x)
@@ -168,18 +164,19 @@ def test_points_come_in_any_shape_and_type(monkeypatch):
 
 
 @pytest.mark.parametrize("bits", [0, 1, 5])
-def test_the_table_may_be_as_small_as_one_likes(bits, monkeypatch):
+def test_lookup_tables_of_any_size_give_the_same_answers(bits, monkeypatch):
     one = case("one leaf").numpy()._table
     assert isinstance(one, LeafTable) and one.is_flat and len(one.table) == 1
+    names = ("deep", "random planes", "maze of values")
+    expected = [case(name).numpy()(hard_points(case(name), 20)) for name in names]
     monkeypatch.setattr("plr_jax.plr.portable.numpy._MOST_BITS", bits)
-    for name in ("deep", "random planes", "maze of values"):
-        plr, x = case(name), hard_points(case(name), 60)
-        f = plr.numpy()
+    for name, answers in zip(names, expected, strict=True):
+        f, x = case(name).numpy(), hard_points(case(name), 20)
         assert not f._table.is_flat
-        assert same_bits(f(x), SlowReader(plr)(x)) and same_bits([f(tuple(p)) for p in x.tolist()], f(x))
+        assert same_bits(f(x), answers) and same_bits([f(tuple(p)) for p in x.tolist()], answers)
 
 
-def test_a_point_that_rounding_puts_below_the_domain_has_the_leaf_beside_it():
+def test_point_rounded_below_the_domain_is_in_the_lowest_leaf():
     """As 32-bit floats resolve 1e-6 there, the lower end is rounded to one below it."""
     lo = 11 + 0.45 * 2.0**-20
     plr = construct(lambda x: np.where(x[:, 0] < 12, 1.0, 50.0), Box((lo, 0), (15, 1)), max_leaves=30)
@@ -188,15 +185,15 @@ def test_a_point_that_rounding_puts_below_the_domain_has_the_leaf_beside_it():
     assert plr(lowest)[0] == pytest.approx(1) and plr.numpy()(lowest)[0] == pytest.approx(1)
 
 
-def test_files_of_an_earlier_release_that_store_a_straight_line_apart_are_refused():
+def test_files_of_earlier_releases_with_straight_lines_raise():
     refused = {path.stem for path in FOLDER.glob("*.plr")} - set(vector_names())
-    assert len(refused) == 3
+    assert len(refused) == 3 and sum(path.stat().st_size for path in FOLDER.iterdir()) < 350_000
     for name in refused:
         with pytest.raises(ValueError, match=r"cannot be read as a PLR.*straight lines.* plr_jax 0.1 reads"):
             load_numpy(FOLDER / f"{name}.plr")
 
 
-def test_a_file_is_read_without_jax():
+def test_files_are_read_without_jax():
     code = f"""
 import pathlib, sys
 import plr_jax
@@ -209,8 +206,7 @@ for path in folder.glob("*.json"):
 heavy |= {{"jax"}} & set(sys.modules)
 sys.exit(str(heavy) if heavy else 0)
 """
-    command, environment = [sys.executable, "-c", code], dict(os.environ)
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stderr == "", done.stderr
     assert float(done.stdout.split()[0]) == pytest.approx(float(case("maze of cones")([0.93, 0.95])), rel=1e-6)
 
@@ -218,39 +214,28 @@ sys.exit(str(heavy) if heavy else 0)
 # Headers of C: they compile without a warning, as C99 and as C++, are small, and answer as ``plr.numpy()`` does.
 
 
-MOST_CODE = 2048  # bytes
-
-
-@pytest.fixture(scope="module")
+@pytest.fixture
 def compiler():
-    found = shutil.which("cc")
-    if found is None:
-        pytest.skip("headers are compiled where there is a C compiler called cc")
-    return found
+    return shutil.which("cc") or pytest.skip("needs a C compiler called cc")
 
 
-# Those of which the text has parts that no other has.
-KINDS = "maze of planes, maze of gradients, cones in space, one leaf, random planes on a line, random values, deep"
-KINDS += ", values in six dimensions, around, smooth around, folded car of planes, far cones, far around"
-KINDS += ", far folded car"
-
-
+# Each has parts of the text that no other has.
+KINDS = ("maze of planes", "maze of gradients", "cones in space", "one leaf", "random planes on a line", "deep")
+KINDS += ("values in six dimensions", "smooth around", "folded car of planes", "far cones", "far folded car")
 COMPACT = pytest.mark.parametrize("compact", [False, True], ids=["tables", "compact"])
 
 
 @pytest.mark.full
 @COMPACT
-@pytest.mark.parametrize("name", KINDS.split(", "))
-def test_answers_are_those_of_numpy_and_code_is_small_and_valid_c_plus_plus_too(name, compact, tmp_path, compiler):
+@pytest.mark.parametrize("name", KINDS)
+def test_c_headers_are_valid_and_small_and_answer_as_numpy(name, compact, tmp_path, compiler):
     plr = case(name)
-    in_c, f, x = compiled_header(plr, tmp_path, compact), plr.numpy(), hard_points(plr, 20_000)
+    in_c, f, x = compiled_header(plr, tmp_path, compact), plr.numpy(), hard_points(plr, 5000)
     assert in_c.real == x.dtype and same_bits(in_c(x), f(x))
     if plr.leaf.name == "cone":
         assert same_bits(in_c.waypoints(x), f.waypoint(x))
     text = plr.c_header("plr_here", compact)
-    real = re.search(r"float plr_here_distance\(const (float|double) x\[", text)[1]
-    assert real == ("double" if is_far(plr) else "float")
-    assert f"\n   Coordinates are {real}: " in text
+    assert f"\n   Coordinates are {'double' if is_far(plr) else 'float'}: " in text
     if (plus := shutil.which("c++")) is not None:
         (tmp_path / "plr_here.h").write_text(text)
         (tmp_path / "a.cpp").write_text('#include "plr_here.h"\n#include "plr_here.h"\nint main() { return 0; }\n')
@@ -258,7 +243,7 @@ def test_answers_are_those_of_numpy_and_code_is_small_and_valid_c_plus_plus_too(
     if shutil.which("size") is not None and shutil.which("nm") is not None and platform.machine() == "x86_64":
         compiled = object_for_size(plr, tmp_path, compact)
         sizes = section_bytes(compiled)
-        assert 0 < sizes["code"] <= (4608 if compact else MOST_CODE)
+        assert 0 < sizes["code"] <= (4608 if compact else 2048) and stack_bytes(compiled) <= 4096
         told = int(re.search(r"Compiled, its tables take ([\d,]+) bytes", text)[1].replace(",", ""))
         assert told <= sizes["data"] <= told + 256  # with the constants of its code
         missing = subprocess.run(["nm", "-u", compiled], check=True, capture_output=True, text=True).stdout
@@ -266,9 +251,9 @@ def test_answers_are_those_of_numpy_and_code_is_small_and_valid_c_plus_plus_too(
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("compact", [(False, False), (False, True), (True, True)])
-@pytest.mark.parametrize("names", [("a", "b"), ("a", "A"), ("a", "a_H"), ("Maze", "maze")])
-def test_two_headers_live_side_by_side(names, compact, tmp_path, compiler):
+@pytest.mark.parametrize("compact", [(False, True), (True, True)])
+@pytest.mark.parametrize("names", [("a", "A"), ("a", "a_H")])
+def test_two_headers_compile_side_by_side(names, compact, tmp_path, compiler):
     headers = zip(("folded car", "maze of cones"), names, compact, strict=True)
     text = "".join(case(of).c_header(name, is_compact) for of, name, is_compact in headers)
     call = "".join(f"{name}_distance(&x[{i}]) + " for i, name in enumerate(names))
@@ -280,16 +265,15 @@ def test_two_headers_live_side_by_side(names, compact, tmp_path, compiler):
 @COMPACT
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize("name", ["", "1a", "a b", "a-b", "é", None, "_a", "a;"])
-def test_names_are_identifiers(name, compact):
+def test_names_that_are_no_c_identifiers_raise(name, compact):
     with pytest.raises(ValueError, match="a C identifier"):
         case("one leaf").c_header(name, compact)
 
 
 @pytest.mark.full
 @COMPACT
-@pytest.mark.parametrize("name", ["far around", "far folded car", "around"])
-def test_no_conversion_is_undefined(name, compact, compiler, tmp_path):
-    """Of numbers that are none and infinite ones, too: what no integer holds is not converted to one."""
+@pytest.mark.parametrize("name", ["far folded car", "around"])
+def test_c_headers_convert_no_value_that_integers_lack(name, compact, compiler, tmp_path):
     plr = case(name)
     rows = ", ".join("{" + ", ".join([value] * plr.dim) + "}" for value in ("NAN", "INFINITY", "-INFINITY", "1e30f"))
     real = "double" if is_far(plr) else "float"
@@ -304,25 +288,6 @@ def test_no_conversion_is_undefined(name, compact, compiler, tmp_path):
 # Compact bytes are small, are read while a program runs, and do no harm if they are damaged.
 
 
-@pytest.mark.full
-@pytest.mark.parametrize(
-    ("leaf", "code", "data", "stack"),
-    [
-        ("plane", 2048, 5632, 1024),
-        ("continuous", 2560, 10240, 1024),
-        ("smooth", 4096, 12288, 4096),
-        ("cone", 1536, 8192, 1024),
-    ],
-)
-def test_compact_headers_are_small(leaf, code, data, stack, tmp_path, compiler):
-    problem = scenes.maze()
-    oracle = VisibilityGraph(problem.workspace, problem.goals[0])
-    plr = construct(oracle, problem.workspace.bounds, leaf=leaf, max_bytes=4096)
-    sizes = section_bytes(compiled := object_for_size(plr, tmp_path, compact=True))
-    assert sizes["code"] <= code and sizes["data"] <= data and stack_bytes(compiled) <= stack
-    assert plr.num_bytes > 3800 and len(plr.c_bytes()) <= sizes["data"]
-
-
 READER = """
 #include <stdio.h>
 #include <stdlib.h>
@@ -333,11 +298,8 @@ int main(void)
     while (fread(&size, 4, 1, stdin) == 1) {
         unsigned char *bytes = (unsigned char *)malloc(size ? size : 1); /* so that no byte behind them may be read */
         struct plr_jax f;
-        int error;
-        if (fread(bytes, 1, size, stdin) != size) {
-            return 1;
-        }
-        error = plr_jax_open(&f, bytes, size);
+        int error = fread(bytes, 1, size, stdin) != size;
+        error = error ? 9 : plr_jax_open(&f, bytes, size);
         printf("%d", error);
         for (i = 0; !error && i < 40u; ++i) {
             float x[PLR_JAX_MAX_DIM], way[PLR_JAX_MAX_DIM];
@@ -364,12 +326,11 @@ int main(void)
 
 @pytest.fixture
 def read_in_c(tmp_path, compiler):
-    """A function from byte strings to the lines that ``READER`` prints of them; memory errors end it."""
+    """Return a function from byte strings to the lines that ``READER`` prints; memory errors end the program."""
     (tmp_path / "reader.c").write_text(case("one leaf").c_header("here", compact=True) + READER)
     traps = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-O1"]
-    subprocess.run(
-        [compiler, "-std=c99", *STRICT, *traps, "reader.c", "-o", "reader", "-lm"], cwd=tmp_path, check=True
-    )
+    command = [compiler, "-std=c99", *STRICT, *traps, "reader.c", "-o", "reader", "-lm"]
+    subprocess.run(command, cwd=tmp_path, check=True)
 
     def read(every):
         given = b"".join(len(data).to_bytes(4, "little") + data for data in every)
@@ -385,7 +346,7 @@ def with_checksum(data):
 
 
 @pytest.mark.full
-def test_bytes_are_read_while_a_program_runs_and_refused_if_damaged(read_in_c):
+def test_compact_bytes_are_read_and_damaged_ones_refused(read_in_c):
     names = ("maze of planes", "maze of values", "maze of gradients", "maze of cones")
     every = [case(name).c_bytes() for name in names]
     x = np.array([[i * 7 & 31, (i * 7 + 11) & 31] for i in range(40)]) / 31
@@ -401,12 +362,12 @@ def test_bytes_are_read_while_a_program_runs_and_refused_if_damaged(read_in_c):
 
 
 @pytest.mark.full
-def test_damaged_bytes_are_never_read_beyond_their_end(read_in_c):
+def test_forged_compact_bytes_cause_no_memory_error(read_in_c):
     """With a checksum that fits them; sanitizers watch every access, shift and sum."""
     rng, every = np.random.default_rng(0), []
-    for name in CASES:
+    for name in KINDS:
         data = np.frombuffer(case(name).c_bytes(), np.uint8)
-        for _ in range(60):
+        for _ in range(20):
             changed = data.copy()
             where = rng.integers(8, min(len(data), rng.choice([64, 400, len(data)])), rng.integers(1, 5))
             changed[where] = rng.integers(0, 256, len(where))
@@ -417,39 +378,28 @@ def test_damaged_bytes_are_never_read_beyond_their_end(read_in_c):
 # Modules of JavaScript answer as ``plr.numpy()`` does, to the bit, and need nothing else.
 
 
-@pytest.fixture(scope="module")
-def node():
-    if shutil.which("node") is None:
-        pytest.skip("modules are run where there is Node, as node")
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node, as node")
 
 
+@needs_node
 @pytest.mark.full
-@pytest.mark.parametrize("name", CASES)
-def test_modules_answer_as_numpy_does(name, tmp_path, node):
+@pytest.mark.parametrize("name", [*KINDS, "maze of cones", "straight bound"])
+def test_javascript_modules_answer_as_numpy(name, tmp_path):
     plr = case(name)
     in_node, f, x = NodeModule(plr.js_module(), tmp_path), plr.numpy(), hard_points(plr, 5_000).astype(np.float64)
     x = np.concatenate([x, x[: len(x) // 2] * (1 + 1e-9)])  # of 64 bits
     found = in_node(x)[:, 0]
     assert same_bits(found.astype(np.float32), f(x)) and same_bits(found, f(x).astype(np.float64))
     if plr.leaf.name == "cone":
-        waypoints = f.waypoint(x)
-        assert same_bits(in_node(x, "waypoint", plr.dim), waypoints.astype(np.float64))
+        assert same_bits(in_node(x, "waypoint", plr.dim), f.waypoint(x).astype(np.float64))
     if f.max_error is not None:
         assert same_bits(in_node(x, "bounds", 2), np.stack(f.bounds(x), axis=1).astype(np.float64))
 
 
+@needs_node
 @pytest.mark.full
-def test_modules_bound_by_the_straight_line_as_numpy_does(tmp_path, node):
-    plr = solve_eikonal(VoxelSpace(np.ones((6, 5, 4), bool)), (1.3, 2.0, 0.5), max_leaves=40)
-    x = np.random.default_rng(0).random((5_000, 3)) * (6, 5, 4)
-    found = NodeModule(plr.js_module(), tmp_path)(x, "bounds", 2)
-    assert same_bits(found, np.stack(plr.numpy().bounds(x), axis=1).astype(np.float64))
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("name", ["maze of cones", "far cones", "cones of exits"])
-def test_files_of_cones_are_read_and_answered(name, tmp_path, node):
-    """By a program that is of no file, from the bytes of one."""
+@pytest.mark.parametrize("name", ["maze of cones", "far cones"])
+def test_javascript_reads_files_of_cones(name, tmp_path):
     plr = case(name)
     text = "\n".join([js_file_reader(), js_cone_reader()])
     file = f"Uint8Array.from({list(plr.to_bytes())})"
@@ -462,16 +412,16 @@ def test_files_of_cones_are_read_and_answered(name, tmp_path, node):
         assert same_bits(in_node(x, "bounds", 2), np.stack(f.bounds(x), axis=1).astype(np.float64))
 
 
-def test_it_imports_and_exports_what_it_says():
+def test_javascript_modules_export_functions_and_import_nothing():
     for name, exported in (("maze of cones", {"distance", "waypoint", "bounds"}), ("folded car", {"distance"})):
         text = case(name).js_module()
         assert set(re.findall(r"^export function (\w+)", text, re.MULTILINE)) == exported
         assert not re.search(r"\bimport\b|\brequire\b|https?:", text)
 
 
-def test_decimals_are_read_as_the_same_number():
+def test_float_literals_are_read_as_the_same_number():
     rng = np.random.default_rng(0)
-    numbers = rng.integers(0, 2**31, 20_000, dtype=np.uint32).view(np.float32)
+    numbers = rng.integers(0, 2**31, 3_000, dtype=np.uint32).view(np.float32)
     numbers = np.append(numbers[~np.isnan(numbers)], np.array([0.1, -0.0, np.inf], np.float32))
     for number in numbers:
         read = np.float32(float(float32_literal(number).replace("Infinity", "inf")))
@@ -494,6 +444,6 @@ def test_decimals_are_read_as_the_same_number():
         (lambda x, y, z: (x < y) & (z >= np.float32(np.inf)), "x < y && z >= INFINITY", "x < y && z >= Infinity"),
     ],
 )
-def test_texts_keep_the_order_of_operations_and_javascript_rounds_each(build, in_c, in_javascript):
+def test_generated_expressions_keep_order_and_rounding(build, in_c, in_javascript):
     for do, text in ((CEmitter("a"), in_c), (JavaScriptEmitter(), in_javascript)):
         assert str(build(*(do.atom(name) for name in "xyz"))) == text

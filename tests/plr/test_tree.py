@@ -1,4 +1,4 @@
-"""Cells, trees and faces: beside all pairs of boxes."""
+"""Cells, trees and faces, compared with all pairs of boxes."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ from plr_jax.plr.tree import Cells, corner_bits, tree_of
 
 
 @given(seed=st.integers(0, 10_000), dim=st.integers(1, 4), num_splits=st.integers(0, 60))
-def test_leaves_are_the_cells_in_one_order(seed, dim, num_splits):
+def test_trees_order_leaves_independently_of_their_input(seed, dim, num_splits):
     cells = random_partition(seed, dim, num_splits)
     shuffled = cells[np.random.default_rng(seed).permutation(len(cells))]
     leaves, again = tree_of(cells).leaves, tree_of(shuffled).leaves
@@ -34,8 +34,7 @@ def listed(faces):
 
 
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3), wraps=st.integers(0, 7))
-def test_faces_are_those_found_by_comparing_all_boxes(seed, dim, wraps):
-    """Those that wrap around, too."""
+def test_faces_equal_those_of_all_pairs_of_boxes(seed, dim, wraps):
     periodic = tuple(bool(wraps >> axis & 1) for axis in range(dim))
     tree = tree_of(random_partition(seed, dim, 20))
     lo, hi = unit_boxes(tree.leaves)
@@ -53,7 +52,7 @@ def test_faces_are_those_found_by_comparing_all_boxes(seed, dim, wraps):
 
 
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3))
-def test_a_corner_is_the_middle_of_its_parents(seed, dim):
+def test_corners_are_the_middle_of_their_parents(seed, dim):
     tree = tree_of(random_partition(seed, dim, 20))
     cells = tree.leaves
     ends, is_made = corner_parents(tree)
@@ -64,7 +63,7 @@ def test_a_corner_is_the_middle_of_its_parents(seed, dim):
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])
-def test_leaves_overlap_as_their_boxes_do(dim):
+def test_overlapping_leaves_equal_overlapping_boxes(dim):
     for seed in range(5):
         a, b = (tree_of(random_partition(seed + shift, dim, 30)) for shift in (0, 100))
         (lo_a, hi_a), (lo_b, hi_b) = unit_boxes(a.leaves), unit_boxes(b.leaves)
@@ -76,7 +75,7 @@ def test_leaves_overlap_as_their_boxes_do(dim):
 
 
 @given(seed=st.integers(0, 1000), dim=st.integers(1, 3), wraps=st.integers(0, 7))
-def test_lenders_are_those_of_all_pairs(seed, dim, wraps):
+def test_neighbors_of_largest_contact_equal_all_pairs(seed, dim, wraps):
     cells, periodic = random_partition(seed, dim, 25), tuple(bool(wraps >> axis & 1) for axis in range(dim))
     blocked = np.random.default_rng(seed).random(len(cells)) < 0.6
     lo, hi = unit_boxes(cells)
@@ -95,7 +94,7 @@ def test_lenders_are_those_of_all_pairs(seed, dim, wraps):
 
 
 @pytest.mark.parametrize("wraps", [False, True])
-def test_a_borrower_continues_the_lenders_plane_and_the_others_answer_inf(wraps):
+def test_blocked_leaves_continue_the_plane_of_a_neighbor(wraps):
     """Slabs of the plane ``1 + 14 x + 7 y``, which goes on across a seam at ``x`` below 0, which is the last slab.
 
     And a larger borrower: the left half continues ``3 y`` of the upper right quarter.

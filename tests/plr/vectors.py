@@ -1,8 +1,8 @@
-"""Write ``tests/plr/vectors``: small PLR files, points, and the answers of the slow reader at these points.
+"""Write ``tests/plr/vectors``: answers of the slow reader at points, for small PLR files of all kinds.
 
-Run this script when the format or its arithmetic has changed on purpose:
+Run this script after saving a file NAME.plr of a new kind, or when the arithmetic of the format has changed:
 
-    PYTHONPATH=tests:tests/plr python tests/plr/vectors.py
+    PYTHONPATH=tests:tests/plr python tests/plr/vectors.py NAME ...
 
 For each file NAME.plr there is a table NAME.json: the ``type`` of the points, float32 or float64; the ``points``, as
 hexadecimal floats; the ``distances``, as the bits of 32-bit floats in hexadecimal; for cones, the ``waypoints``, like
@@ -10,17 +10,13 @@ points.
 """
 
 import json
+import sys
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 FOLDER = Path(__file__).parent / "vectors"
-_CHOSEN = (
-    "maze of planes, maze of values, maze of gradients, maze of cones, cones of exits, cones in space, random planes"
-)
-_CHOSEN += ", deep, around, random values, smooth around, folded car, folded car of planes, far cones, far folded car"
-_POINTS = 200
+_POINTS = 100
 
 
 def vector_names() -> list[str]:
@@ -28,50 +24,35 @@ def vector_names() -> list[str]:
     return sorted(path.stem for path in FOLDER.glob("*.json"))
 
 
-class Vector(NamedTuple):
-    """A file, points, and the answers there; ``waypoints`` are None unless leaves are cones."""
-
-    path: Path
-    points: np.ndarray
-    distances: np.ndarray
-    waypoints: np.ndarray | None
-
-
-def read_vector(name: str) -> Vector:
-    """Read the vector of this name."""
+def read_vector(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return points, distances, and waypoints, which are None unless leaves are cones."""
     table = json.loads((FOLDER / f"{name}.json").read_text())
     points, waypoints = (
         np.array([[float.fromhex(along) for along in point] for point in table.get(key, [])], table["type"])
         for key in ("points", "waypoints")
     )
     distances = np.array([int(text, 16) for text in table["distances"]], np.uint32).view(np.float32)
-    return Vector(FOLDER / f"{name}.plr", points, distances, waypoints if len(waypoints) else None)
+    return points, distances, waypoints if len(waypoints) else None
 
 
-def write() -> None:
-    """Write all vectors."""
+def write(name: str) -> None:
+    """Write the vector of this name."""
     from portable_helpers import SlowReader, case, hard_points
 
-    from plr_jax import save
-
-    FOLDER.mkdir(exist_ok=True)
-    for path in FOLDER.glob("*.json"):  # beside files that are refused
-        path.unlink()
-    for name in _CHOSEN.split(", "):
-        plr, file = case(name), name.replace(" ", "_")
-        every = hard_points(plr, 60)
-        x = every[np.sort(np.random.default_rng(1).choice(len(every), _POINTS, replace=False))]
-        save(plr, FOLDER / f"{file}.plr")
-        reader = SlowReader(plr)
-        table = {
-            "type": x.dtype.name,
-            "points": [[float(along).hex() for along in point] for point in x],
-            "distances": [f"{bits:08x}" for bits in reader(x).view(np.uint32)],
-        }
-        if plr.leaf.name == "cone":
-            table["waypoints"] = [[float(along).hex() for along in point] for point in reader.waypoint(x)]
-        (FOLDER / f"{file}.json").write_text(json.dumps(table, indent=0) + "\n")
+    plr = case(name)
+    every = hard_points(plr, 60)
+    x = every[np.sort(np.random.default_rng(1).choice(len(every), _POINTS, replace=False))]
+    reader = SlowReader(plr)
+    table = {
+        "type": x.dtype.name,
+        "points": [[float(along).hex() for along in point] for point in x],
+        "distances": [f"{bits:08x}" for bits in reader(x).view(np.uint32)],
+    }
+    if plr.leaf.name == "cone":
+        table["waypoints"] = [[float(along).hex() for along in point] for point in reader.waypoint(x)]
+    (FOLDER / f"{name}.json").write_text(json.dumps(table, indent=0) + "\n")
 
 
 if __name__ == "__main__":
-    write()
+    for name in sys.argv[1:]:
+        write(name)
