@@ -28,8 +28,12 @@ SLOW = (
     "cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)",
     "cost_distance(minutes_a_meter, clinics, cell_size=30, max_bytes=8192)",
 )
-# Budgets of commands in the quick tier.
-SMALLER = {"--max-bytes 8192": "--max-bytes 512"}
+# Budgets in the quick tier, instead of larger ones.
+SMALLER = {
+    "max_bytes=1024": "max_bytes=512",
+    "--max-bytes 8192": "--max-bytes 512",
+    "--leaf cone --output exits.plr": "--leaf cone --max-bytes 512 --output exits.plr",
+}
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -48,6 +52,8 @@ def run_page(page: str, folder: Path, is_quick: bool) -> dict[str, object]:
     """
     names: dict[str, object] = {"__name__": "page"}
     missing: set[str] = set()
+    for text, smaller in SMALLER.items() if is_quick else ():
+        page = page.replace(text, smaller)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for language, code in re.findall(r"```(python|sh)\n(.*?)```", page, re.DOTALL):
@@ -55,8 +61,6 @@ def run_page(page: str, folder: Path, is_quick: bool) -> dict[str, object]:
                 run_python(code, names, missing, SLOW if is_quick else ())
                 continue
             for command in code.splitlines():
-                for text, smaller in SMALLER.items() if is_quick else ():
-                    command = command.replace(text, smaller)
                 if "plr-jax" in command and "venv" not in command:
                     run_command(command)
     return names

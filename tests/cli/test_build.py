@@ -34,8 +34,7 @@ def test_build_keeps_budget_and_prints_summary(path):
     assert "% of the largest distance" in printed and "s to build" in printed
 
 
-@pytest.mark.parametrize("name", ["scan.png", "scan.yaml"])
-def test_build_counts_specks_in_pixels(name, path, tmp_path):
+def test_build_counts_specks_in_pixels(path, tmp_path):
     gray = np.full((100, 100), 255, np.uint8)
     gray[20:25, :40] = 0
     gray[40, 40] = gray[50:52, 50:52] = 0  # specks of 1 and 4 pixels
@@ -44,16 +43,16 @@ def test_build_counts_specks_in_pixels(name, path, tmp_path):
     gray[21:23, 15] = 255  # a free place of 2 pixels
     Image.fromarray(gray).save(tmp_path / "scan.png")
     (tmp_path / "scan.yaml").write_text("image: scan.png\nresolution: 0.05\norigin: [0, 0, 0]\n")
-    command = ["build", tmp_path / name, "--goal", "1,1", "-o", path, "--leaf", "plane", "--max-leaves", 4]
-    command += ["--resolution", 0.05] if name == "scan.png" else []
-    for radius, upper in ((), 5), (("--radius", 0.3), 4.7):
-        printed = done(*command, *radius)
-        specks = r"4 specks of at most 4 pixels \(--drop-specks 4 drops them\)"
-        assert re.search(rf"map     [0-9]+ vertices, [0-9.]+ x [0-9.]+ workspace units, {specks}\n", printed)
+    limits = ["--goal", "1,1", "-o", path, "--leaf", "plane", "--max-leaves", 4]
+    for name, options, summary, upper in (
+        ("scan.png", [], "workspace units, 4 specks of at most 4 pixels (--drop-specks 4 drops them)", 5),
+        ("scan.yaml", ["--radius", 0.3], "workspace units, 4 specks of at most 4 pixels", 4.7),
+        ("scan.png", ["--drop-specks", 2], "units, 1 speck of at most 4", 5),
+    ):
+        scale = ["--resolution", 0.05] if name == "scan.png" else []
+        assert summary in done("build", tmp_path / name, *limits, *scale, *options)
         np.testing.assert_allclose(load(path).domain.hi, upper)
-    assert "units, 1 speck of at most 4" in done(*command, "--drop-specks", 2)  # the speck of 4 pixels
-    if name == "scan.png":
-        assert "vertices, 100 x 100 pixels\n" in done(*command[:-2], "--drop-specks", 4)
+    assert "vertices, 100 x 100 pixels\n" in done("build", tmp_path / "scan.png", *limits, "--drop-specks", 4)
 
 
 def test_build_reports_walls_that_touch(path, tmp_path):
@@ -70,16 +69,14 @@ def test_build_reports_walls_that_touch(path, tmp_path):
     assert load(path).max_error < 0.0101 and "touch" not in printed and "not reached" not in printed
 
 
-def test_build_writes_what_construct_returns(path, tmp_path, monkeypatch):
+def test_build_writes_what_construct_returns(tmp_path, monkeypatch):
     limits = {"max_bytes": 700, "max_leaves": 9, "max_depth": 4, "tolerance": 0.01, "seed": 3}
     options = [word for name, value in limits.items() for word in (f"--{name.replace('_', '-')}", value)]
     limits["max_bytes"] -= len(LABEL) + 4  # the file has room for its label
     monkeypatch.chdir(tmp_path)
-    for leaf, others in (("plane", ["--leaf", "plane", "-o", path]), ("best", [])):
-        done("build", "maze", *options, *others)
-        plr = construct(ORACLE, MAZE.bounds, leaf=leaf, certified=True, **limits)
-        file = path if leaf == "plane" else tmp_path / "maze.plr"
-        assert file.read_bytes() == plr.with_label(LABEL).to_bytes()
+    done("build", "maze", "--leaf", "plane", *options)
+    plr = construct(ORACLE, MAZE.bounds, leaf="plane", certified=True, **limits)
+    assert (tmp_path / "maze.plr").read_bytes() == plr.with_label(LABEL).to_bytes()
 
 
 def test_build_for_several_goals_stores_the_nearest(maze, path, drawn):
@@ -140,16 +137,15 @@ def test_build_explains_mistakes(map_, options, message, path, maps, monkeypatch
     assert not path.exists()
 
 
-@pytest.mark.parametrize("leaf", ["best", "plane"])
-def test_too_small_budget_error_names_a_sufficient_one(leaf, path):
+def test_too_small_budget_error_names_a_sufficient_one(path):
     def sufficient_bytes(size):
-        error = mistake("build", "maze", "--leaf", leaf, "-o", path, "--max-bytes", size)
+        error = mistake("build", "maze", "-o", path, "--max-bytes", size)
         assert f"Error: --max-bytes {size} is too small: " in error
         return int(re.search(r"allow at least ([0-9]+)\.", error).group(1))
 
     enough = sufficient_bytes(3)
     assert sufficient_bytes(enough - 1) == enough
-    done("build", "maze", "--leaf", leaf, "-o", path, "--max-bytes", enough)
+    done("build", "maze", "-o", path, "--max-bytes", enough)
     assert path.stat().st_size <= enough
 
 
