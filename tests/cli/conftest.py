@@ -1,10 +1,11 @@
 import json
 from functools import partial
 
+import numpy as np
 import pytest
 from cli_helpers import done
 
-from plr_jax import scenes
+from plr_jax import GridGraph, construct_grid_pairs, construct_pairs, save, scenes
 
 
 @pytest.fixture(scope="session")
@@ -13,6 +14,15 @@ def maze(tmp_path_factory):
     path = tmp_path_factory.mktemp("maze") / "maze.plr"
     done("build", "maze", "-o", path, "--max-bytes", 300, "--leaf", "plane")
     return path
+
+
+@pytest.fixture(scope="session")
+def pairs(tmp_path_factory):
+    """Return the paths of files of pairs: of the maze, with its label, and of a small grid."""
+    folder, of_maze = tmp_path_factory.mktemp("pairs"), construct_pairs(scenes.maze().workspace, max_bytes=400)
+    save(of_maze.with_label("maze"), folder / "maze.pairs")
+    save(construct_grid_pairs(GridGraph(np.array([[1, 1, 1], [1, 0, 1]], bool))), folder / "grid.pairs")
+    return folder / "maze.pairs", folder / "grid.pairs"
 
 
 @pytest.fixture(scope="session")

@@ -132,37 +132,11 @@ def test_describe_counts_robots_of_each_shape():
     assert command.describe(team) == words
 
 
-@pytest.mark.parametrize(
-    ("scene", "options", "message"),
-    [
-        ("four_roms", [], "SCENE must be a scene (single_door, four_rooms, "),
-        ("none.json", [], "none.json: No such file or directory"),
-        ("polygons.json", [], "polygons.json: expected a scene file"),
-        ("four_rooms", ["--robots", 5], "four_rooms must have 2, 3, 4, 8 robots, got 5"),
-        ("cross", ["--robots", 4], "cross must have 2, 3 robots, got 4"),
-        ("tangle", ["--robots", 2], "--robots is for the scenes four_rooms and cross, got 'tangle'"),
-        ("maze", ["--step", -1], "step must be None or a positive finite number"),
-        ("maze", ["-o", "a.csv"], "a.csv must end in .json"),
-        ("maze", ["--animation", "a.mp4"], "a.mp4 must end in .gif or .html"),
-        ("maze", ["--picture", "a.txt"], "a.txt must end in .png or .pdf or .svg"),
-        ("maze", ["-o", "none/a.json"], "none: No such folder"),
-    ],
-)
-def test_plan_explains_mistakes(scene, options, message, maps, monkeypatch):
-    monkeypatch.chdir(maps)
-    assert message in mistake(scene, *options)
-
-
 def test_outputs_without_permission_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("os.access", lambda path, mode: False)  # the tests may run as root, who may all
     with pytest.raises(PermissionError):
         require_writable(tmp_path / "a.json", (".json",))
     require_writable(None, (".json",))
-
-
-def test_unknown_heuristic_error_lists_all():
-    result = run("maze", "--heuristic", "exact")
-    assert result.exit_code == 2 and all(f"'{name}'" in result.stderr for name in Heuristic)
 
 
 def ended(code, said, folder, *arguments):
