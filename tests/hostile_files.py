@@ -19,10 +19,9 @@ import tempfile
 import time
 import warnings
 from collections import Counter
-from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from hostile_readers import READERS, Reader
@@ -83,8 +82,7 @@ _HANGS = 60  # seconds after which a reader is interrupted
 _ADDRESS_SPACE = 8 * 2**30  # bytes that a reader may allocate before allocations fail
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """The result of reading a file.
 
     Attributes:
@@ -95,9 +93,9 @@ class Outcome:
     """
 
     kind: str
-    message: str = ""
-    seconds: float = 0.0
-    growth: float = 0.0
+    message: str
+    seconds: float
+    growth: float
 
     @property
     def failed(self) -> bool:
@@ -105,8 +103,8 @@ class Outcome:
 
 
 def attempt(reader: Reader, path: Path) -> Outcome:
-    """Read a file and measure time and memory, which the caller judges."""
-    began, before = time.process_time(), _peak()
+    """Read a file, and judge the reader by its exception, time and memory."""
+    begin, before = time.process_time(), _peak()
     kind, message = "read", ""
     try:
         with warnings.catch_warnings():
@@ -116,7 +114,10 @@ def attempt(reader: Reader, path: Path) -> Outcome:
         kind, message = "refused" if str(path) in str(error) else "error without the file's name", repr(error)
     except Exception as error:
         kind, message = type(error).__name__, repr(error)
-    return Outcome(kind, message[:300], time.process_time() - began, _peak() - before)
+    outcome = Outcome(kind, message[:300], time.process_time() - begin, _peak() - before)
+    if outcome.failed or (outcome.seconds <= MOST_SECONDS and outcome.growth <= MOST_GROWTH):
+        return outcome
+    return outcome._replace(kind="too slow" if outcome.seconds > MOST_SECONDS else "too large")
 
 
 def _peak() -> float:
@@ -134,8 +135,6 @@ def trial(name: str, number: int, folder: Path, seed: int) -> Outcome:
     signal.alarm(_HANGS)
     outcome = attempt(reader, path)
     signal.alarm(0)
-    for kind, over in (("too slow", outcome.seconds > MOST_SECONDS), ("too large", outcome.growth > MOST_GROWTH)):
-        outcome = replace(outcome, kind=kind) if over and not outcome.failed else outcome
     if not outcome.failed:
         path.unlink()
     return outcome
@@ -148,9 +147,7 @@ def _give_up(*_: Any) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mutations", type=int, default=20_000, help="files a reader")
-    parser.add_argument(
-        "--readers", nargs="+", choices=READERS, metavar="READER", default=list(READERS), help="names"
-    )
+    parser.add_argument("--readers", nargs="+", choices=READERS, metavar="READER", default=list(READERS))
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     kept = Path(tempfile.mkdtemp(prefix="plr_jax_"))

@@ -77,15 +77,24 @@ def run_python(code: str, names: dict[str, object], missing: set[str], slow: tup
     """
     code = re.sub(r"(sample_free\()[\d_]+", r"\g<1>16", code)
     for statement in ast.parse(code).body:
-        nodes = list(ast.walk(statement))
-        used = {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)}
-        bound = {node.id for node in nodes if isinstance(node, ast.Name)} - used
-        bound |= {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-        if used & missing or any(text in (ast.get_source_segment(code, statement) or "") for text in slow):
-            missing |= bound
-        else:
-            missing -= bound
+        is_slow = any(text in (ast.get_source_segment(code, statement) or "") for text in slow)
+        if not propagate(statement, missing, is_slow):
             exec(compile(ast.Module([statement], []), "page", "exec"), names)
+
+
+def propagate(statement: ast.stmt, tainted: set[str], is_tainted: bool = False) -> bool:
+    """Return whether a statement is tainted, as all are that use a tainted name; then so are the names it binds."""
+    nodes = list(ast.walk(statement))
+    targets = [each.target for each in nodes if isinstance(each, ast.comprehension)]
+    own = {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
+    names = [node for node in nodes if isinstance(node, ast.Name) and node.id not in own]
+    loads = {name.id for name in names if isinstance(name.ctx, ast.Load)}
+    stores = {name.id for name in names if isinstance(name.ctx, ast.Store)}
+    stores |= {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    is_tainted = is_tainted or bool(loads & tainted)
+    tainted -= stores
+    tainted |= stores if is_tainted else set()
+    return is_tainted
 
 
 def run_command(command: str) -> None:

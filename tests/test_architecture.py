@@ -13,59 +13,17 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "plr_jax"
-# From the bottom up; a part imports itself and what stands before it. Parts of one row never import one another.
-LAYERS = [
-    ["_types"],
-    ["_arrays"],
-    ["_compiled", "_files"],
-    ["geometry"],
-    ["robots"],
-    ["collision"],
-    ["_problem"],
-    ["_validate"],
-    ["oracles", "plr", "planners", "spaces", "traced"],
-    ["pairs"],
-    ["_io"],
-    ["_lookahead"],
-    ["_descend", "metrics", "plot", "scenes", "eikonal", "ompl"],
-    ["cli", "guides"],
-    ["__main__"],
-]
-# Inside the room that stores, likewise; what stands in its folders before the leaves knows no leaf model.
-PLR_LAYERS = [
-    ["tree", "folding"],
-    ["faces", "cell_memory"],
-    ["finite_elements", "frame", "coding", "sampling"],
-    ["container", "parallel_builds"],
-    ["certificate"],
-    ["growth"],
-    ["best_partition"],
-    ["leaves"],
-    ["_file"],
-    ["_proof"],
-    ["tables"],
-    ["query", "small_batches"],
-    ["team"],
-    ["portable"],
-    ["_plr"],
-    ["_stack"],
-    ["source_sight"],
-    ["_trace"],
-    ["_construct"],
-    ["_construct_many"],
-]
-# And inside that of the planners.
-PLANNER_LAYERS = [
-    ["_heuristics", "_solution"],
-    ["lattice"],
-    ["best_first", "lacam", "reservations", "sequential", "shorten", "through_time"],
-    ["driver"],
-    ["under_way"],
-]
-# What each may import, where that is less than all before it.
-PLR_IMPORTS = {
-    "growth": {"tree", "sampling", "coding", "certificate"},
-}
+# Parts of the package and of some of its rooms, from the bottom up, with a slash between layers. A part imports itself
+# and parts of lower layers; parts of one layer never import one another.
+LAYERS = """_types / _arrays / _compiled _files / geometry / robots / collision / _problem / _validate /
+    oracles plr planners spaces traced / pairs / _io / _lookahead / _descend metrics plot scenes eikonal ompl /
+    cli guides / __main__"""
+PLR_LAYERS = """tree folding / faces cell_memory / finite_elements frame coding sampling / container parallel_builds /
+    certificate / growth / best_partition / leaves / _file / _proof / tables / query small_batches / team / portable /
+    _plr / _stack / source_sight / _trace / _construct / _construct_many"""
+PLANNER_LAYERS = """_heuristics _solution / lattice /
+    best_first lacam reservations sequential shorten through_time / driver / under_way"""
+PLR_IMPORTS = {"growth": {"tree", "sampling", "coding", "certificate"}}  # parts that may import less
 ROOMS = {"": LAYERS, "plr": PLR_LAYERS, "planners": PLANNER_LAYERS}
 LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{name}" for name in ("plane", "continuous", "cone"))
 OPENERS = re.compile(
@@ -119,7 +77,8 @@ def parts_of(names: set[str], room: str) -> set[str]:
 
 
 def test_parts_import_only_layers_below(imports):
-    for room, layers in ROOMS.items():
+    for room, layers_of_room in ROOMS.items():
+        layers = [layer.split() for layer in layers_of_room.split("/")]
         part_of = {
             path: path.relative_to(room).parts[0].removesuffix(".py") for path in imports if path.is_relative_to(room)
         }

@@ -6,22 +6,8 @@ import cli_helpers
 import numpy as np
 import pytest
 
-from plr_jax import (
-    BLOptions,
-    DiscRobot,
-    PointRobot,
-    PolygonRobot,
-    Problem,
-    RectangleRobot,
-    Solution,
-    Workspace,
-    bl_plan,
-    makespan,
-    robot_distance_fns,
-    scenes,
-    straight_line,
-    validate,
-)
+import plr_jax
+from plr_jax import BLOptions, DiscRobot, PointRobot, Problem, Workspace, bl_plan, scenes, straight_line
 from plr_jax.cli import plan as command
 from plr_jax.cli.inputs import require_writable
 from plr_jax.cli.plan import Heuristic
@@ -51,12 +37,12 @@ def test_plan_four_rooms_writes_a_valid_path(tmp_path):
     outputs = ["-o", files[0], "--animation", files[1], "--picture", files[2]]
     text = done("four_rooms", "--robots", 2, "--heuristic", "plr", "--plr-bytes", 512, *outputs)
     data, problem = json.loads(files[0].read_text()), scenes.four_rooms(2)
-    report = validate(problem, data["path"])
+    report = plr_jax.validate(problem, data["path"])
     assert report.valid, report.message
     assert (report.cost, "SOLVED") == (data["cost"], data["status"])
-    solution = Solution.load(files[0])
+    solution = plr_jax.Solution.load(files[0])
     np.testing.assert_array_equal(solution.path, data["path"])
-    assert (solution.cost, solution.makespan) == (report.cost, makespan(problem, solution.path))
+    assert (solution.cost, solution.makespan) == (report.cost, plr_jax.makespan(problem, solution.path))
     assert files[1].read_text().startswith("<!doctype html>")
     assert files[2].read_bytes().startswith(b"\x89PNG")
     words = [line.split()[0] for line in text.splitlines()]
@@ -86,7 +72,7 @@ def test_options_reach_the_planner(planned):
 
 
 def test_heuristics_equal_their_distances():
-    exact, points = (robot_distance_fns(DOOR, inflated=inflated) for inflated in (True, False))
+    exact, points = (plr_jax.robot_distance_fns(DOOR, inflated=inflated) for inflated in (True, False))
     q = DOOR.starts[None] + np.array([[[0.0, 0.0]], [[0.5, 3.0]]])
     values = {}
     assert command._build_heuristic(Heuristic.lattice, DOOR, exact, 1024) == (None, [])
@@ -105,7 +91,7 @@ def test_heuristics_equal_their_distances():
 def test_robots_of_one_size_and_goal_share_a_plr():
     robots = [PointRobot(), PointRobot(), DiscRobot(0.5), PointRobot()]
     problem = Problem(SQUARE, robots, [(1, 9), (2, 9), (4, 9), (6, 9)], [(1, 1), (1, 1), (3, 1), (8, 8)])
-    function, plrs = command._build_heuristic(Heuristic.plr, problem, robot_distance_fns(problem), 300)
+    function, plrs = command._build_heuristic(Heuristic.plr, problem, plr_jax.robot_distance_fns(problem), 300)
     assert len(plrs) == 3
     assert function.per_robot(np.array([[[1.0, 5.0]] * 4]))[0, [0, 3]] == pytest.approx([4, np.hypot(7, 3)], abs=0.2)
 
@@ -126,8 +112,8 @@ def test_plan_reads_scenes_and_files(maps):
 
 
 def test_describe_counts_robots_of_each_shape():
-    team = [DiscRobot(0.4), PointRobot(), DiscRobot(0.4), RectangleRobot(1.8, 0.5)]
-    team += [PolygonRobot([(-1, 0), (1, 0), (0, 1)])] * 2
+    team = [DiscRobot(0.4), PointRobot(), DiscRobot(0.4), plr_jax.RectangleRobot(1.8, 0.5)]
+    team += [plr_jax.PolygonRobot([(-1, 0), (1, 0), (0, 1)])] * 2
     words = "2 discs of radius 0.4, 1 point, 1 rectangle 1.8 x 0.5, 2 polygons of 3 corners 2 x 1"
     assert command.describe(team) == words
 

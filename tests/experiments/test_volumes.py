@@ -1,4 +1,4 @@
-"""Paths that experiments measure volumes by: as short as they are where that is known."""
+"""The paths with which experiments measure volumes: shortest where the truth is known."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def through_window(x, thickness):
 
 
 @pytest.mark.parametrize("thickness", [1, 4])
-def test_paths_through_a_window_are_the_shortest(thickness):
+def test_taut_paths_through_a_window_are_shortest(thickness):
     free = np.ones((20, 20, 20), bool)
     free[10 : 10 + thickness] = False
     free[10 : 10 + thickness, slice(*WINDOW[0]), slice(*WINDOW[1])] = True
@@ -39,7 +39,7 @@ def test_paths_through_a_window_are_the_shortest(thickness):
     assert graph(x).mean() > 1.05 * truth.mean()
 
 
-def test_paths_are_free_and_lead_from_start_to_goal():
+def test_taut_paths_are_free_and_reach_the_goal():
     free = made.boxes(np.random.default_rng(1), (24, 20, 16), 12, 3, 9)
     goal = made.first_free(free) + 0.5
     space, graph = VoxelSpace(free), VoxelGraph(free, goal)
