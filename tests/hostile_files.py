@@ -127,11 +127,11 @@ def _peak() -> float:
 _valid = cache(lambda name: READERS[name].valid())
 
 
-def trial(name: str, number: int, folder: Path, seed: int) -> Outcome:
+def trial(name: str, number: int, folder: Path) -> Outcome:
     """Read a mutated file, and keep it if its reader fails."""
     reader = READERS[name]
     path = folder / f"{name}_{number}{reader.suffix}"
-    path.write_bytes(hostile(reader, _valid(name), seed, number))
+    path.write_bytes(hostile(reader, _valid(name), 0, number))
     signal.alarm(_HANGS)
     outcome = attempt(reader, path)
     signal.alarm(0)
@@ -148,7 +148,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mutations", type=int, default=20_000, help="files a reader")
     parser.add_argument("--readers", nargs="+", choices=READERS, metavar="READER", default=list(READERS))
-    parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     kept = Path(tempfile.mkdtemp(prefix="plr_jax_"))
     print(f"files that a reader fails at are in {kept}", flush=True)
@@ -156,7 +155,7 @@ def main() -> None:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + _ADDRESS_SPACE, resource.RLIM_INFINITY))
     for name in arguments.readers:
-        found = [trial(name, number, kept, arguments.seed) for number in range(arguments.mutations)]
+        found = [trial(name, number, kept) for number in range(arguments.mutations)]
         seconds, growth = max(each.seconds for each in found), max(each.growth for each in found) / 1e6
         failures = {number: outcome for number, outcome in enumerate(found) if outcome.failed}
         kinds = dict(Counter(each.kind for each in found))

@@ -7,6 +7,7 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -137,10 +138,6 @@ def _factor_files() -> list[bytes]:
     return [buffer.getvalue()]
 
 
-def _read_mesh(path: Path) -> Any:
-    return scenes.read_volume(path, pitch=0.25)
-
-
 def _with_checksums(data: bytes) -> bytes:
     """Repair the checksums of all chunks if a picture is a PNG."""
     result, rest = data[:8], data[8:]
@@ -201,6 +198,7 @@ def _read_cost_map_of_picture(path: Path) -> Any:
         file.unlink()
 
 
+_read_mesh = partial(scenes.read_volume, pitch=0.25)
 READERS = {
     "scene": Reader(scenes.load, ".json", _scene_files),
     "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),

@@ -41,10 +41,6 @@ def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
 
 
-def has_slow_parts(page: str) -> bool:
-    return any(text in page for text in (*SLOW, *SMALLER))
-
-
 def run_page(page: str, folder: Path, is_quick: bool) -> dict[str, object]:
     """Run the Python and shell blocks of a page from top to bottom; return the variables of Python.
 

@@ -1,20 +1,19 @@
 """Rules of the source: the layering of imports, and first sentences of docstrings that are plain.
 
 A first sentence says what the thing is or does, in at most 25 words. It may not start with a pronoun or with "What",
-"Of" or "Where", and it ends with a period. ``python tests/test_architecture.py plr_jax/eikonal`` prints faults.
+"Of" or "Where", and it ends with a period.
 """
 
 import ast
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "plr_jax"
-# Parts of the package and of some of its rooms, from the bottom up, with a slash between layers. A part imports itself
-# and parts of lower layers; parts of one layer never import one another.
+# Parts of the package and of some of its rooms, from the bottom up, with a slash between layers. A part imports
+# itself and parts of lower layers; parts of one layer never import one another.
 LAYERS = """_types / _arrays / _compiled _files / geometry / robots / collision / _problem / _validate /
     oracles plr planners spaces traced / pairs / _io / _lookahead / _descend metrics plot scenes eikonal ompl /
     cli guides / __main__"""
@@ -137,10 +136,3 @@ def test_docstrings_start_with_plain_sentences(files):
 @pytest.mark.parametrize("docstring", ["What is near.", "A box", "A " + "very " * 24 + "long sentence."])
 def test_bad_first_sentences_are_found(docstring):
     (_,) = complaints(list(statements_of(ast.parse(f'def f():\n    """{docstring}"""'))))
-
-
-if __name__ == "__main__":
-    for argument in map(Path, sys.argv[1:]):
-        for path in sorted(argument.rglob("*.py")) if argument.is_dir() else [argument]:
-            for fault in complaints(list(statements_of(ast.parse(path.read_text())))):
-                print(f"{path}:{fault}")

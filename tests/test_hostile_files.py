@@ -26,16 +26,11 @@ def test_damaged_files_are_read_or_refused_by_name(name, tmp_path):
 
 @pytest.mark.parametrize("name", [name for name, reader in READERS.items() if reader.suffix == ".plr"])
 def test_checksums_of_damaged_files_are_repaired(name):
-    reader = READERS[name]
-    for data in reader.valid():
-        assert reader.repaired(data) == data
-        if not {len(data), len(data) - 9} & set(Header.read(data).marks):  # else nothing can be cut off
-            cut = reader.repaired(data[:-9])
-            assert len(cut) == len(data) - 9
-            assert len(Container.from_bytes(cut).layers) == len(Container.from_bytes(data).layers)
+    repaired = READERS[name].repaired
+    for data in READERS[name].valid():
         start = len(Header.read(data).data)
-        changed = data[:start] + bytes([data[start] ^ 1]) + data[start + 1 :]
-        assert reader.repaired(changed) != changed and Container.from_bytes(reader.repaired(changed))
+        changed = repaired(data[:start] + bytes([data[start] ^ 1]) + data[start + 1 :])
+        assert repaired(data) == data != changed and Container.from_bytes(changed)
 
 
 @pytest.mark.parametrize(

@@ -15,44 +15,21 @@ import plr_jax
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 LARGEST = 900_000
 # Small values of the parameters that the first cell of a notebook sets, for quick runs.
+LEAVES = ["plane", "continuous", "smooth", "cone"]
 SMALL = {
-    "1_a_first_plr": """
-MAX_BYTES = CONE_BYTES = 512
-NUM_POINTS = NUM_QUERIES = 2_000
-RESOLUTION = 20
-BUDGETS = dict.fromkeys(["plane", "continuous", "smooth", "cone"], [512])
-""",
-    "2_a_floor_plan": """
-NUM_POINTS, NUM_SAMPLES, RESOLUTION = 1_000, 200, 32
-BYTES = (512, 1024)
-""",
-    "3_a_team": """
-PLR_BYTES, NUM_CONFIGURATIONS, NUM_TESTS = 512, 4_000, 500
-TIME_LIMIT, RESOLUTION, SECONDS = 0.1, 20, 1.0
-""",
-    "4_your_own_robot": """
-CAR_BYTES = COST_BYTES = 512
-NUM_POSES = NUM_CONFIGURATIONS = 2_000
-NUM_CELLS, NUM_PIXELS, RESOLUTION = 200, 120, 20
-""",
-    "5_inside_your_environment": """
-NUM_ENVIRONMENTS, NUM_STEPS, SIZE, BLOCKED, RESOLUTION = 8, 10, 6, 0.2, 4
-""",
-    "6_pedestrians": """
-MAX_BYTES, NUM_POINTS, NUM_PAIRS, NUM_AGENTS, RESOLUTION = 512, 500, 12, 3, 40
-""",
-    "7_cost_distance": """
-SIDE, BOUND_SIDE, PLR_BYTES = 40, 20, 512
-""",
+    "1": {"MAX_BYTES": 512, "CONE_BYTES": 512, "NUM_POINTS": 2_000, "NUM_QUERIES": 2_000, "RESOLUTION": 20}
+    | {"BUDGETS": {leaf: [512] for leaf in LEAVES}},
+    "2": {"NUM_POINTS": 1_000, "BYTES": (512, 1024), "NUM_SAMPLES": 200, "RESOLUTION": 32},
+    "3": {"PLR_BYTES": 512, "NUM_CONFIGURATIONS": 4_000, "NUM_TESTS": 500}
+    | {"TIME_LIMIT": 0.1, "RESOLUTION": 20, "SECONDS": 1.0},
+    "4": {"CAR_BYTES": 512, "NUM_POSES": 2_000, "NUM_CONFIGURATIONS": 2_000, "NUM_CELLS": 200, "NUM_PIXELS": 120}
+    | {"COST_BYTES": 512, "RESOLUTION": 20},
+    "5": {"NUM_ENVIRONMENTS": 8, "NUM_STEPS": 10, "SIZE": 6, "BLOCKED": 0.2, "RESOLUTION": 4},
+    "6": {"MAX_BYTES": 512, "NUM_POINTS": 500, "NUM_PAIRS": 12, "NUM_AGENTS": 3, "RESOLUTION": 40},
+    "7": {"SIDE": 40, "BOUND_SIDE": 20, "PLR_BYTES": 512},
 }
 PARAMETERS = {"tags": ["parameters"]}
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-
-
-def assigned(code):
-    """Return the names that statements of the outermost level assign to."""
-    targets = [target for node in ast.parse(code).body if isinstance(node, ast.Assign) for target in node.targets]
-    return {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
 
 
 def without_times(text):
@@ -76,22 +53,22 @@ def test_notebook_runs_and_prints_committed_output(path, tmp_path, monkeypatch, 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plt, "show", show)
     plt.switch_backend("agg")
-    names, changed, compared = {"__name__": "__main__"}, assigned(SMALL[path.stem]), 0
+    small = SMALL[path.name[0]]
+    names, changed, compared = {"__name__": "__main__"}, set(small), 0
     with plt.rc_context():
         for cell in (cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"):
-            source = cell.source
-            if cell.metadata == PARAMETERS:
-                assert assigned(SMALL[path.stem]) <= assigned(source)
-                source += SMALL[path.stem]
-            *statements, last = ast.parse(source).body
+            *statements, last = ast.parse(cell.source).body
             is_shown = isinstance(last, ast.Expr)
             exec(compile(ast.Module(statements if is_shown else [*statements, last], []), path.name, "exec"), names)
             shown = eval(compile(ast.Expression(last.value), path.name, "eval"), names) if is_shown else None
             assert shown is None or shown._repr_html_()
+            if cell.metadata == PARAMETERS:
+                assert small.keys() <= names.keys()
+                names |= small
             said = capsys.readouterr()
             assert said.err == ""
             is_small = cell.metadata == PARAMETERS
-            is_small = is_small or any([propagate(statement, changed) for statement in ast.parse(source).body])
+            is_small = is_small or any([propagate(statement, changed) for statement in ast.parse(cell.source).body])
             if said.out and not is_small:
                 compared += 1
                 printed = "".join(output.text for output in cell.outputs if output.output_type == "stream")
@@ -131,4 +108,4 @@ def test_notebook_is_committed_small_and_clean(path):
 
 
 def test_notebooks_are_numbered():
-    assert [path.name[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5", "6", "7"]
+    assert [path.name[0] for path in NOTEBOOKS] == list(SMALL)

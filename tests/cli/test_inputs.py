@@ -23,9 +23,7 @@ def test_goal_must_be_two_finite_numbers(text):
         (" +.5 ,\t3.\r", [0.5, 3]),
         ("-inf,Infinity,1E400", [-np.inf, np.inf, np.inf]),
         ("nan,-NaN", [np.nan, np.nan]),
-        *((text, []) for text in ("1_0", "1,1_0", "0x10", "1,", "1 2", ".", "e5", "")),
-        ("\N{ARABIC-INDIC DIGIT ONE}", []),
-        ("\N{NO-BREAK SPACE}1", []),
+        *((text, []) for text in ("1_0", "1,1_0", "0x10", "1,", "1 2", ".", "e5", "", "\u0661", "\u00a01")),
         ("1" * 100_000 + "x", []),  # must not take quadratic time
     ],
 )
@@ -105,10 +103,3 @@ def test_options_of_pictures_are_used(pictures):
     workspace, goal = NamedMap(str(pictures / "a.png"), "1,2", resolution=0.5, drop_specks=1).read()
     np.testing.assert_array_equal([workspace.bounds.hi, *goal], [(3, 2), (1, 2)])
     assert workspace.free_space.area == 6
-
-
-def test_only_pictures_have_pixels(maps, pictures):
-    for path in (pictures / "a.png", pictures / "scan.yaml"):
-        np.testing.assert_array_equal(NamedMap(str(path)).free_pixels().sum(), 23 if path.suffix == ".png" else 0)
-    for path in ("maze", *(maps / name for name in ("grid.map", "maze.json"))):
-        assert NamedMap(str(path)).free_pixels() is None

@@ -18,8 +18,6 @@ def folder(maze, pairs, maps, tmp_path_factory):
     save(load(maze).with_label(""), folder / "unlabeled.plr")
     (folder / "foreign.plr").write_text("not a PLR at all, but long enough to hold a header")
     (folder / "points.csv").write_bytes(b"\xff\xfe\x00")
-    (folder / "loop").symlink_to(folder / "loop")
-    (folder / "file").touch()
     (folder / "folder.png").mkdir()
     return folder
 
@@ -41,21 +39,16 @@ def folder(maze, pairs, maps, tmp_path_factory):
         ("build maze --radius 1", "leaves no free space"),
         ("build maze -o none/a.plr", "No such folder"),
         ("build maze -o .", "Is a directory"),
-        ("build maze -o loop", "Too many levels"),
         ("build maze -o " + "x" * 300, "File name too long"),
-        ("build maze -o file/a.plr", "Not a directory"),
         ("query maze.plr", "stdin has no points"),
         ("query maze.plr none.csv", "No such file"),
-        ("query none.plr", "No such file"),
         ("query foreign.plr", "foreign.plr"),
         ("query maze.plr points.csv", "points.csv must be a text file"),
-        ("query maze.plr .", "Is a directory"),
         ("query maze.plr --which", "build it with --leaf cone and several --goal"),
         ("query maze.pairs --gradient", "--gradient and --which need a file of a PLR"),
         ("export maze.plr -o 1.h", "a C identifier"),
         ("export maze.plr --goal 0,0 -o a.h", "leave out --goal"),
         ("export maze.plr -o a.txt", "must end in .h"),
-        ("export none.plr -o none/a.h", "No such folder"),
         ("export maze.plr --js -o a.h", "must end in .mjs"),
         ("export maze.plr --js --name a -o a.mjs", "--name is for C headers"),
         ("export maze.plr --js --compact -o a.mjs", "--compact is for C headers"),
@@ -67,24 +60,19 @@ def folder(maze, pairs, maps, tmp_path_factory):
         ("view maze.plr -o a.png", "must end in .html"),
         ("plot grid.pairs -o a.png", "any two points: give one of them with --goal"),
         ("plot grid.pairs --goal 0,0 --kind cells -o a.png", "--kind must be distance"),
-        ("plot maze.pairs --goal 0,0 --goal 1,1 -o a.png", "give one of them with --goal"),
         ("plot unlabeled.plr --kind error -o a.png", "give --map"),
         ("plot unlabeled.plr --goal 0,0 -o a.png", "give --map together with --goal"),
         ("plot unlabeled.plr --map none.png -o a.png", "Error: none.png: No such file or directory\n"),
         ("plot none.plr -o a.docx", "a.docx must end in .png or .pdf or .svg"),
-        ("plot none.plr -o none/a.png", "none: No such folder"),
         ("plot none.plr -o folder.png", "folder.png: Is a directory"),
         ("plan four_roms", "SCENE must be a scene (single_door, four_rooms, "),
-        ("plan none.json", "none.json: No such file or directory"),
         ("plan polygons.json", "polygons.json: expected a scene file"),
         ("plan four_rooms --robots 5", "four_rooms must have 2, 3, 4, 8 robots, got 5"),
-        ("plan cross --robots 4", "cross must have 2, 3 robots, got 4"),
         ("plan tangle --robots 2", "--robots is for the scenes four_rooms and cross, got 'tangle'"),
         ("plan maze --step -1", "step must be None or a positive finite number"),
         ("plan maze -o a.csv", "a.csv must end in .json"),
         ("plan maze --animation a.mp4", "a.mp4 must end in .gif or .html"),
         ("plan maze --picture a.txt", "a.txt must end in .png or .pdf or .svg"),
-        ("plan maze -o none/a.json", "none: No such folder"),
     ],
 )
 @pytest.mark.usefixtures("unchecked_types")

@@ -19,7 +19,6 @@ def read(data, dim=2, strict=False):
 @pytest.mark.parametrize(
     "text",
     [
-        "1,2\n3,4",
         " 1 , 2 \r\n3,4\r\n",
         '"x","y"\n1,2\n3,4\n',
         "# x y\n1,2\n3,4",
@@ -40,7 +39,6 @@ def test_points_are_read_with_or_without_header(text):
         ("1,2\n3\n3,4", 2, "'3'"),
         ("1,2\n1,2,3\n3,4", 2, "'1,2,3'"),
         ("1,2\n1,b\n3,4", 2, "'1,b'"),
-        ("1,2\n1;2\n3,4", 2, "'1;2'"),
         ("x,y\n1,2\nx,y\n3,4", 3, "'x,y'"),
         ("1,2\n1_0,2\n3,4", 2, "'1_0,2'"),
         (b"1,2\n\xa01,2\n3,4", 2, "'\N{REPLACEMENT CHARACTER}1,2'"),

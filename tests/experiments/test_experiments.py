@@ -7,11 +7,10 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import plr_jax
-from experiments import _dbcbs, readme_tables, table1
+from experiments import readme_tables, table1
 from experiments._runner import RESULTS
 from plr_jax import BuildOptions, VisibilityGraph, construct, cyclic_axis, maximum_depth, metrics, scenes
 
@@ -98,27 +97,3 @@ def test_fig1_shows_the_file_of_this_code():
     options = BuildOptions(should_split=maximum_depth, split=cyclic_axis)
     plr = construct(plr_jax.Euclidean((0.0, 0.0)), ((0.0, 0.0), (1.0, 1.0)), max_depth=6, options=options)
     assert base64.b64decode(results["plr_base64"]) == plr.to_bytes() and results["bytes"] == plr.num_bytes
-
-
-PROBLEM = """
-environment:
-  max: [6, 4.5]
-  min: [0, 0]
-  obstacles:
-  - {center: [3, 1], size: [1, 2], type: box}
-robots:
-- {type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}
-- {type: unicycle_first_order_0, start: [5, 3, 3.14], goal: [1.0, 3e0, 0]}
-"""
-
-
-def test_files_of_dbcbs_are_read(tmp_path):
-    path = tmp_path / "problem.yaml"
-    path.write_text(PROBLEM)
-    problem = _dbcbs.read_problem(path)
-    assert [type(robot) for robot in problem.robots] == [plr_jax.DiscRobot, plr_jax.RectangleRobot]
-    np.testing.assert_array_equal(problem.starts, [[1, 1, 0], [5, 3, 3.14]])
-    np.testing.assert_array_equal(problem.goals, [[5, 1, 0], [1, 3, 0]])
-    assert problem.workspace.free_space.bounds == (0, 0, 6, 4.5) and problem.workspace.free_space.area == 25
-    path.write_text("result:\n- states: [[0, 1, 2, 9], [3, 4, 5, 9]]\n- states: [[6, 7, 8, 9]]\n")
-    np.testing.assert_array_equal(_dbcbs.read_trajectories(path), [[[0, 1, 2], [6, 7, 8]], [[3, 4, 5], [6, 7, 8]]])
