@@ -6,16 +6,12 @@ import pytest
 from experiments import compare_summaries
 from experiments.baselines._brute_distance import MAZE, BruteDistance
 from experiments.benchmarks._numba_loop import numba_loop
-from experiments.benchmarks._rivals import filled_grid, map_coordinates, scipy_grid, sixteen_bit_grid
 from experiments.solving import _rivals, _speed_map
 from experiments.summaries import _given, _node_tables
 from experiments.summaries._given import Given
 from plr_jax import BuildOptions, Euclidean, PlaneSpace, VisibilityGraph, Workspace, construct, scenes
 
 pytestmark = pytest.mark.full
-
-WALL = Workspace(((0, 0), (1, 1)), [[(0.45, 0), (0.55, 0), (0.55, 0.8), (0.45, 0.8)]])
-EXACT = VisibilityGraph(WALL, (0.2, 0.3))
 
 
 @pytest.mark.parametrize(("dim", "limit", "two_levels"), [(2, 300, False), (5, 2_000, True)])
@@ -34,17 +30,6 @@ def test_numba_loop_equals_the_plr(dim, limit, two_levels):
     assert np.array_equal(np.isinf(answers), np.isinf(expected))
     # A point on a cell's face, to within rounding, may be given to either side.
     assert np.mean(np.abs(answers[answered] - expected[answered]) > 1e-5) < 1e-3
-
-
-def test_grids_use_their_bytes_and_agree():
-    grid, short = filled_grid(WALL, EXACT, 2_000), sixteen_bit_grid(WALL, EXACT, 2_000)
-    assert grid.num_bytes == 4 * grid.values.size <= 2_000 and np.isfinite(grid.values).all()
-    assert short.num_bytes == 2 * short.values.size <= 2_000 and short.values.size > 1.8 * grid.values.size
-    x = WALL.sample_free(500, 1)
-    assert np.allclose(scipy_grid(grid).on_host(x), map_coordinates(grid).on_host(x), atol=1e-5)
-    _, values, _ = filled_grid(WALL, EXACT, 4 * 21 * 21)
-    inside = values[9:12, 4]  # x = 0.45, 0.5, 0.55 at y = 0.2: the wall's sides are free
-    assert inside[0] == np.float32(np.hypot(0.25, 0.1)) and inside[1] in (inside[0], inside[2])
 
 
 SQUARE = Workspace(((0, 0), (1, 1)))
