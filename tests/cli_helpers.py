@@ -1,5 +1,7 @@
 """Run commands of the command line in this process."""
 
+import warnings
+
 from typer.testing import CliRunner
 
 from plr_jax.cli import load_app
@@ -8,7 +10,12 @@ _RUNNER, _APP = CliRunner(), load_app()
 
 
 def run(*arguments, **kwargs):
-    return _RUNNER.invoke(_APP, [str(argument) for argument in arguments], **kwargs)
+    """Run a command with Python's own filters of warnings: tests make errors of warnings, which commands print."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        warnings.simplefilter("ignore", DeprecationWarning)
+        warnings.simplefilter("ignore", PendingDeprecationWarning)
+        return _RUNNER.invoke(_APP, [str(argument) for argument in arguments], **kwargs)
 
 
 def done(*arguments, **kwargs):

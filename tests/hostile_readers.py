@@ -7,6 +7,7 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +22,11 @@ from plr_jax.plr.container import Header
 from plr_jax.plr.tree import Cells, tree_of
 
 _GRID = """type octile
-height 8
+height 4
 width 12
 map
-@@@@@@@@@@@@
-@....TT....@
 @.GG.TT.SS.@
-@....@@....@
 @..........@
-@.@@....W..@
 @.@@...WW..@
 @@@@@@@@@@@@
 """
@@ -39,18 +36,8 @@ _SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4]]
 _POLYGONS = {"components": [{"outer": _SQUARE, "holes": [[[1, 1], [1, 2], [2, 2.5], [2, 1]]]}], "source": "none"}
 
 
-_GEOJSON = {
-    "type": "FeatureCollection",
-    "bbox": [-1, -1, 9, 9],
-    "features": [
-        {
-            "type": "Feature",
-            "properties": None,
-            "geometry": {"type": "Polygon", "coordinates": [[*_SQUARE, _SQUARE[0]]]},
-        }
-    ],
-}
-
+_GEOJSON = """{"type": "FeatureCollection", "bbox": [-1, -1, 9, 9], "features": [{"type": "Feature",
+"properties": null, "geometry": {"type": "Polygon", "coordinates": [[[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]]}}]}"""
 _WKT = "GEOMETRYCOLLECTION (POLYGON ((0 0 1, 4 0 1, 4 4 1, 0 0 1), EMPTY), MULTIPOLYGON (((5 0, 6 0, 6 1, 5 0))))"
 
 
@@ -116,9 +103,7 @@ def _plr_files() -> list[bytes]:
 
 
 def _pairs_files() -> list[bytes]:
-    pairs = plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600)
-    data, many = pairs.to_bytes(), corridor(8192)
-    return [data, many]
+    return [plr_jax.construct_pairs(scenes.maze().workspace, max_bytes=600).to_bytes(), corridor(8192)]
 
 
 def corridor(count: int) -> bytes:
@@ -153,10 +138,6 @@ def _factor_files() -> list[bytes]:
     return [buffer.getvalue()]
 
 
-def _read_mesh(path: Path) -> Any:
-    return scenes.read_volume(path, pitch=0.25)
-
-
 def _with_checksums(data: bytes) -> bytes:
     """Repair the checksums of all chunks if a picture is a PNG."""
     result, rest = data[:8], data[8:]
@@ -184,14 +165,8 @@ def _with_checksum(data: bytes) -> bytes:
     return data
 
 
-_MAP_SERVER = """
-image: room.pgm
-resolution: 0.05
-origin: [-1.5, 2.0, 0.25]
-negate: 0
-occupied_thresh: 0.65
-free_thresh: 0.196
-"""
+_MAP_SERVER = "image: room.pgm\nresolution: 0.05\norigin: [-1.5, 2.0, 0.25]\nnegate: 0\n"
+_MAP_SERVER += "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
 
 
 _MODES = ("trinary", "scale", "raw")
@@ -223,13 +198,14 @@ def _read_cost_map_of_picture(path: Path) -> Any:
         file.unlink()
 
 
+_read_mesh = partial(scenes.read_volume, pitch=0.25)
 READERS = {
     "scene": Reader(scenes.load, ".json", _scene_files),
     "solution": Reader(plr_jax.Solution.load, ".json", _solution_files),
     "polygons": Reader(scenes.read_polygons, ".json", lambda: [json.dumps(_POLYGONS).encode()]),
     "map": Reader(scenes.read_map, ".map", lambda: [_GRID.encode()]),
     "scenario": Reader(scenes.read_scen, ".scen", lambda: [_QUERIES.encode()]),
-    "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [json.dumps(_GEOJSON).encode()]),
+    "GeoJSON": Reader(scenes.read_geojson, ".geojson", lambda: [_GEOJSON.encode()]),
     "WKT": Reader(scenes.read_wkt, ".wkt", lambda: [_WKT.encode()]),
     "picture": Reader(scenes.read_image, ".png", _picture_files, _with_checksums),
     "map_server": Reader(_with_picture(scenes.read_map_server), ".yaml", lambda: [_MAP_SERVER.encode()]),

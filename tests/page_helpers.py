@@ -1,17 +1,39 @@
 """Helpers for tests of pages: find the examples of a Markdown page, and run them."""
 
+import ast
 import io
 import re
 import shlex
 import sys
 from pathlib import Path
 
-import pdoc.__main__
 import pytest
 
 from plr_jax.cli import main
 
-ROOT = Path(__file__).parent.parent
+# Texts of statements in snippets that take more than a second by themselves, most of it in the compiler of XLA. The
+# quick tier leaves out these statements, and those that need their results; the full tier runs all.
+SLOW = (
+    "solve_eikonal(cost.space(",
+    "solve_eikonal(space, ",
+    "solve_eikonal(plane, ",
+    "solve_eikonal(body, ",
+    "solve_eikonal(arm, ",
+    "solve_eikonal(ball, ",
+    "print(on_grid(",
+    "print(steps.window(",
+    "jax.vmap(rewards)(",
+    "maps = jax.random.bernoulli(",
+    "pool = jax.vmap(reset)(",
+    "cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)",
+    "cost_distance(minutes_a_meter, clinics, cell_size=30, max_bytes=8192)",
+)
+# Budgets in the quick tier, instead of larger ones.
+SMALLER = {
+    "max_bytes=1024": "max_bytes=512",
+    "--max-bytes 8192": "--max-bytes 512",
+    "--leaf cone --output exits.plr": "--leaf cone --max-bytes 512 --output exits.plr",
+}
 
 
 def blocks(page: str, language: str) -> list[str]:
@@ -19,36 +41,65 @@ def blocks(page: str, language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", page, re.DOTALL)
 
 
-def run_page(page: str, folder: Path) -> None:
-    """Run the Python and shell blocks of a page from top to bottom, all Python in one namespace."""
+def run_page(page: str, folder: Path, is_quick: bool) -> dict[str, object]:
+    """Run the Python and shell blocks of a page from top to bottom; return the variables of Python.
+
+    Commands of other programs are left out.
+    """
     names: dict[str, object] = {"__name__": "page"}
+    missing: set[str] = set()
+    for text, smaller in SMALLER.items() if is_quick else ():
+        page = page.replace(text, smaller)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for language, code in re.findall(r"```(python|sh)\n(.*?)```", page, re.DOTALL):
             if language == "python":
-                run_python(code, names)
-            else:
-                run_commands(code.splitlines(), folder)
-
-
-def run_python(code: str, names: dict[str, object]) -> None:
-    """Run a block of Python, with smaller numbers of points in place of large ones."""
-    exec(compile(re.sub(r"(sample_free\()[\d_]+", r"\g<1>16", code), "page", "exec"), names)
-
-
-def run_commands(commands: list[str], folder: Path) -> None:
-    """Run lines ``[echo "..." |] PROGRAM ...`` of a shell in a folder, in this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        for command in commands:
-            echo, _, program = command.rpartition("|")
-            patch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(f"{''.join(shlex.split(echo)[1:])}\n".encode())))
-            patch.setattr(sys, "argv", shlex.split(program))
-            if sys.argv[0] == "pdoc":  # its templates are in the repository
-                patch.setattr(sys, "argv", [str(ROOT / word) if word == ".pdoc" else word for word in sys.argv])
-                pdoc.__main__.cli()
+                run_python(code, names, missing, SLOW if is_quick else ())
                 continue
-            assert sys.argv[0] == "plr-jax", command
-            with pytest.raises(SystemExit) as end:
-                main()
-            assert not end.value.code, command
+            for command in code.splitlines():
+                if "plr-jax" in command and "venv" not in command:
+                    run_command(command)
+    return names
+
+
+def run_python(code: str, names: dict[str, object], missing: set[str], slow: tuple[str, ...]) -> None:
+    """Run a block of Python with small numbers of points, without slow statements and those that need their names.
+
+    Args:
+        code: The block.
+        names: The variables, which are updated.
+        missing: The names that statements left out would have bound, which are updated.
+        slow: Texts of the statements to leave out.
+    """
+    code = re.sub(r"(sample_free\()[\d_]+", r"\g<1>16", code)
+    for statement in ast.parse(code).body:
+        is_slow = any(text in (ast.get_source_segment(code, statement) or "") for text in slow)
+        if not propagate(statement, missing, is_slow):
+            exec(compile(ast.Module([statement], []), "page", "exec"), names)
+
+
+def propagate(statement: ast.stmt, tainted: set[str], is_tainted: bool = False) -> bool:
+    """Return whether a statement is tainted, as all are that use a tainted name; then so are the names it binds."""
+    nodes = list(ast.walk(statement))
+    targets = [each.target for each in nodes if isinstance(each, ast.comprehension)]
+    own = {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
+    names = [node for node in nodes if isinstance(node, ast.Name) and node.id not in own]
+    loads = {name.id for name in names if isinstance(name.ctx, ast.Load)}
+    stores = {name.id for name in names if isinstance(name.ctx, ast.Store)}
+    stores |= {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    is_tainted = is_tainted or bool(loads & tainted)
+    tainted -= stores
+    tainted |= stores if is_tainted else set()
+    return is_tainted
+
+
+def run_command(command: str) -> None:
+    """Run a line ``[echo "..." |] plr-jax ...`` of a shell in this process."""
+    echo, _, program = command.rpartition("|")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(f"{''.join(shlex.split(echo)[1:])}\n".encode())))
+        patch.setattr(sys, "argv", shlex.split(program))
+        assert sys.argv[0] == "plr-jax", command
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert not end.value.code, command

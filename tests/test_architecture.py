@@ -1,71 +1,63 @@
-"""The layering of the package, enforced by reading its imports."""
+"""Rules of the source: the layering of imports, and first sentences of docstrings that are plain.
+
+A first sentence says what the thing is or does, in at most 25 words. It may not start with a pronoun or with "What",
+"Of" or "Where", and it ends with a period.
+"""
 
 import ast
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 PACKAGE = Path(__file__).parent.parent / "plr_jax"
-# From the bottom up; a part imports itself and what stands before it. Parts of one row never import one another.
-LAYERS = [
-    ["_types"],
-    ["_arrays"],
-    ["_compiled", "_files"],
-    ["geometry"],
-    ["robots"],
-    ["collision"],
-    ["_problem"],
-    ["_validate"],
-    ["oracles", "plr", "planners", "spaces", "traced"],
-    ["pairs"],
-    ["_io"],
-    ["_lookahead"],
-    ["_descend", "metrics", "plot", "scenes", "eikonal", "ompl"],
-    ["cli", "guides"],
-    ["__main__"],
-]
-# Inside the room that stores, likewise; what stands in its folders before the leaves knows no leaf model.
-PLR_LAYERS = [
-    ["tree", "folding"],
-    ["faces", "cell_memory"],
-    ["finite_elements", "frame", "coding", "sampling"],
-    ["container", "parallel_builds"],
-    ["certificate"],
-    ["growth"],
-    ["best_partition"],
-    ["leaves"],
-    ["_file"],
-    ["_proof"],
-    ["tables"],
-    ["query", "small_batches"],
-    ["team"],
-    ["portable"],
-    ["_plr"],
-    ["_stack"],
-    ["source_sight"],
-    ["_trace"],
-    ["_construct"],
-    ["_construct_many"],
-]
-# And inside that of the planners.
-PLANNER_LAYERS = [
-    ["_heuristics", "_solution"],
-    ["lattice"],
-    ["best_first", "lacam", "reservations", "sequential", "shorten", "through_time"],
-    ["driver"],
-    ["under_way"],
-]
-# What each may import, where that is less than all before it.
-PLR_IMPORTS = {
-    "growth": {"tree", "sampling", "coding", "certificate"},
-}
+# Parts of the package and of some of its rooms, from the bottom up, with a slash between layers. A part imports
+# itself and parts of lower layers; parts of one layer never import one another.
+LAYERS = """_types / _arrays / _compiled _files / geometry / robots / collision / _problem / _validate /
+    oracles plr planners spaces traced / pairs / _io / _lookahead / _descend metrics plot scenes eikonal ompl /
+    cli guides / __main__"""
+PLR_LAYERS = """tree folding / faces cell_memory / finite_elements frame coding sampling / container parallel_builds /
+    certificate / growth / best_partition / leaves / _file / _proof / tables / query small_batches / team / portable /
+    _plr / _stack / source_sight / _trace / _construct / _construct_many"""
+PLANNER_LAYERS = """_heuristics _solution / lattice /
+    best_first lacam reservations sequential shorten through_time / driver / under_way"""
+PLR_IMPORTS = {"growth": {"tree", "sampling", "coding", "certificate"}}  # parts that may import less
 ROOMS = {"": LAYERS, "plr": PLR_LAYERS, "planners": PLANNER_LAYERS}
-TREES = {path.relative_to(PACKAGE): ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
 LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{name}" for name in ("plane", "continuous", "cone"))
+OPENERS = re.compile(
+    r"(what|of|where|who(m|se)?|which|th(e|o)se|th(at|is)|such|its?|they|them|their|s?he|we|our|your?|ones?|another|each|both"
+    r"|some\w*|all|any(one|thing)?|none|nothing|every\w*|the (same|others?))\b(?!-)",
+    re.IGNORECASE,
+)
+MAX_WORDS = 25
 
 
-def imported_modules(tree: ast.AST) -> set[str]:
-    """Dotted names of all modules that a file imports, anywhere in it."""
+def statements_of(tree: ast.AST) -> Iterator[ast.AST]:
+    """Yield a file and all its statements, without expressions, which are the most nodes."""
+    nodes = [tree]
+    while nodes:
+        yield (node := nodes.pop())
+        kinds = ast.stmt | ast.excepthandler | ast.match_case
+        nodes += [child for child in ast.iter_child_nodes(node) if isinstance(child, kinds)]
+
+
+@pytest.fixture(scope="module")
+def files() -> dict[Path, list[ast.AST]]:
+    """Return the statements of each file of the package."""
+    paths = sorted(PACKAGE.rglob("*.py"))
+    return {path.relative_to(PACKAGE): list(statements_of(ast.parse(path.read_text()))) for path in paths}
+
+
+@pytest.fixture(scope="module")
+def imports(files) -> dict[Path, set[str]]:
+    return {path: imported_modules(statements) for path, statements in files.items()}
+
+
+def imported_modules(statements: list[ast.AST]) -> set[str]:
+    """Return the dotted names of all modules that statements import."""
     names = set()
-    for node in ast.walk(tree):
+    for node in statements:
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -76,43 +68,71 @@ def imported_modules(tree: ast.AST) -> set[str]:
     return names
 
 
-IMPORTS = {path: imported_modules(tree) for path, tree in TREES.items()}
-
-
-def parts_of(path: Path, room: str) -> set[str]:
-    """Parts of a room that a file imports: of the whole `_types`, `oracles`, ..."""
+def parts_of(names: set[str], room: str) -> set[str]:
+    """Return the parts of a room that are imported: of the whole package `_types`, `oracles`, ..."""
     prefix = f"plr_jax.{room}." if room else "plr_jax."
-    ours = {name.removeprefix(prefix).split(".")[0] for name in IMPORTS[path] if name.startswith(prefix)}
+    ours = {name.removeprefix(prefix).split(".")[0] for name in names if name.startswith(prefix)}
     return {part for part in ours if (PACKAGE / room / part).is_dir() or (PACKAGE / room / f"{part}.py").exists()}
 
 
-def test_every_part_of_a_room_has_a_layer_and_imports_what_is_below():
-    for room, layers in ROOMS.items():
+def test_parts_import_only_layers_below(imports):
+    for room, layers_of_room in ROOMS.items():
+        layers = [layer.split() for layer in layers_of_room.split("/")]
         part_of = {
-            path: path.relative_to(room).parts[0].removesuffix(".py") for path in TREES if path.is_relative_to(room)
+            path: path.relative_to(room).parts[0].removesuffix(".py") for path in imports if path.is_relative_to(room)
         }
         assert set(part_of.values()) - {"__init__"} == {part for layer in layers for part in layer}
         below: dict[str, set[str]] = {"__init__": set().union(*layers)}
         for row, layer in enumerate(layers):
             below |= dict.fromkeys(layer, set().union(*layers[:row]))
         below |= PLR_IMPORTS if room == "plr" else {}
-        above = {str(path): parts_of(path, room) - {part} - below[part] for path, part in part_of.items()}
+        above = {str(path): parts_of(imports[path], room) - {part} - below[part] for path, part in part_of.items()}
         assert not {path: parts for path, parts in above.items() if parts}
 
 
-def test_only_leaves_know_the_leaf_models():
-    """Others import what `plr/leaves/__init__.py` offers, no file of a leaf model."""
-    others = [path for path in TREES if not path.is_relative_to("plr/leaves") and path != Path("plr/__init__.py")]
-    assert not [path for path in others if any(name.startswith(LEAF_MODELS) for name in IMPORTS[path])]
+def test_only_leaves_import_leaf_models(imports):
+    """Other rooms import what `plr/leaves/__init__.py` offers."""
+    others = [path for path in imports if not path.is_relative_to("plr/leaves") and path != Path("plr/__init__.py")]
+    assert not [path for path in others if any(name.startswith(LEAF_MODELS) for name in imports[path])]
 
 
-def test_only_plot_imports_matplotlib():
+def test_only_plot_imports_matplotlib(imports):
     drawing = {
-        path for path in TREES if {"matplotlib", "mpl_toolkits"} & {name.split(".")[0] for name in IMPORTS[path]}
+        path for path, names in imports.items() if {"matplotlib", "mpl_toolkits"} & {n.split(".")[0] for n in names}
     }
     assert drawing and all(path.is_relative_to("plot") for path in drawing)
 
 
-def test_the_parser_sees_imports_inside_functions():
+def test_imports_inside_functions_are_found():
     tree = ast.parse("def f():\n    from plr_jax import plot\n    import matplotlib.figure\n")
-    assert {"plr_jax.plot", "matplotlib.figure"} <= imported_modules(tree)
+    assert {"plr_jax.plot", "matplotlib.figure"} <= imported_modules(list(statements_of(tree)))
+
+
+def complaints(statements: list[ast.AST]) -> Iterator[str]:
+    """Yield the name and the fault of each docstring that breaks a rule."""
+    for node in statements:
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        text = ast.get_docstring(node)
+        if text is None:
+            continue
+        name = getattr(node, "name", "module")
+        paragraph = " ".join(text.split("\n\n")[0].split())
+        sentence = re.split(r"(?<=[.!?])\s+(?=[A-Z`])", re.sub(r"\b(e\.g|i\.e|cf|vs)\.", r"\1", paragraph))[0]
+        words = sentence.split()
+        if OPENERS.match(sentence):
+            yield f'{name} starts with "{words[0]}": {sentence}'
+        if len(words) > MAX_WORDS:
+            yield f"{name} has {len(words)} words, at most {MAX_WORDS} are allowed: {sentence}"
+        if not sentence.endswith("."):
+            yield f"{name} does not end with a period: {sentence}"
+
+
+def test_docstrings_start_with_plain_sentences(files):
+    faults = [f"{path}:{fault}" for path, statements in files.items() for fault in complaints(statements)]
+    assert not faults, "\n".join(faults)
+
+
+@pytest.mark.parametrize("docstring", ["What is near.", "A box", "A " + "very " * 24 + "long sentence."])
+def test_bad_first_sentences_are_found(docstring):
+    (_,) = complaints(list(statements_of(ast.parse(f'def f():\n    """{docstring}"""'))))

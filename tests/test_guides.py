@@ -7,13 +7,17 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from page_helpers import blocks, run_page
+from page_helpers import SLOW, SMALLER, blocks, run_page
 
 import plr_jax
 from plr_jax import guides
 
 PAGES = {name: getattr(guides, name).__doc__ for name in guides.__all__}
+README = (Path(__file__).parent.parent / "README.md").read_text()
 MAX_LINES = 120
+IS_SLOW = {name: any(text in page for text in (*SLOW, *SMALLER)) for name, page in PAGES.items()}
+RUNS = [(name, True) for name in PAGES]
+RUNS += [pytest.param(name, False, marks=pytest.mark.full) for name in PAGES if IS_SLOW[name]]
 
 
 def test_every_public_name_is_in_a_guide():
@@ -23,11 +27,10 @@ def test_every_public_name_is_in_a_guide():
     )
 
 
-def test_pages_are_short_and_the_index_and_the_readme_name_all_of_them():
-    readme = (Path(__file__).parent.parent / "README.md").read_text()
+def test_index_and_readme_name_all_pages():
     for name, page in PAGES.items():
         assert len(page.splitlines()) <= MAX_LINES and blocks(page, "(?:python|sh)"), name
-        assert f"`plr_jax.guides.{name}`" in guides.__doc__ and f"guides/{name}.py" in readme
+        assert f"`plr_jax.guides.{name}`" in guides.__doc__ and f"guides/{name}.py" in README
     assert {path.stem for path in Path(guides.__file__).parent.glob("[!_]*.py")} == PAGES.keys()
 
 
@@ -39,23 +42,26 @@ def test_every_name_in_a_guide_exists():
                 found = getattr(found, name)
 
 
-def test_the_index_tells_how_every_class_is_called():
+def test_index_lists_every_callable_class():
     classes = {name: public for name in plr_jax.__all__ if inspect.isclass(public := getattr(plr_jax, name))}
     called = {name for name, each in classes.items() if any("__call__" in vars(base) for base in each.__mro__)}
     rows = re.findall(r"^\| (`plr_jax.*?) \|", guides.__doc__, re.MULTILINE)
     assert called == set(re.findall(r"plr_jax\.(\w+)", "".join(rows)))
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.full) for name in PAGES])
+def test_slow_statements_are_on_a_page():
+    text = "\n".join([README, *PAGES.values()])
+    assert [slow for slow in (*SLOW, *SMALLER) if slow not in text] == []
+
+
+@pytest.mark.parametrize(("name", "is_quick"), RUNS)
 @pytest.mark.usefixtures("unchecked_types")
-def test_the_examples_of_a_guide_run_from_top_to_bottom(name, tmp_path):
-    run_page(PAGES[name], tmp_path)
+def test_guide_examples_run_from_top_to_bottom(name, is_quick, tmp_path):
+    run_page(PAGES[name], tmp_path, is_quick)
     for code in blocks(PAGES[name], "c"):
         (tmp_path / "main.c").write_text(code)
         if shutil.which("cc"):
-            (command,) = [
-                line for line in "".join(blocks(PAGES[name], "text")).splitlines() if line.startswith("cc ")
-            ]
+            (command,) = re.findall("^cc .*", PAGES[name], re.MULTILINE)
             subprocess.run([*command.split(), "-o", "main"], cwd=tmp_path, check=True)
             answer = subprocess.run(["./main"], cwd=tmp_path, check=True, capture_output=True, text=True).stdout
             assert answer == "2.045286, by way of (0.790000, 0.830000)\n"

@@ -6,17 +6,12 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from page_helpers import run_page
 
 import plr_jax
 
 
-def test_every_public_name_is_there():
-    for name in plr_jax.__all__:
-        assert getattr(plr_jax, name) is not None
-    assert set(plr_jax.__all__) <= set(dir(plr_jax))
-
-
-def test_every_public_class_function_and_member_has_a_docstring():
+def test_public_names_and_members_have_docstrings():
     for name in plr_jax.__all__:
         public = getattr(plr_jax, name)
         members = vars(public) if inspect.isclass(public) else {}
@@ -26,40 +21,40 @@ def test_every_public_class_function_and_member_has_a_docstring():
                 assert inspect.getdoc(value) or name == "DistanceFn", dotted
 
 
-def test_the_page_names_every_guide_and_its_example_runs(tmp_path, monkeypatch):
+def test_package_docstring_names_guides_and_its_example_runs(tmp_path):
     page = plr_jax.__doc__
     assert {f"plr_jax.guides.{name}" for name in plr_jax.guides.__all__} <= set(re.findall(r"`([\w.]+)`", page))
-    monkeypatch.chdir(tmp_path)
-    exec("\n".join(re.findall(r"```python\n(.*?)```", page, re.DOTALL)), {})
+    run_page(page, tmp_path, is_quick=False)
 
 
-def test_an_unknown_name_is_an_attribute_error():
+def test_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match=r"plr_jax.*contruct"):
         plr_jax.contruct  # noqa: B018
 
 
-def test_the_list_and_the_mark_of_types_are_installed():
+def test_type_information_is_installed():
     folder = Path(plr_jax.__file__).parent
     assert (folder / "__init__.pyi").exists() and (folder / "py.typed").exists()
 
 
-@pytest.mark.parametrize("name", ["plot", "plr", "scenes"])
-def test_public_packages_list_their_names(name):
-    package = getattr(plr_jax, name)
-    assert all(getattr(package, each) is not None for each in package.__all__)
+@pytest.mark.parametrize(
+    "package", [plr_jax, plr_jax.plot, plr_jax.plr, plr_jax.scenes], ids=lambda each: each.__name__
+)
+def test_packages_list_their_public_names(package):
+    assert all(getattr(package, name) is not None for name in package.__all__)
+    assert set(package.__all__) <= set(dir(package))
     loaded = {name for name, value in vars(package).items() if name[0] != "_" and not isinstance(value, ModuleType)}
     assert loaded <= set(package.__all__)
 
 
-def test_loading_and_asking_a_plr_imports_no_heavy_library(tmp_path):
+@pytest.mark.full
+def test_loading_and_querying_imports_no_heavy_library(tmp_path):
     path = tmp_path / "cone.plr"
     plr_jax.save(plr_jax.construct(lambda x: abs(x[:, 0]), ([0], [1]), max_leaves=2), path)
     code = f"""
 import sys, plr_jax
 plr_jax.load({str(path)!r})([[0.5]]).block_until_ready()
-heavy = {{"scipy.stats", "shapely", "networkx", "matplotlib", "optax", "typer"}}
-sys.exit(str(heavy & set(sys.modules)) if heavy & set(sys.modules) else 0)
+assert not {{"scipy.stats", "shapely", "networkx", "matplotlib", "optax", "typer"}} & set(sys.modules)
 """
-    subprocess.run(
-        [sys.executable, "-c", code], check=True, env={"PYTHONPATH": ":".join(sys.path), "HOME": str(tmp_path)}
-    )
+    environment = {"PYTHONPATH": ":".join(sys.path), "HOME": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)

@@ -8,94 +8,32 @@ from pathlib import Path
 import nbformat
 import pytest
 from matplotlib import pyplot as plt
+from page_helpers import propagate
 
 import plr_jax
 
 NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
 LARGEST = 900_000
-# What the first cell of a notebook says, small: its values go over those of the cell, whose names they share.
+# Small values of the parameters that the first cell of a notebook sets, for quick runs.
+LEAVES = ["plane", "continuous", "smooth", "cone"]
 SMALL = {
-    "1_a_first_plr": """
-MAX_BYTES = 512
-CONE_BYTES = 512
-NUM_POINTS = NUM_QUERIES = 2_000
-RESOLUTION = 20
-BUDGETS = dict.fromkeys(["plane", "continuous", "smooth", "cone"], [512])
-""",
-    "2_a_floor_plan": """
-NUM_POINTS = 1_000
-BYTES = (512, 1024)
-NUM_SAMPLES = 200
-RESOLUTION = 32
-""",
-    "3_a_team": """
-PLR_BYTES = 512
-NUM_CONFIGURATIONS = 4_000
-NUM_TESTS = 500
-TIME_LIMIT = 0.1
-RESOLUTION, SECONDS = 20, 1.0
-""",
-    "4_your_own_robot": """
-CAR_BYTES = 512
-NUM_POSES = NUM_CONFIGURATIONS = 2_000
-NUM_CELLS = 200
-NUM_PIXELS, COST_BYTES = 120, 512
-RESOLUTION = 20
-""",
-    "5_inside_your_environment": """
-NUM_ENVIRONMENTS, NUM_STEPS = 8, 10
-SIZE, BLOCKED = 6, 0.2
-RESOLUTION = 4
-""",
-    "7_cost_distance": """
-SIDE, BOUND_SIDE, PLR_BYTES = 40, 20, 512
-""",
-    "6_pedestrians": """
-MAX_BYTES = 512
-NUM_POINTS, NUM_PAIRS, NUM_AGENTS = 500, 12, 3
-RESOLUTION = 40
-""",
+    "1": {"MAX_BYTES": 512, "CONE_BYTES": 512, "NUM_POINTS": 2_000, "NUM_QUERIES": 2_000, "RESOLUTION": 20}
+    | {"BUDGETS": {leaf: [512] for leaf in LEAVES}},
+    "2": {"NUM_POINTS": 1_000, "BYTES": (512, 1024), "NUM_SAMPLES": 200, "RESOLUTION": 32},
+    "3": {"PLR_BYTES": 512, "NUM_CONFIGURATIONS": 4_000, "NUM_TESTS": 500}
+    | {"TIME_LIMIT": 0.1, "RESOLUTION": 20, "SECONDS": 1.0},
+    "4": {"CAR_BYTES": 512, "NUM_POSES": 2_000, "NUM_CONFIGURATIONS": 2_000, "NUM_CELLS": 200, "NUM_PIXELS": 120}
+    | {"COST_BYTES": 512, "RESOLUTION": 20},
+    "5": {"NUM_ENVIRONMENTS": 8, "NUM_STEPS": 10, "SIZE": 6, "BLOCKED": 0.2, "RESOLUTION": 4},
+    "6": {"MAX_BYTES": 512, "NUM_POINTS": 500, "NUM_PAIRS": 12, "NUM_AGENTS": 3, "RESOLUTION": 40},
+    "7": {"SIDE": 40, "BOUND_SIDE": 20, "PLR_BYTES": 512},
 }
 PARAMETERS = {"tags": ["parameters"]}
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 
-def assigned(code):
-    """Names that statements of the outermost level assign to."""
-    targets = [target for node in ast.parse(code).body if isinstance(node, ast.Assign) for target in node.targets]
-    return {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}
-
-
-def is_reached(code, touched):
-    """Whether what touched names hold reaches a cell, statement by statement; then it touches what those bind."""
-    found = False
-    for statement in ast.parse(code).body:
-        nodes = list(ast.walk(statement))
-        names = [node for node in nodes if isinstance(node, ast.Name)]
-        own = {
-            node.id
-            for each in nodes
-            if isinstance(each, ast.comprehension)
-            for node in ast.walk(each.target)
-            if isinstance(node, ast.Name)
-        }
-        bound = {node.id for node in names if isinstance(node.ctx, ast.Store)} - own
-        bound |= {node.name for node in nodes if isinstance(node, ast.FunctionDef)}
-        if touched & {node.id for node in names if isinstance(node.ctx, ast.Load)} - own:
-            found = True
-            touched |= bound
-        else:
-            touched -= bound
-    return found
-
-
-def printed(cell):
-    """What a cell printed when it was committed."""
-    return "".join(output.text for output in cell.outputs if output.output_type == "stream")
-
-
 def without_times(text):
-    """Numbers with a unit of time, and what is counted a second, differ from run to run."""
+    """Remove numbers with a unit of time, and counts per second, which differ from run to run."""
     return re.sub(r"[\d.,]+ (?=(ns|us|ms|s|million)\b)", "", text)
 
 
@@ -110,36 +48,36 @@ def show():
 @pytest.mark.full
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.filterwarnings("error", "ignore::DeprecationWarning")
-def test_runs_from_start_to_end_without_a_warning(path, tmp_path, monkeypatch, capsys):
-    """In this process, so that what all of them compile is compiled once.
-
-    What nothing of the small values reaches is printed as it is committed.
-    """
+def test_notebook_runs_and_prints_committed_output(path, tmp_path, monkeypatch, capsys):
+    """Run it with small parameters; cells that do not depend on them must print the committed output."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plt, "show", show)
     plt.switch_backend("agg")
-    names, touched, compared = {"__name__": "__main__"}, assigned(SMALL[path.stem]), 0
+    small = SMALL[path.name[0]]
+    names, changed, compared = {"__name__": "__main__"}, set(small), 0
     with plt.rc_context():
         for cell in (cell for cell in nbformat.read(path, as_version=4).cells if cell.cell_type == "code"):
-            source = cell.source
-            if cell.metadata == PARAMETERS:
-                assert assigned(SMALL[path.stem]) <= assigned(source)
-                source += SMALL[path.stem]
-            *statements, last = ast.parse(source).body
+            *statements, last = ast.parse(cell.source).body
             is_shown = isinstance(last, ast.Expr)
             exec(compile(ast.Module(statements if is_shown else [*statements, last], []), path.name, "exec"), names)
             shown = eval(compile(ast.Expression(last.value), path.name, "eval"), names) if is_shown else None
             assert shown is None or shown._repr_html_()
+            if cell.metadata == PARAMETERS:
+                assert small.keys() <= names.keys()
+                names |= small
             said = capsys.readouterr()
             assert said.err == ""
-            if cell.metadata != PARAMETERS and not is_reached(source, touched) and said.out:
+            is_small = cell.metadata == PARAMETERS
+            is_small = is_small or any([propagate(statement, changed) for statement in ast.parse(cell.source).body])
+            if said.out and not is_small:
                 compared += 1
-                assert without_times(said.out) == without_times(printed(cell))
+                printed = "".join(output.text for output in cell.outputs if output.output_type == "stream")
+                assert without_times(said.out) == without_times(printed)
     assert compared or path.stem == "5_inside_your_environment"  # all that it prints depends on its sizes
 
 
 @each_notebook
-def test_uses_public_names_only(path):
+def test_notebook_uses_public_names_only(path):
     cells = nbformat.read(path, as_version=4).cells
     for node in (node for cell in cells if cell.cell_type == "code" for node in ast.walk(ast.parse(cell.source))):
         if isinstance(node, ast.Attribute):
@@ -152,7 +90,7 @@ def test_uses_public_names_only(path):
 
 
 @each_notebook
-def test_is_committed_as_it_ran_small_and_clean(path):
+def test_notebook_is_committed_small_and_clean(path):
     text = path.read_text()
     raw = json.loads(text)
     nbformat.validate(raw)
@@ -169,5 +107,5 @@ def test_is_committed_as_it_ran_small_and_clean(path):
     assert re.findall(r"/(?:home|root|tmp|work|Users)/\S*", re.sub(r'"image/png": "[^"]*"', "", text)) == []
 
 
-def test_they_are_numbered():
-    assert [path.name[0] for path in NOTEBOOKS] == ["1", "2", "3", "4", "5", "6", "7"]
+def test_notebooks_are_numbered():
+    assert [path.name[0] for path in NOTEBOOKS] == list(SMALL)

@@ -13,7 +13,7 @@ ROOT = Path(__file__).parent.parent
 
 
 @pytest.mark.full
-def test_distributions_build_and_pass_the_check_of_twine(tmp_path):
+def test_distributions_build_and_pass_twine(tmp_path):
     build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path), str(ROOT)]
     subprocess.run(build, check=True, capture_output=True)
     names = sorted(path.name for path in tmp_path.iterdir())
@@ -23,7 +23,7 @@ def test_distributions_build_and_pass_the_check_of_twine(tmp_path):
     subprocess.run(check, check=True, capture_output=True)
 
 
-def test_the_version_is_that_of_the_changelog_and_the_citation():
+def test_changelog_and_citation_have_the_version():
     releases = re.findall(r"^## (\d+\.\d+\.\d+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert releases[0] == plr_jax.__version__
     assert f"version: {plr_jax.__version__}\n" in (ROOT / "CITATION.cff").read_text()

@@ -1,28 +1,28 @@
 import json
+from functools import partial
 
+import numpy as np
 import pytest
-from cli_helpers import run
+from cli_helpers import done
 
-from plr_jax import scenes
-
-
-def built(leaf, folder):
-    path = folder / f"{leaf}.plr"
-    result = run("build", "maze", "-o", path, "--max-bytes", 300, "--leaf", leaf)
-    assert result.exit_code == 0, result.output
-    return path
-
-
-@pytest.fixture(scope="session", params=["plane", "continuous", "smooth"])
-def maze(request, tmp_path_factory):
-    """Return a file of the maze, one for each kind of leaves."""
-    return built(request.param, tmp_path_factory.mktemp("maze"))
+from plr_jax import GridGraph, construct_grid_pairs, construct_pairs, save, scenes
 
 
 @pytest.fixture(scope="session")
-def plane(tmp_path_factory):
-    """Return a file, for tests in which the kind of leaves makes no difference."""
-    return built("plane", tmp_path_factory.mktemp("plane"))
+def maze(tmp_path_factory):
+    """Return the path of a PLR file of the maze."""
+    path = tmp_path_factory.mktemp("maze") / "maze.plr"
+    done("build", "maze", "-o", path, "--max-bytes", 300, "--leaf", "plane")
+    return path
+
+
+@pytest.fixture(scope="session")
+def pairs(tmp_path_factory):
+    """Return the paths of files of pairs: of the maze, with its label, and of a small grid."""
+    folder, of_maze = tmp_path_factory.mktemp("pairs"), construct_pairs(scenes.maze().workspace, max_bytes=400)
+    save(of_maze.with_label("maze"), folder / "maze.pairs")
+    save(construct_grid_pairs(GridGraph(np.array([[1, 1, 1], [1, 0, 1]], bool))), folder / "grid.pairs")
+    return folder / "maze.pairs", folder / "grid.pairs"
 
 
 @pytest.fixture(scope="session")
@@ -37,3 +37,20 @@ def maps(tmp_path_factory):
     scenes.save(scenes.four_rooms(2), folder / "team.json")
     scenes.save(scenes.tangle(), folder / "tangle.json")
     return folder
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Return a list of what `plot` draws, instead of drawing: kind, number of obstacles, coordinates of goals."""
+    drawings = []
+
+    def record(kind, shown, workspace=None, goal=None):
+        goal = goal if kind != "error" else shown.goal  # an oracle is recorded in place of its errors
+        num_obstacles = 0 if workspace is None else len(workspace.obstacles)
+        drawings.append((kind, num_obstacles, None if goal is None else goal.ravel().tolist()))
+
+    monkeypatch.setattr("plr_jax.metrics.error_grid", lambda plr, oracle, workspace: oracle)
+    for name, kind in (("contours", "distance"), ("cells", "cells"), ("surface", "surface"), ("error", "error")):
+        monkeypatch.setattr(f"plr_jax.plot.plot_{name}", partial(record, kind))
+    monkeypatch.setattr("plr_jax.plot.save", lambda ax, path: None)
+    return drawings

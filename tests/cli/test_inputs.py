@@ -1,8 +1,7 @@
-"""What commands are given: maps and their options, goals, numbers."""
+"""Inputs of commands: maps and their options, goals, numbers."""
 
 import numpy as np
 import pytest
-from cli_helpers import done
 from PIL import Image
 
 from plr_jax import scenes
@@ -10,10 +9,8 @@ from plr_jax.cli.app import numbers_of
 from plr_jax.cli.inputs import NamedMap, parse_goals
 
 
-@pytest.mark.parametrize(
-    "text", ["", "1", "1,2,3", "1,x", "nan,1", "inf,1", "1_0,2", "1,2_000", "1e400,1", "1,2;", "1;2"]
-)
-def test_a_goal_is_two_finite_numbers(text):
+@pytest.mark.parametrize("text", ["", "1", "1,2,3", "1,x", "nan,1", "inf,1", "1_0,2", "1e400,1", "1,2;"])
+def test_goal_must_be_two_finite_numbers(text):
     with pytest.raises(ValueError, match="--goal must be two numbers"):
         parse_goals(text)
     np.testing.assert_array_equal(parse_goals("1, -2.5e1;0,3"), [(1, -25), (0, 3)])
@@ -26,13 +23,11 @@ def test_a_goal_is_two_finite_numbers(text):
         (" +.5 ,\t3.\r", [0.5, 3]),
         ("-inf,Infinity,1E400", [-np.inf, np.inf, np.inf]),
         ("nan,-NaN", [np.nan, np.nan]),
-        *((text, []) for text in ("1_0", "1,1_0", "0x10", "1,", "1 2", ".", "e5", "")),
-        ("\N{ARABIC-INDIC DIGIT ONE}", []),
-        ("\N{NO-BREAK SPACE}1", []),
-        ("1" * 100_000 + "x", []),  # which is not tried in every way
+        *((text, []) for text in ("1_0", "1,1_0", "0x10", "1,", "1 2", ".", "e5", "", "\u0661", "\u00a01")),
+        ("1" * 100_000 + "x", []),  # must not take quadratic time
     ],
 )
-def test_numbers_are_decimal(text, numbers):
+def test_only_decimal_numbers_are_read(text, numbers):
     np.testing.assert_array_equal(numbers_of(text), numbers)
 
 
@@ -40,15 +35,14 @@ def test_numbers_are_decimal(text, numbers):
     ("name", "area", "goal"),
     [
         ("thin_maze", scenes.thin_maze().workspace.free_space.area, scenes.thin_maze().goals[0]),
-        ("floor_plan", scenes.floor_plan().workspace.free_space.area, scenes.floor_plan().goals[0]),
         ("grid.map", 5, None),
         ("polygons.json", 4.5, None),
         ("maze.json", scenes.maze().workspace.free_space.area, scenes.maze().goals[0]),
         ("MAZE.JSON", scenes.maze().workspace.free_space.area, scenes.maze().goals[0]),
-        ("team.json", scenes.four_rooms(2).workspace.free_space.area, None),  # of two robots: the user chooses
+        ("team.json", scenes.four_rooms(2).workspace.free_space.area, None),  # two robots: the user chooses a goal
     ],
 )
-def test_a_map_is_a_scene_or_a_file_by_its_ending(name, area, goal, maps, monkeypatch):
+def test_maps_are_scenes_or_files(name, area, goal, maps, monkeypatch):
     monkeypatch.chdir(maps)
     workspace, found = NamedMap(name).read()
     assert workspace.free_space.area == pytest.approx(area)
@@ -64,12 +58,12 @@ def test_a_map_is_a_scene_or_a_file_by_its_ending(name, area, goal, maps, monkey
         NamedMap("it's.geojson", "0,0;-1,2.5", polygons="free"),
     ],
 )
-def test_a_map_is_named_again_by_its_text(named):
+def test_named_map_survives_conversion_to_text(named):
     assert NamedMap.parse(str(named)) == named
 
 
 @pytest.mark.parametrize("text", ["", "a.png --resolution", "a.png --resolution=x", "a.png --frame=1", "a.png 'b"])
-def test_a_text_that_names_no_map_is_refused(text):
+def test_text_that_names_no_map_is_refused(text):
     with pytest.raises(ValueError, match="expected a map and its options"):
         NamedMap.parse(text)
 
@@ -94,36 +88,18 @@ OPTIONS = {"resolution": 0.05, "polygons": "free", "drop_specks": 3}
         ("d.txt", {}, r"d\.txt: expected a file that ends in one of \.map, "),
         ("maze", {"resolution": 2.0}, "resolution"),
         ("maze", OPTIONS, r"leave out --resolution, --drop-specks, --polygons\."),
-        (
-            "grid.map",
-            OPTIONS,
-            r"expected options of .* \(none\), got --resolution, --drop-specks, --polygons\.",
-        ),
-        (
-            "scan.yaml",
-            OPTIONS,
-            r"scan.yaml: expected options of .* \(--drop-specks\), got --resolution, --polygons\.",
-        ),
+        ("grid.map", OPTIONS, r"expected options of .* \(none\), got --resolution, --drop-specks, --polygons\."),
+        ("scan.yaml", OPTIONS, r"expected options of .* \(--drop-specks\), got --resolution, --polygons\."),
         ("a.png", {"threshold": 0.9}, "No pixel"),
     ],
 )
-def test_options_are_refused_by_the_names_they_have_in_a_command(name, options, message, maps, pictures, monkeypatch):
+def test_options_of_other_readers_are_refused(name, options, message, maps, pictures, monkeypatch):
     monkeypatch.chdir(pictures if (pictures / name).exists() else maps)
     with pytest.raises(ValueError, match=message):
         NamedMap(name, "0.5,0.5", **options).read()
 
 
-def test_a_picture_is_read_as_the_options_say(pictures):
+def test_options_of_pictures_are_used(pictures):
     workspace, goal = NamedMap(str(pictures / "a.png"), "1,2", resolution=0.5, drop_specks=1).read()
     np.testing.assert_array_equal([workspace.bounds.hi, *goal], [(3, 2), (1, 2)])
     assert workspace.free_space.area == 6
-
-
-def test_only_pictures_are_of_pixels(maps, pictures, tmp_path):
-    for path in (pictures / "a.png", pictures / "scan.yaml"):
-        np.testing.assert_array_equal(NamedMap(str(path)).free_pixels().sum(), 23 if path.suffix == ".png" else 0)
-    for path in ("maze", *(maps / name for name in ("grid.map", "maze.json"))):
-        assert NamedMap(str(path)).free_pixels() is None
-    limits = ("--max-leaves", 4, "--leaf", "plane", "-o", tmp_path / "a.plr")
-    said = done("build", maps / "grid.map", "--goal", "1,1", *limits)
-    assert "drop-specks" not in said and not said.startswith("map")

@@ -7,81 +7,38 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from experiments import _dbcbs, readme_tables, table1
+import plr_jax
+from experiments import readme_tables, table1
 from experiments._runner import RESULTS
-from plr_jax import (
-    Box,
-    BuildOptions,
-    DiscRobot,
-    Euclidean,
-    RectangleRobot,
-    VisibilityGraph,
-    construct,
-    cyclic_axis,
-    maximum_depth,
-    metrics,
-    scenes,
-)
+from plr_jax import BuildOptions, VisibilityGraph, construct, cyclic_axis, maximum_depth, metrics, scenes
 
 pytestmark = pytest.mark.full
 
 ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted({path.stem for path in (ROOT / "experiments").glob("[!_]*.py")} - {"readme_tables"})
-# Of each family one of the quickest; the others run alike: python -m experiments.NAME --smoke.
-FAMILIES = {
-    "fig1": (),
-    "trace": (),
-    "benchmark": ("--only", "oracle"),
-    "proofs": ("--only", "astar"),
-    "solve": ("--only", "speed_map"),
-    "compare_summaries": ("--only", "maze_straight_line", "maze_polygon"),
-    "teams": ("--only", "unseen"),
-    "portable": ("--only", "query"),
-    "first_answers": ("--only", "one_query"),
-    "grid_distance": ("--only", "rooms"),
-    "shaping": ("--only", "learning"),
-    "costs": ("--only", "estimates"),
-    "cost_distance": ("--only", "mountain"),
-    "volumes": ("--only", "volumes"),
-    "living": ("--only", "maps", "doors"),
-    "lifelong": ("--only", "replanned"),
-    "fleets": (),
-    "pedestrians": (),
-    "scale": (),
-}
+# One quick section of each family of experiments; all others run by: python -m experiments.NAME --smoke.
+FAMILIES = """fig1, trace, benchmark oracle, proofs astar, solve speed_map,
+compare_summaries maze_straight_line maze_polygon,
+teams unseen, portable query, first_answers one_query, grid_distance rooms, shaping learning, costs estimates,
+cost_distance mountain, volumes volumes, living maps doors, lifelong replanned, fleets, pedestrians, scale"""
 
 
-@pytest.fixture
-def run_script(monkeypatch):
-    """Run an experiment's script as from the command line, but in this process, where most is compiled already."""
-
-    def run(name, *options):
-        monkeypatch.setattr(sys, "argv", [name, *map(str, options)])
-        runpy.run_module(f"experiments.{name}", run_name="__main__")
-
-    return run
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_an_experiment_of_each_family_runs_at_its_smallest(name, run_script, tmp_path):
-    run_script(name, "--smoke", "--output", tmp_path, *FAMILIES[name])
+@pytest.mark.parametrize("words", [family.split() for family in FAMILIES.split(",")], ids=lambda words: words[0])
+def test_smallest_experiment_of_each_family_runs(words, tmp_path, monkeypatch):
+    """Run it in this process, which has most functions compiled already."""
+    name, *sections = words
+    options = ["--only", *sections] if sections else []
+    monkeypatch.setattr(sys, "argv", [name, "--smoke", "--output", str(tmp_path), *options])
+    runpy.run_module(f"experiments.{name}", run_name="__main__")
     record = json.loads((tmp_path / f"{name}.json").read_text())
     assert record["smoke"] and record["experiment"] == name
     assert {"versions", "device", "cores", "dtype", "seed"} <= record.keys()
-    assert set(FAMILIES[name][1:]) <= record["results"].keys() and all(record["results"].values())
+    assert set(sections) <= record["results"].keys() and all(record["results"].values())
 
 
-def test_pictures_are_drawn_from_committed_results(run_script, tmp_path):
-    (tmp_path / "fig1.json").write_text((RESULTS / "fig1.json").read_text())
-    run_script("fig1", "--draw", "--output", tmp_path)
-    (picture,) = tmp_path.glob("*.png")
-    assert (RESULTS / picture.name).exists() and picture.stat().st_size > 10_000
-
-
-def test_every_script_has_results_of_a_full_run_and_every_results_file_its_script_or_its_place_in_the_readme():
+def test_scripts_and_committed_results_match():
     for name in SCRIPTS:
         record, script = json.loads((RESULTS / f"{name}.json").read_text()), import_module(f"experiments.{name}")
         assert record["experiment"] == name and not record["smoke"]
@@ -91,7 +48,7 @@ def test_every_script_has_results_of_a_full_run_and_every_results_file_its_scrip
         assert path.stem in SCRIPTS if path.suffix == ".json" else f"](results/{path.name})" in page, path.name
 
 
-def test_the_readmes_hold_the_committed_results_and_one_that_is_out_of_date_is_refused(tmp_path, monkeypatch):
+def test_readme_tables_hold_the_committed_results(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["readme_tables", "--check"])
     readme_tables.main()
     pages = readme_tables.README.read_text() + readme_tables.ALL_RESULTS.read_text()
@@ -104,7 +61,7 @@ def test_the_readmes_hold_the_committed_results_and_one_that_is_out_of_date_is_r
     assert "old" in old.read_text()
 
 
-def test_results_with_a_path_that_is_not_valid_are_refused():
+def test_results_with_invalid_paths_are_refused():
     readme_tables.require_valid("race", {"trials": [{"valid": None}, {"improved_valid": [True, True]}]})
     with pytest.raises(ValueError, match=r"race\.trials\.0\.valid: a path is not valid"):
         readme_tables.require_valid("race", {"trials": [{"valid": False}]})
@@ -125,7 +82,7 @@ def measured(request):
     return [row for row in ROWS if row["scene"] == request.param], exact, x, exact(x)
 
 
-def test_table1_has_the_bytes_and_errors_of_this_code(measured):
+def test_table1_has_bytes_and_errors_of_this_code(measured):
     rows, exact, x, distance = measured
     options = table1.papers_own(9) | table1.ours(1_024, 2_048, 6_144) | table1.cones(256, 512, 1_024)
     for row in rows:
@@ -135,32 +92,8 @@ def test_table1_has_the_bytes_and_errors_of_this_code(measured):
         assert report.max <= told["max"] * 1.001 and report.mean == pytest.approx(told["mean"], rel=0.5)
 
 
-def test_fig1_is_of_the_file_of_this_code():
+def test_fig1_shows_the_file_of_this_code():
     results = json.loads((RESULTS / "fig1.json").read_text())["results"]
-    cone = Euclidean((0.0, 0.0)), Box((0.0, 0.0), (1.0, 1.0))
-    plr = construct(*cone, max_depth=6, options=BuildOptions(should_split=maximum_depth, split=cyclic_axis))
+    options = BuildOptions(should_split=maximum_depth, split=cyclic_axis)
+    plr = construct(plr_jax.Euclidean((0.0, 0.0)), ((0.0, 0.0), (1.0, 1.0)), max_depth=6, options=options)
     assert base64.b64decode(results["plr_base64"]) == plr.to_bytes() and results["bytes"] == plr.num_bytes
-
-
-PROBLEM = """
-environment:
-  max: [6, 4.5]
-  min: [0, 0]
-  obstacles:
-  - {center: [3, 1], size: [1, 2], type: box}
-robots:
-- {type: unicycle_first_order_0_sphere, start: [1, 1, 0.5], goal: [5, 1, 0]}
-- {type: unicycle_first_order_0, start: [5, 3, 3.14], goal: [1.0, 3e0, 0]}
-"""
-
-
-def test_a_problem_and_a_solution(tmp_path):
-    path = tmp_path / "problem.yaml"
-    path.write_text(PROBLEM)
-    problem = _dbcbs.read_problem(path)
-    assert [type(robot) for robot in problem.robots] == [DiscRobot, RectangleRobot]
-    np.testing.assert_array_equal(problem.starts, [[1, 1, 0], [5, 3, 3.14]])
-    np.testing.assert_array_equal(problem.goals, [[5, 1, 0], [1, 3, 0]])
-    assert problem.workspace.free_space.bounds == (0, 0, 6, 4.5) and problem.workspace.free_space.area == 25
-    path.write_text("result:\n- states: [[0, 1, 2, 9], [3, 4, 5, 9]]\n- states: [[6, 7, 8, 9]]\n")
-    np.testing.assert_array_equal(_dbcbs.read_trajectories(path), [[[0, 1, 2], [6, 7, 8]], [[3, 4, 5], [6, 7, 8]]])
