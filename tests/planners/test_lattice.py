@@ -267,6 +267,7 @@ def test_motions_at_starts_and_goals_follow_definition(name, step):
 
 # Teams
 
+
 def random_boxes(seed):
     rng = np.random.default_rng(seed)
     corners, sizes = rng.uniform(0.8, 4.5, (6, 2)), rng.uniform(0.05, 1.6, (6, 2))

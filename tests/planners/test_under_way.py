@@ -21,6 +21,7 @@ from plr_jax import (
     scenes,
     validate,
 )
+from plr_jax.planners import under_way as under_way_module
 
 TEAMS = {"crowd": scenes.crowd(4), "mixed": MIXED}
 HALLS = Workspace(((0, 0), (10, 6)), [shapely.box(4, 1, 6, 2.5), shapely.box(4, 3.5, 6, 5)])
@@ -95,7 +96,7 @@ def test_exchanged_goals_are_reached():
     assert_solves(now, replan(now, solution, 7.9))
 
 
-def test_standing_robot_does_not_move():
+def test_standing_robot_does_not_move(monkeypatch):
     problem = Problem(HALLS, [DiscRobot(0.4)] * 2, [(1, 3), (9, 3)], [(9, 3), (1, 3)])
     solution = bl_plan(problem)
     before = Problem(HALLS, [DiscRobot(0.4)] * 2, [(1, 3), (5, 3)], [(9, 3), (5, 3)])
@@ -108,6 +109,7 @@ def test_standing_robot_does_not_move():
     assert (found.path[:, 1] == before.starts[1]).all() and found.cost > 8.5
     hall = Workspace(((0, 0), (4, 1)))
     problem = Problem(hall, [DiscRobot(0.4)] * 2, [(0.5, 0.5), (2, 0.5)], [(3.5, 0.5), (2, 0.5)])
+    monkeypatch.setattr(under_way_module, "_MOST_STATES", 500)
     stuck = replan(problem, replace_path(solution, np.stack([problem.starts, problem.goals])), 0.0, standing=[1])
     assert stuck.path is None and stuck.status is Status.EXHAUSTED
 
