@@ -107,9 +107,9 @@ def test_heuristic_ignores_headings(maze):
     space = bounded(base.SE2StateSpace())
     objective = ompl_objective(base.SpaceInformation(space), maze[2])
     states = [space.allocState(), space.allocState()]
-    for state, (x, y) in zip(states, (maze[0].starts[0][:2], maze[0].goals[0][:2]), strict=True):
-        state.setX(float(x))
-        state.setY(float(y))
+    for state, q in zip(states, (maze[0].starts[0], maze[0].goals[0]), strict=True):
+        state.setX(float(q[0]))
+        state.setY(float(q[1]))
         state.setYaw(0.3)
     found, true = objective.motionCostHeuristic(*states).value(), maze[1](maze[0].starts[:1])[0]
     assert true - 4 * maze[2].max_error <= found <= true

@@ -43,24 +43,19 @@ LARGE = Workspace(((0, 0), (1000, 1000)))
 # What is solved
 
 
-FULL = pytest.mark.full
-
-
 @pytest.mark.parametrize(
     "problem",
     [
         pytest.param(DOOR, id="door"),
-        pytest.param(scenes.maze(), id="maze"),
-        pytest.param(scenes.four_rooms(4), id="rooms-4"),
-        pytest.param(scenes.four_rooms(8), id="rooms-8", marks=FULL),
-        pytest.param(scenes.cross(2), id="cross-2"),
-        pytest.param(scenes.tangle(), id="tangle", marks=FULL),
+        pytest.param(scenes.four_rooms(3), id="rooms"),
+        pytest.param(scenes.cross(2), id="cross"),
+        pytest.param(scenes.tangle(), id="tangle", marks=pytest.mark.full),
     ],
 )
 def test_scenes_are_solved_near_the_shortest_ways(problem):
     solution = planned(problem)
     assert solution.status is Status.SOLVED
-    # The joint cost has the robots' own shortest ways as a bound, but for what inflating corners rounds off.
+    # The robots' own shortest ways bound the joint cost, except for the rounding of inflated corners.
     alone = float(exact(problem)(problem.starts[None])[0])
     assert solution.cost >= (1 - 1e-3) * alone
     # Measured: up to 1.03 for discs, and up to 1.31 for rectangles, whose turns the bound leaves out.
@@ -87,8 +82,7 @@ def test_points_go_around_contact_at_cell_center():
     assert planned(team, step=0.8).cost == pytest.approx(3 * np.sqrt(0.5))
 
 
-DBCBS = ["alcove_unicycle", "alcove_unicycle_sphere", "at_goal_unicycle", "classic", "gen_p10_n8_0_unicycle_sphere"]
-DBCBS += ["swap4_unicycle_sphere", "wall", "window2_unicycle", "window4_unicycle_sphere"]
+DBCBS = ["alcove_unicycle_sphere", "at_goal_unicycle", "gen_p10_n8_0_unicycle_sphere", "window4_unicycle_sphere"]
 
 
 @pytest.mark.full
@@ -101,16 +95,12 @@ CROWD = scenes.crowd(8, seed=3)
 BAY = Workspace(((0, 0), (7, 2.2)), [shapely.box(0, 1, 3.1, 2.2), shapely.box(4.05, 1, 7, 2.2)])
 TINY = Workspace(((0, 1e6), (0.06, 1e6 + 0.04)), [shapely.box(0.02, 1e6, 0.03, 1e6 + 0.03)])
 SOLVED = {
-    "a perturbed door": (scenes.perturbed(DOOR, 0), {}),
-    "perturbed rooms": (scenes.perturbed(scenes.four_rooms(3), 1), {}),
-    "a perturbed cross": (scenes.perturbed(scenes.cross(2), 2), {}),
+    "a maze": (scenes.maze(), {}),
     "a crowd": (CROWD, {"heuristic": straight_line(CROWD), "step": 0.4}),
     "a bay narrower than a cell of the first lattice": (
         Problem(BAY, [DiscRobot(0.45)] * 2, [(0.6, 0.5), (6.4, 0.5)], [(6.4, 0.5), (0.6, 0.5)]), {}),
     "a disc that is small in a large map": (
         Problem(LARGE, [DiscRobot(1e-3)], [(1, 2)], [(990, 20)]), {"max_expansions": 2000}),
-    "a rectangle that is small in a large map": (
-        Problem(LARGE, [RectangleRobot(2, 1)], [(1, 2, 0)], [(990, 20, 1)]), {"max_expansions": 2000}),
     "walls far from the origin": (Problem(TINY, [PointRobot()], [(0.01, 1e6 + 0.01)], [(0.05, 1e6 + 0.011)]), {}),
     "ends that touch walls and one another": (
         Problem(ROOM, [DiscRobot(0.5)] * 2, [(0.5, 0.5), (1.5, 0.5)], [(9.5, 9.5), (8.5, 9.5)]), {}),
@@ -123,25 +113,6 @@ SOLVED = {
 @pytest.mark.parametrize(("problem", "options"), SOLVED.values(), ids=SOLVED)
 def test_problem_is_solved(problem, options):
     planned(problem, **options)
-
-
-def test_team_of_unequal_robots_is_solved():
-    workspace = Workspace(((0, 0), (8, 6)), [shapely.box(3.8, 0, 4.2, 2), shapely.box(3.8, 4, 4.2, 6)])
-    robots = [PointRobot(), DiscRobot(0.5), RectangleRobot(1.4, 0.5)]
-    starts = [(1, 1, 9), (1, 5, 8), (6.5, 5, 0.5)]
-    goals = [(7, 5, 9), (6.5, 1.5, 8), (1.2, 1.2, 2)]
-    problem = Problem(workspace, robots, starts, goals)
-    solution = planned(problem)
-    assert (solution.path[:, :2, 2] == (9, 8)).all(), "round robots keep the heading of their start"
-
-
-@pytest.mark.full
-def test_packed_discs_are_solved_as_a_sliding_puzzle():
-    places = np.array([(x + 0.5, y + 0.5) for x in range(3) for y in range(3)])
-    starts, goals = places[:8], places[[7, 0, 1, 4, 8, 6, 3, 5]]
-    problem = Problem(Workspace(((0, 0), (3, 3)), []), [DiscRobot(0.5)] * 8, starts, goals)
-    assert driver.first_step(problem) == 1.0
-    planned(problem)
 
 
 def test_step_fits_the_robots_that_replan():
@@ -175,8 +146,7 @@ def test_passage_that_first_lattice_misses_is_found():
     workspace = Workspace(((0, 0), (10, 10)), [lower, upper])
     problem = Problem(workspace, [DiscRobot(0.4)] * 2, [(1, 3), (1, 5)], [(9, 3), (9, 5)])
     assert bl_plan(problem, options=BLOptions(("lacam",), step=0.4)).cost > 27
-    for searchers in (("lacam",), ("bl",)):
-        assert planned(problem, exact(problem), searchers=searchers).cost < 17.2
+    assert planned(problem, exact(problem), searchers=("lacam",)).cost < 17.2
 
 
 @pytest.mark.parametrize("weight", [None, 0.0])
@@ -195,12 +165,12 @@ def test_whole_turn_costs_nothing(start):
 
 
 def test_many_robots_with_near_goals_go_straight():
-    problem = nudged_discs(6)
+    problem = nudged_discs(4)
     solution = bl_plan(problem)
     assert solution.solved and validate(problem, solution.path).valid
-    assert solution.cost == pytest.approx(36 * np.hypot(0.1, 0.1))
-    # 3,600 cells: one table of their motions, and a column of costs for each robot.
-    assert solution.stats.num_bytes < 1e7
+    assert solution.cost == pytest.approx(16 * np.hypot(0.1, 0.1))
+    # 1,600 cells: one table of their motions, and a column of costs for each robot.
+    assert solution.stats.num_bytes < 5e6
 
 
 @pytest.mark.parametrize("robot", [PointRobot(), DiscRobot(0.3), RectangleRobot(1, 0.4)])
@@ -247,20 +217,6 @@ def test_samples_are_free_and_statistics_add_up():
 # Heuristics and options
 
 
-def same(first, second):
-    """Return whether two solutions are identical, except for seconds."""
-    counts = [
-        (s.stats.num_nodes, s.stats.num_expansions, s.stats.num_children_scored, s.stats.num_children_valid)
-        for s in (first, second)
-    ]
-    return (
-        np.array_equal(first.path, second.path)
-        and np.array_equal(first.samples, second.samples)
-        and counts[0] == counts[1]
-        and (first.cost, first.makespan, first.status) == (second.cost, second.makespan, second.status)
-    )
-
-
 def test_default_heuristic_is_cost_along_lattice():
     solution = bl_plan(DOOR, options=BLOptions(searchers=("bl",), step=0.4, heuristic_weight=1.0))
     (lattice,) = joint_lattice_of(DOOR, 0.4).lattices
@@ -278,10 +234,13 @@ def test_better_heuristics_need_fewer_nodes():
 
 
 def test_plans_repeat_whatever_is_planned_between():
-    problem, options = scenes.four_rooms(3), {"cost_factor": 1.0, "max_expansions": 30}
-    before = planned(problem, **options)
-    planned(scenes.perturbed(problem, 1), step=0.5)
-    assert same(before, planned(problem, **options))
+    options = {"cost_factor": 1.0, "max_expansions": 60}
+    first = planned(ROOMS, **options)
+    planned(scenes.perturbed(ROOMS, 1), step=0.5)
+    again = planned(ROOMS, **options)
+    np.testing.assert_array_equal(first.path, again.path)
+    np.testing.assert_array_equal(first.samples, again.samples)
+    assert first.stats.num_expansions == again.stats.num_expansions > 0 and first.status is again.status
 
 
 # Refusals
@@ -292,7 +251,6 @@ def test_plans_repeat_whatever_is_planned_between():
     ("heuristic", "message"),
     [
         (zero, r"the result of zero\(\), got zero itself: call it"),
-        (straight_line, r"the result of straight_line\(problem\), got straight_line itself: call it"),
         (sum_of_distances, r"the result of sum_of_distances\(distance_fns\), got sum_of_distances itself: call it"),
         (BLOptions(), r"bl_plan\(problem, options=BLOptions"),
         (robot_distance_fns(ROOMS), r"a sum over robots.* sum_of_distances\(distance_fns\)"),

@@ -190,8 +190,8 @@ def test_path_at_time_limit_is_valid(limit):
 # No other test uses these steps: motions are cached per workspace and step.
 @pytest.mark.parametrize(
     ("problem", "step"),
-    [(nudged_discs(6), 0.21), (nudged_discs(10), 1.9), (NUDGED_BARS, 0.31), (MIXED, 0.39)],
-    ids=["nudged discs", "coarse", "nudged bars", "mixed"],
+    [(nudged_discs(4), 0.21), (nudged_discs(10), 1.9), (NUDGED_BARS, 0.51), (MIXED, 0.59)],
+    ids=["fine", "coarse", "bars", "mixed"],
 )
 def test_lattice_bytes_match_estimate(problem, step):
     _ = joint_lattice_of(problem, 1.5 * step).costs_to_go  # fills caches that all steps share

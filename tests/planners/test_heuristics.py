@@ -1,7 +1,5 @@
 """Heuristics: sums over robots of straight lines, oracles and PLRs."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,24 +7,17 @@ from hypothesis import strategies as st
 from planner_helpers import ROOM
 
 from plr_jax import (
-    BLOptions,
     Box,
     DiscRobot,
     Euclidean,
-    PlaneSpace,
     Problem,
     RectangleRobot,
-    RigidBodySpace,
-    Workspace,
-    bl_plan,
     construct,
     path_cost,
     robot_distance_fns,
     scenes,
-    solve_eikonal,
     straight_line,
     sum_of_distances,
-    validate,
     zero,
 )
 
@@ -64,15 +55,12 @@ def test_distance_functions_get_their_dim_coordinates():
     assert robot_distance_fns(scenes.four_rooms(2))[0].dim == 2 and Euclidean((1, 2, 3)).dim == 3
 
 
-def test_empty_batch_gives_empty_heuristic():
-    for heuristic in (zero(), straight_line(DISCS), sum_of_distances([taxicab, taxicab])):
+def test_empty_batches_and_infinite_distances():
+    blocked = sum_of_distances([taxicab, lambda x: np.where(x[:, 0] > 5, np.inf, 1.0)])
+    assert np.array_equal(blocked([[(1, 1), (6, 0)], [(1, 1), (4, 0)]]), [np.inf, 3])
+    for heuristic in (zero(), straight_line(DISCS), blocked):
         assert heuristic(np.empty((0, 2, 2))).shape == (0,)
         assert heuristic.per_robot(np.empty((0, 2, 2))).shape == (0, 2)
-
-
-def test_infinite_distance_makes_sum_infinite():
-    heuristic = sum_of_distances([taxicab, lambda x: np.where(x[:, 0] > 5, np.inf, 1.0)])
-    assert np.array_equal(heuristic([[(1, 1), (6, 0)], [(1, 1), (4, 0)]]), [np.inf, 3])
 
 
 # Laws
@@ -178,47 +166,42 @@ def with_dim(dim):
 LINE, SUM = straight_line(DISCS), sum_of_distances([taxicab, taxicab])
 
 
+UNEQUAL = sum_of_distances([Euclidean((0, 0)), Euclidean((0, 0, 0))])
+
+
+def with_answer(answer):
+    return sum_of_distances([taxicab, lambda x: answer])
+
+
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
-    ("ask", "message"),
+    ("heuristic", "q", "message"),
     [
-        *(
-            (lambda heuristic=heuristic, shape=shape: heuristic(np.zeros(shape)), r"must have shape \(n, 2, ")
-            for heuristic in (LINE, SUM)
-            for shape in ((4, 2), (4, 3, 2), (4, 2, 1), (4, 2, 4))
-        ),
-        (lambda: LINE(np.zeros((4, 2, 3))), r"must have shape \(n, 2, 2\), got \(4, 2, 3\)"),
-        (lambda: zero()(DISCS.starts), r"Use q\[None\] for a single joint configuration"),
-        *(
-            (lambda q=q: zero()(q), "Joint configurations must")
-            for q in ("word", [[[1, 2], [3]]], [[["a", "b"]]])
-        ),
-        *(
-            (lambda fns=fns: sum_of_distances(fns), "distance_fns must|The distance function of robot 1 must")
-            for fns in ([], taxicab, 3, [taxicab, 3])
-        ),
-        *(
-            (lambda dim=dim: sum_of_distances([with_dim(dim)]), "`dim` of the distance function of robot 0")
-            for dim in (0, 2.5, "2")
-        ),
-        (
-            lambda: sum_of_distances([Euclidean((0, 0)), Euclidean((0, 0, 0))])(np.zeros((1, 2, 2))),
-            "robot 1 takes 3 coordinates, but configurations have 2",
-        ),
-        *(
-            (lambda result=result: sum_of_distances([taxicab, lambda x: result])(np.zeros((3, 2, 2))),
-             r"The distance function of robot 1('s answer must be| must give)")
-            for result in (np.zeros((3, 1)), np.zeros(2), 1.0, None, ["a"] * 3)
-        ),
-        (
-            lambda: sum_of_distances([taxicab, lambda x: np.where(x[:, 0] == 2, np.nan, 1)])([[(1, 1), (2, 0)]]),
-            r"robot 1 returned NaN at \[2.0, 0.0\]",
-        ),
+        *((LINE, np.zeros(s), r"must have shape \(n, 2, ") for s in ((4, 2), (4, 3, 2), (4, 2, 1), (4, 2, 4))),
+        (SUM, np.zeros((4, 3, 2)), r"must have shape \(n, 2, "),
+        (LINE, np.zeros((4, 2, 3)), r"must have shape \(n, 2, 2\), got \(4, 2, 3\)"),
+        (zero(), DISCS.starts, r"Use q\[None\] for a single joint configuration"),
+        *((zero(), q, "Joint configurations must") for q in ("word", [[[1, 2], [3]]], [[["a", "b"]]])),
+        (UNEQUAL, np.zeros((1, 2, 2)), "robot 1 takes 3 coordinates, but configurations have 2"),
+        (with_answer(np.zeros((4, 1))), np.zeros((3, 2, 2)), "distance function of robot 1 must give"),
+        (with_answer(1.0), np.zeros((3, 2, 2)), "distance function of robot 1 must give"),
+        (with_answer(["a"] * 3), np.zeros((3, 2, 2)), "robot 1's answer must be"),
+        (with_answer(np.full(2, np.nan)), [[(1, 1), (2, 0)]] * 2, r"robot 1 returned NaN at \[2.0, 0.0\]"),
     ],
-)  # fmt: skip
-def test_invalid_heuristic_arguments_raise(ask, message):
+)
+def test_invalid_configurations_and_answers_raise(heuristic, q, message):
     with pytest.raises(ValueError, match=message):
-        ask()
+        heuristic(q)
+
+
+@pytest.mark.usefixtures("unchecked_types")
+def test_invalid_distance_functions_raise():
+    for fns in ([], taxicab, 3, [taxicab, 3]):
+        with pytest.raises(ValueError, match=r"distance_fns must|The distance function of robot 1 must"):
+            sum_of_distances(fns)
+    for dim in (0, 2.5, "2"):
+        with pytest.raises(ValueError, match="`dim` of the distance function of robot 0"):
+            sum_of_distances([with_dim(dim)])
 
 
 def test_stack_of_plrs_refuses_other_teams(plrs):
@@ -253,59 +236,3 @@ def test_nan_configurations_have_infinite_heuristic(plrs):
         assert np.array_equal(np.isinf(heuristic(q)), [False, True])
     of_plrs = sum_of_distances(plrs).per_robot(np.pad(q, ((0, 0), (0, 1), (0, 1))))
     assert np.array_equal(np.isinf(of_plrs), [[False] * 3, [True, False, False]])
-
-
-# Lower bounds
-
-
-DOOR = Workspace(((0, 0), (4, 4)), [[(1.9, 0), (2.1, 0), (2.1, 1.7), (1.9, 1.7)],
-                                    [(1.9, 2.3), (2.1, 2.3), (2.1, 4), (1.9, 4)]])  # fmt: skip
-THROUGH = Problem(
-    DOOR,
-    [DiscRobot(0.2), RectangleRobot(0.9, 0.2)],
-    [(0.5, 0.5, 0.0), (0.6, 3.2, math.pi / 2)],
-    [(3.5, 3.4, 0.0), (3.4, 0.9, math.pi / 2)],
-    0.4,
-)
-
-
-@pytest.fixture(scope="module")
-def proven():
-    """PLRs of a disc and of a rectangle that must turn to fit through a door."""
-    disc, rectangle = THROUGH.robots
-    return [
-        solve_eikonal(PlaneSpace(DOOR, disc), THROUGH.goals[0, :2], max_leaves=500),
-        solve_eikonal(
-            RigidBodySpace(DOOR, rectangle, float(THROUGH.rotation_weights[1])), THROUGH.goals[1], max_leaves=2000
-        ),
-    ]
-
-
-@pytest.mark.full
-def test_only_lower_bounds_bound_costs(proven):
-    estimate, bound = sum_of_distances(proven), sum_of_distances([plr.lower for plr in proven])
-    assert not estimate.is_lower_bound and bound.is_lower_bound
-    assert not sum_of_distances([proven[0].lower, proven[1]]).is_lower_bound
-    assert sum_of_distances([robot_distance_fns(THROUGH)[0], proven[1].lower]).is_lower_bound
-    starts = THROUGH.starts[None]
-    assert (bound.per_robot(starts) <= estimate.per_robot(starts)).all()
-    straight = straight_line(THROUGH)(starts)[0]
-    guessed, known = (bl_plan(THROUGH, h, BLOptions(max_expansions=1)) for h in (estimate, bound))
-    assert guessed.lower_bound == pytest.approx(straight, rel=1e-6)
-    assert known.lower_bound == pytest.approx(max(straight, bound(starts)[0]), rel=1e-6)
-
-
-@pytest.mark.full
-def test_lower_bounds_are_below_costs_of_a_path(proven):
-    """At each row of a path, the rest of the path costs each robot at least its bound, turns included."""
-    solution = bl_plan(THROUGH)
-    assert validate(THROUGH, solution.path).valid
-    path = np.asarray(solution.path)
-    change = np.diff(path, axis=0)
-    angle = np.arccos(np.clip(np.cos(change[..., 2]), -1, 1))
-    cost = np.hypot(change[..., 0], change[..., 1]) + angle * [0.0, 0.4]
-    left = np.concatenate([np.cumsum(cost[::-1], axis=0)[::-1], np.zeros((1, 2))])
-    bound = sum_of_distances([plr.lower for plr in proven]).per_robot(path)
-    assert (bound <= left + 1e-6).all() and (bound.sum(axis=0) > 0.7 * left.sum(axis=0)).all()
-    turned_away = THROUGH.goals[None] - [0, 0, 1.2]
-    assert 0 < sum_of_distances([plr.lower for plr in proven]).per_robot(turned_away)[0, 1] <= 0.4 * 1.2

@@ -70,6 +70,8 @@ def test_new_convex_shapes_can_be_planned_for(first, second, tmp_path):
     solution = bl_plan(problem)
     report = validate(problem, solution.path)
     assert solution.solved and report.valid, report.message
+    if second == DiscRobot(0.25):
+        assert (solution.path[:, 1, 2] == problem.starts[1, 2]).all(), "discs keep the heading of their start"
     if second == PEBBLE:
         plot.animate(problem, solution.path, seconds=0.08).save(tmp_path / "path.gif")
         with Image.open(tmp_path / "path.gif") as image:
