@@ -1,5 +1,7 @@
 """Heuristics: sums over robots of straight lines, oracles and PLRs."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,6 +15,7 @@ from plr_jax import (
     Problem,
     RectangleRobot,
     construct,
+    load,
     path_cost,
     robot_distance_fns,
     scenes,
@@ -209,6 +212,12 @@ def test_stack_of_plrs_refuses_other_teams(plrs):
         type(plrs[0]).stack(plrs)(np.zeros((5, 2, 3)))
     with pytest.raises(ValueError, match="robot 2 needs 3 coordinates, got configurations of 2"):
         sum_of_distances(plrs)(np.zeros((5, 3, 2)))
+
+
+def test_sum_bounds_costs_only_if_all_functions_do():
+    plr = load(Path(__file__).parent.parent / "plr" / "vectors" / "maze_of_cones.plr")
+    assert sum_of_distances([plr.lower, Euclidean((0, 0))]).is_lower_bound
+    assert not sum_of_distances([plr.lower, plr]).is_lower_bound
 
 
 class Stacked:
