@@ -8,20 +8,9 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax import (
-    BLOptions,
-    DiscRobot,
-    PointRobot,
-    Problem,
-    RectangleRobot,
-    Workspace,
-    bl_plan,
-    robot_distance_fns,
-    scenes,
-    validate,
-)
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, robot_distance_fns, scenes, validate
 from plr_jax.collision.team import JointMotionTest, motions_apart
-from plr_jax.planners import sum_of_distances
+from plr_jax.planners import BLOptions, bl_plan, sum_of_distances
 from plr_jax.planners._solution import SearchBudget
 from plr_jax.planners.lattice import build_lattices
 

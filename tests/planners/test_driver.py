@@ -17,25 +17,8 @@ from planner_helpers import (
     planned,
 )
 
-from experiments import _dbcbs
-from plr_jax import (
-    BLOptions,
-    DiscRobot,
-    PointRobot,
-    Problem,
-    RectangleRobot,
-    Status,
-    Workspace,
-    bl_plan,
-    replan,
-    robot_distance_fns,
-    scenes,
-    straight_line,
-    sum_of_distances,
-    validate,
-    zero,
-)
-from plr_jax.planners import driver
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, robot_distance_fns, scenes, validate
+from plr_jax.planners import BLOptions, Status, bl_plan, driver, replan, straight_line, sum_of_distances, zero
 
 LARGE = Workspace(((0, 0), (1000, 1000)))
 
@@ -80,15 +63,6 @@ def test_points_go_around_contact_at_cell_center():
     # A robot that ends at the contact may come from any side. Another robot must not go through it.
     team = Problem(workspace, [PointRobot()] * 3, [above, below, (1, 1)], [(1, 1), (1, 1), above])
     assert planned(team, step=0.8).cost == pytest.approx(3 * np.sqrt(0.5))
-
-
-DBCBS = ["alcove_unicycle_sphere", "at_goal_unicycle", "gen_p10_n8_0_unicycle_sphere", "window4_unicycle_sphere"]
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("name", DBCBS)
-def test_dbcbs_problems_are_solved_with_holonomic_robots(data_dir, name):
-    assert planned(_dbcbs.read_problem(data_dir / "dbcbs" / f"{name}.yaml")).status is Status.SOLVED
 
 
 CROWD = scenes.crowd(8, seed=3)

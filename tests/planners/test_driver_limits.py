@@ -17,21 +17,9 @@ from planner_helpers import (
 )
 from team_helpers import MIXED
 
-from plr_jax import (
-    BLOptions,
-    Problem,
-    RectangleRobot,
-    Status,
-    Workspace,
-    bl_plan,
-    scenes,
-    straight_line,
-    sum_of_distances,
-    validate,
-    zero,
-)
+from plr_jax import Problem, RectangleRobot, Workspace, scenes, validate
 from plr_jax.collision.team import JointMotionTest
-from plr_jax.planners import driver, lacam, lattice
+from plr_jax.planners import BLOptions, Status, bl_plan, driver, lacam, lattice, straight_line, sum_of_distances, zero
 from plr_jax.planners.lacam import PIBT
 
 DOOR_STRAIGHT = np.hypot(8.21 - 2.13, 2.07 - 1.94)

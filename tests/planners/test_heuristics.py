@@ -19,10 +19,8 @@ from plr_jax import (
     path_cost,
     robot_distance_fns,
     scenes,
-    straight_line,
-    sum_of_distances,
-    zero,
 )
+from plr_jax.planners import straight_line, sum_of_distances, zero
 
 DISCS = Problem(ROOM, [DiscRobot(0.4)] * 2, [(1, 1), (1, 9)], [(4, 5), (9, 9)])
 MIXED = Problem(ROOM, [DiscRobot(0.4), RectangleRobot(2, 1)], [(1, 1, 0), (1, 8, 0)], [(4, 5, 0), (8, 8, 3)], 0.5)

@@ -98,8 +98,7 @@ def test_paths_stay_unchanged_past_deadline():
     assert_blocked_as_from_scratch(table)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("name", TEAMS)
+@pytest.mark.parametrize("name", ["rooms", pytest.param("mixed", marks=pytest.mark.full)])
 def test_every_table_is_a_valid_path_of_its_cost(name):
     joint, table = table_of(name)
     rng, costs = np.random.default_rng(0), [table.cost.sum()]
@@ -109,7 +108,7 @@ def test_every_table_is_a_valid_path_of_its_cost(name):
         gained = replan_together(table, rng.permutation(min(len(table.cost), 4)).tolist())
         assert gained == (table.cost.sum() < before * (1 - 1e-9))
 
-    for change in (replan_each, *[together] * 6, lambda table: replan_neighborhoods(table, 8, rng)):
+    for change in (replan_each, *[together] * 3, lambda table: replan_neighborhoods(table, 8, rng)):
         change(table)
         costs.append(table.cost.sum())
         report = validate(joint.problem, joint.configurations(table.state))

@@ -15,19 +15,6 @@ L_SHAPED = Workspace(((0, 0), (10, 10)), [shapely.box(2, 2, 8, 3), shapely.box(2
 MAPS = {"door": scenes.single_door().workspace, "needle": NEEDLE, "rooms": L_SHAPED, "empty": ROOM}
 
 
-def random_team(rng, workspace):
-    """Return discs of two sizes; in some teams, the goals are the starts of other robots."""
-    robots = [DiscRobot(float(radius)) for radius in rng.choice([0.3, 0.45], rng.integers(1, 6))]
-    while True:
-        starts, goals = rng.uniform(0.5, 9.5, (2, len(robots), 2))
-        if rng.random() < 0.3:
-            goals = starts[rng.permutation(len(robots))]
-        try:
-            return Problem(workspace, robots, starts, goals)
-        except ValueError:
-            continue
-
-
 @pytest.mark.parametrize("name", MAPS)
 def test_free_ways_agree_with_shapely(name):
     workspace, radius = MAPS[name], 0.4
@@ -77,32 +64,20 @@ def test_lone_disc_takes_shortest_way():
             assert alone * (1 - 1e-3) <= path_cost(problem, path) <= alone + 5 * 0.43 * 0.4
 
 
-@pytest.mark.parametrize("name", MAPS)
-def test_early_departures_keep_paths_valid_and_costs_equal(name):
-    rng, found = np.random.default_rng(7), 0
-    for _ in range(7):
-        problem = random_team(rng, MAPS[name])
+@pytest.mark.parametrize(
+    "scene", [scenes.four_rooms(4), scenes.cross(2), scenes.cross(3)], ids=["rooms", "cross-2", "cross-3"]
+)
+def test_robots_step_aside_to_change_places(scene):
+    for seed in range(2):
+        problem = scenes.perturbed(scene, seed)
         path = sequential_path(problem)
-        if path is None:
-            continue
-        found += 1
-        retimed = with_early_departures(problem, path)
-        for each in (path, retimed):
-            report = validate(problem, each)
-            assert report.valid, report.message
+        assert path is not None
+        np.testing.assert_array_equal(path, sequential_path(problem))
         assert ((path[1:] != path[:-1]).any(axis=2).sum(axis=1) == 1).all(), "one robot goes at a time"
+        retimed = with_early_departures(problem, path)
+        assert validate(problem, path).valid and validate(problem, retimed).valid
         assert path_cost(problem, retimed) == pytest.approx(path_cost(problem, path), rel=1e-12)
         assert makespan(problem, retimed) <= makespan(problem, path) * (1 + 1e-12)
-    assert found >= 3
-
-
-@pytest.mark.parametrize("scene", ["four_rooms", "cross"])
-def test_robots_step_aside_to_change_places(scene):
-    for seed, num_robots in ((0, 2), (1, 3), (2, 4 if scene == "four_rooms" else 3)):
-        problem = scenes.perturbed(getattr(scenes, scene)(num_robots), seed)
-        path = sequential_path(problem)
-        assert path is not None and validate(problem, path).valid
-        np.testing.assert_array_equal(path, sequential_path(problem))
 
 
 def test_robots_with_separate_ways_go_at_once():

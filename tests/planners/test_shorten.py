@@ -128,25 +128,6 @@ def test_shortening_one_robot_keeps_other_motions():
     assert np.ptp(short[:, 0, 1]) < 1e-12
 
 
-@pytest.mark.parametrize(("seed", "steps"), [(0, 8), (1, 12)])
-def test_random_walks_stay_valid_and_never_cost_more(seed, steps):
-    rng = np.random.default_rng(seed)
-    workspace = Workspace(((0, 0), (6, 6)), [shapely.box(2.5, 2.5, 3.5, 3.5)])
-    robots = [DiscRobot(0.3), RectangleRobot(0.9, 0.3)]
-    path = np.array([[(1.0, 1.0, 0.0), (5.0, 5.0, 0.5)]])
-    for _ in range(steps - 1):
-        row = path[-1:] + rng.normal(0, [0.9, 0.9, 0.8], (1, 2, 3)) * [[[1, 1, 0], [1, 1, 1]]]
-        longer = np.concatenate([path, row])
-        try:
-            problem = Problem(workspace, robots, longer[0], longer[-1])
-        except ValueError:
-            continue
-        if validate(problem, longer).valid:
-            path = longer
-    assert len(path) > 2
-    over_shortcuts(Problem(workspace, robots, path[0], path[-1]), path)
-
-
 # Corridors
 
 

@@ -111,18 +111,17 @@ def test_free_turn_is_made_at_once_after_start():
     np.testing.assert_array_equal(at[:, 0], [(3, 3, 0), (3, 3, 1), (5, 3, 1), (7, 3, 1)])
 
 
-@pytest.mark.parametrize(
-    ("times", "message"),
-    [
-        ([0.0, np.nan], "times must not be NaN"),
-        ("soon", "times must be numbers, such as an array"),
-        ([1j], "times must be numbers"),
-        (np.ma.masked_greater([1.0, 2.0], 1.5), "times must be numbers, such as .* and some are masked"),
-    ],
-)
-def test_invalid_times_raise(times, message, unchecked_types):
-    with pytest.raises(ValueError, match=message):
-        SOLUTION.path_at(times)
+@pytest.mark.usefixtures("unchecked_types")
+def test_invalid_times_raise():
+    masked = np.ma.masked_greater([1.0, 2.0], 1.5)
+    for times, message in (
+        ([0.0, np.nan], r"times must not be NaN"),
+        ("soon", r"times must be numbers, such as an array"),
+        ([1j], r"times must be numbers"),
+        (masked, r"times must be numbers, such as .* and some are masked"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            SOLUTION.path_at(times)
 
 
 # Files
@@ -244,10 +243,6 @@ def test_scene_and_solution_files_are_told_apart(tmp_path):
     SOLUTION.save(path)
     with pytest.raises(ValueError, match="expected a scene file"):
         scenes.load(path)
-    with pytest.raises(FileNotFoundError):
-        Solution.load(tmp_path / "b.json")
-    with pytest.raises(ValueError, match=re.escape("a\0b: ")):
-        Solution.load("a\0b")
 
 
 STATS = {**dict.fromkeys(COUNTS, 1), "seconds": {}, "history": [], "found_by": "bl"}

@@ -105,18 +105,6 @@ def test_blocked_robot_goes_as_near_as_possible():
     assert planned(timetable, 0)[1]
 
 
-@pytest.mark.parametrize("problem", [MIXED, scenes.four_rooms(3)], ids=["mixed", "rooms"])
-def test_robots_planned_in_turn_make_a_valid_path(problem):
-    timetable = Timetable(problem, problem.starts[None])
-    timetable.ignored.update(range(len(problem.robots)))
-    for i in range(len(problem.robots)):
-        motion, arrives = planned(timetable, i)
-        assert arrives
-        timetable.move(i, motion)
-        assert timetable.ends[i] == len(motion) - 1
-    assert validate(problem, timetable.path).valid
-
-
 def test_subdivided_path_keeps_rows_and_limits_lengths():
     path = straight(MIXED, 7)
     finer = subdivided(MIXED, path, LENGTH)
