@@ -39,39 +39,39 @@ def test_robots_may_touch_walls_and_robots():
     problem([(0.2, 0.1, 0), (0.2, 0.2, 0)], [(0.2, 0.9, 0), (0.8, 0.9, 0)], [BAR, BAR])
 
 
-@pytest.mark.parametrize(
-    ("starts", "goals", "robots", "message"),
-    [
-        ([(0.43, 0.5)], FINE, POINT,
-         r"Robot 0 starts in collision with obstacle 0 at \[0.43, 0.5\] \(clearance -0.03\)"),
-        ([(0.1, 0.1)], [(0.5, 0.7)], POINT,
-         r"Robot 0 has its goal in collision with obstacle 0 at .*\(clearance -0.1\)"),
-        ([(0.1, 1.5)], FINE, POINT, r"Robot 0 starts outside the bounds: \[0.1, 1.5\]"),
-        ([(0.1, np.nan)], FINE, POINT, "starts must be finite.*robot 0"),
-        ([(0.1, 0.1)], [(np.inf, 0.1)], POINT, "goals must be finite.*robot 0"),
-        (np.ma.masked_array([(0.1, 0.1)], [(0, 1)]), FINE, POINT, "starts must be numbers .* and some are masked"),
-        ((0.1, 0.1), FINE, POINT, r"starts must have shape \(robots, dof\) = \(1, 2\), got \(2,\)"),
-        (FINE, [(0.9, 0.1, 0.0)], POINT, r"goals must have shape .*\(1, 2\), got \(1, 3\): no robot can turn"),
-        (FINE, FINE * 2, POINT, r"goals must have shape .*\(1, 2\), got \(2, 2\)"),
-        (FINE, [("left", "top")], POINT, "goals must be numbers"),
-        (np.empty((0, 2)), np.empty((0, 2)), (), "at least one robot"),
-        ([(0.1, 0.1), (0.33, 0.5)], [(0.1, 0.3), (0.1, 0.8)], DISCS,
-         r"^Robot 1 starts in collision with obstacle 0 at \[0.33, 0.5\] \(clearance -0.03\)\.$"),
-        ([(0.1, 0.1), (0.1, 0.4)], [(0.09, 0.1), (0.1, 0.8)], DISCS,
-         r"Robot 0 has its goal outside the bounds by 0.01"),
-        ([(0.1, 0.1), (0.1, 0.27)], [(0.9, 0.1), (0.9, 0.5)], DISCS,
-         r"Robots 0 and 1 overlap at their starts: .* \(clearance -0.03\)"),
-        ([(0.25, 0.5, 0)], [(0.2, 0.3, 0)], [BAR], "Robot 0 starts in collision with obstacle 0"),
-        ([(0.2, 0.1, np.pi / 2)], [(0.2, 0.3, 0)], [BAR], "Robot 0 starts outside the bounds by 0.1"),
-        ([(0.2, 0.1, 0), (0.3, 0.25, np.pi / 2)], [(0.2, 0.9, 0), (0.8, 0.9, 0)], [BAR, BAR],
-         "Robots 0 and 1 overlap at their starts"),
-        ([(0.2, 0.2), (0.2, 0.5)], [(0.2, 0.9), (0.8, 0.9)], [DISCS[0], BAR],
-         r"\(robots, dof\) = \(2, 3\), got \(2, 2\): robot 1 can turn, so each row is \(x, y, heading in radians\)"),
-        ([(0.2, 0.5)], [(0.8, 0.5)], [DiscRobot(0.11)],
-         r"Robot 0 has its goal .* cut off from its start .* for a disc of radius 0.11"),
-        ([(0.2, 0.5, 0)], [(0.8, 0.5, 0)], [RectangleRobot(0.3, 0.25)], r"cut off .* for a disc of radius 0.125"),
-    ],
-)  # fmt: skip
+IMPOSSIBLE = [
+    ([(0.43, 0.5)], FINE, POINT,
+     r"Robot 0 starts in collision with obstacle 0 at \[0.43, 0.5\] \(clearance -0.03\)"),
+    ([(0.1, 0.1)], [(0.5, 0.7)], POINT,
+     r"Robot 0 has its goal in collision with obstacle 0 at .*\(clearance -0.1\)"),
+    ([(0.1, 1.5)], FINE, POINT, r"Robot 0 starts outside the bounds: \[0.1, 1.5\]"),
+    ([(0.1, np.nan)], FINE, POINT, "starts must be finite.*robot 0"),
+    ([(0.1, 0.1)], [(np.inf, 0.1)], POINT, "goals must be finite.*robot 0"),
+    (np.ma.masked_array([(0.1, 0.1)], [(0, 1)]), FINE, POINT, "starts must be numbers .* and some are masked"),
+    ((0.1, 0.1), FINE, POINT, r"starts must have shape \(robots, dof\) = \(1, 2\), got \(2,\)"),
+    (FINE, [(0.9, 0.1, 0.0)], POINT, r"goals must have shape .*\(1, 2\), got \(1, 3\): no robot can turn"),
+    (FINE, FINE * 2, POINT, r"goals must have shape .*\(1, 2\), got \(2, 2\)"),
+    (FINE, [("left", "top")], POINT, "goals must be numbers"),
+    (np.empty((0, 2)), np.empty((0, 2)), (), "at least one robot"),
+    ([(0.1, 0.1), (0.33, 0.5)], [(0.1, 0.3), (0.1, 0.8)], DISCS,
+     r"^Robot 1 starts in collision with obstacle 0 at \[0.33, 0.5\] \(clearance -0.03\)\.$"),
+    ([(0.1, 0.1), (0.1, 0.4)], [(0.09, 0.1), (0.1, 0.8)], DISCS,
+     r"Robot 0 has its goal outside the bounds by 0.01"),
+    ([(0.1, 0.1), (0.1, 0.27)], [(0.9, 0.1), (0.9, 0.5)], DISCS,
+     r"Robots 0 and 1 overlap at their starts: .* \(clearance -0.03\)"),
+    ([(0.25, 0.5, 0)], [(0.2, 0.3, 0)], [BAR], "Robot 0 starts in collision with obstacle 0"),
+    ([(0.2, 0.1, np.pi / 2)], [(0.2, 0.3, 0)], [BAR], "Robot 0 starts outside the bounds by 0.1"),
+    ([(0.2, 0.1, 0), (0.3, 0.25, np.pi / 2)], [(0.2, 0.9, 0), (0.8, 0.9, 0)], [BAR, BAR],
+     "Robots 0 and 1 overlap at their starts"),
+    ([(0.2, 0.2), (0.2, 0.5)], [(0.2, 0.9), (0.8, 0.9)], [DISCS[0], BAR],
+     r"\(robots, dof\) = \(2, 3\), got \(2, 2\): robot 1 can turn, so each row is \(x, y, heading in radians\)"),
+    ([(0.2, 0.5)], [(0.8, 0.5)], [DiscRobot(0.11)],
+     r"Robot 0 has its goal .* cut off from its start .* for a disc of radius 0.11"),
+    ([(0.2, 0.5, 0)], [(0.8, 0.5, 0)], [RectangleRobot(0.3, 0.25)], r"cut off .* for a disc of radius 0.125"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("starts", "goals", "robots", "message"), IMPOSSIBLE)
 def test_impossible_problems_raise(starts, goals, robots, message):
     with pytest.raises(ValueError, match=message):
         problem(starts, goals, robots)

@@ -5,16 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from planner_helpers import (
-    MIXED,
-    TIGHT,
-    TIGHT_TEAM,
-    apart,
-    hallway,
-    joint_lattice_of,
-    reachable,
-    search_budget,
-)
+from planner_helpers import MIXED, TIGHT, TIGHT_TEAM, apart, hallway, joint_lattice_of, reachable, search_budget
 
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, bl_plan, scenes, validate
 from plr_jax.planners import BLOptions, Status, best_first, straight_line, zero

@@ -5,16 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planner_helpers import (
-    DOOR,
-    ROOMS,
-    exact,
-    hallway,
-    joint_lattice_of,
-    nudged_discs,
-    nudged_team,
-    planned,
-)
+from planner_helpers import DOOR, ROOMS, exact, hallway, joint_lattice_of, nudged_discs, nudged_team, planned
 from team_helpers import MIXED
 
 from plr_jax import Problem, RectangleRobot, Workspace, scenes, validate

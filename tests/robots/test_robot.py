@@ -139,9 +139,8 @@ def test_rectangular_polygon_has_half_sides():
     assert box != RectangleRobot(2, 1)
 
 
-@pytest.mark.parametrize(
-    ("vertices", "message"),
-    [
+def test_invalid_polygon_vertices_raise():
+    for vertices, message in (
         ([(0, 0), (1, 0)], "2 distinct vertices"),
         ([(0, 0), (1, 1), (2, 2)], "zero area"),
         ([(0, 0), (1, 0), (0, np.nan)], "must have finite coordinates"),
@@ -152,11 +151,9 @@ def test_rectangular_polygon_has_half_sides():
         ("triangle", "must be numbers"),
         ([(np.cos(a), np.sin(a)) for a in np.linspace(0, 6, 1_001)], "must be at most 1,000, got 1,001"),
         (Polygon([(-3, -3), (3, -3), (0, 3)], [[(-1, -1), (1, -1), (0, 1)]]), "one polygon without holes"),
-    ],
-)
-def test_invalid_polygon_vertices_raise(vertices, message):
-    with pytest.raises(ValueError, match=f"PolygonRobot vertices.*{message}"):
-        PolygonRobot(vertices)
+    ):
+        with pytest.raises(ValueError, match=f"PolygonRobot vertices.*{message}"):
+            PolygonRobot(vertices)
 
 
 HAND = PolygonRobot([(0, -0.05), (3, -0.05), (3, 0.05), (0, 0.05)])  # about its left end
