@@ -9,7 +9,7 @@ from piece_helpers import box
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, along, random_motions, shapes
 
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, validate
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.team import JointMotionTest
 from plr_jax.collision.walls import MotionTest
 from plr_jax.robots.robot import team_dof
 
@@ -61,15 +61,15 @@ def test_touching_is_valid():
         assert report(robots, start, end, workspace=room).valid
 
 
-@pytest.mark.parametrize(
-    ("robot", "start", "end", "when", "where"),
-    [
-        (POINT, (1, 2), (3, 2), 0.4, (1.8, 2)),
-        (DISC, (1, 2), (3, 2), 0.25, (1.5, 2)),
-        (BAR, (1, 2, 0), (3, 2, 0), 0.175, (1.35, 2)),
-        (BAR, (1, 2, UP), (3, 2, UP), 0.325, (1.65, 2)),
-    ],
-)
+VIOLATIONS = [
+    (POINT, (1, 2), (3, 2), 0.4, (1.8, 2)),
+    (DISC, (1, 2), (3, 2), 0.25, (1.5, 2)),
+    (BAR, (1, 2, 0), (3, 2, 0), 0.175, (1.35, 2)),
+    (BAR, (1, 2, UP), (3, 2, UP), 0.325, (1.65, 2)),
+]
+
+
+@pytest.mark.parametrize(("robot", "start", "end", "when", "where"), VIOLATIONS)
 def test_first_violation_names_robot_place_and_time(robot, start, end, when, where):
     rest = (0.5, 3.5, 0)[: len(start)]
     result = report([DISC, robot], [rest, start], [rest, start], [rest, end])
@@ -115,30 +115,31 @@ CONTACT = Workspace(((-1, -1), (3, 3)), [box(0, 0, 1, 1), box(1, 1, 2, 2)])  # t
 ABOVE, BELOW, AT = (0.5, 1.5), (1.5, 0.5), (1, 1)  # on either side of the contact, and on it
 
 
-@pytest.mark.parametrize(
-    ("rows", "when"),
-    [
-        ([ABOVE, BELOW], 0),
-        ([ABOVE, AT, BELOW], 1),
-        ([ABOVE, AT, AT, BELOW], 2),
-        ([ABOVE, (1 - 1e-10, 1 + 1e-10), AT, (1 + 1e-10, 1 - 1e-10), BELOW], 3),
-        ([(0.9, 1.1), AT, (0.9, 1.2), AT, (1.1, 0.9), BELOW], 3),
-        ([AT, ABOVE, AT, BELOW], 2),
-        ([(1, 2), AT, (1, 0)], 1),
-        ([ABOVE, AT, (0.2, 1.8)], None),
-        ([(0, 1), AT, (1, 2)], None),
-        ([AT, ABOVE, AT, (0.2, 1.8)], None),
-        ([AT, BELOW], None),
-        ([AT, AT], None),
-    ],
-)
+CROSSINGS = [
+    ([ABOVE, BELOW], 0),
+    ([ABOVE, AT, BELOW], 1),
+    ([ABOVE, AT, AT, BELOW], 2),
+    ([ABOVE, (1 - 1e-10, 1 + 1e-10), AT, (1 + 1e-10, 1 - 1e-10), BELOW], 3),
+    ([(0.9, 1.1), AT, (0.9, 1.2), AT, (1.1, 0.9), BELOW], 3),
+    ([AT, ABOVE, AT, BELOW], 2),
+    ([(1, 2), AT, (1, 0)], 1),
+    ([ABOVE, AT, (0.2, 1.8)], None),
+    ([(0, 1), AT, (1, 2)], None),
+    ([AT, ABOVE, AT, (0.2, 1.8)], None),
+    ([AT, BELOW], None),
+    ([AT, AT], None),
+]
+
+
 @pytest.mark.parametrize("robot", [POINT, DiscRobot(1e-10)], ids=["point", "tiny"])
-def test_crossing_a_contact_of_obstacles_squeezes(robot, rows, when):
-    rows = [[row] for row in rows]
-    result = report([robot], *rows, workspace=CONTACT)
-    assert (result.valid, result.when) == (when is None, when), result.message
-    assert result.valid or result.message.startswith("Robot 0 squeezes")
-    assert report([robot], *rows, workspace=Workspace(CONTACT.bounds, CONTACT.obstacles, squeeze=True)).valid
+def test_crossing_a_contact_of_obstacles_squeezes(robot):
+    squeezing = Workspace(CONTACT.bounds, CONTACT.obstacles, squeeze=True)
+    for rows, when in CROSSINGS:
+        rows = [[row] for row in rows]
+        result = report([robot], *rows, workspace=CONTACT)
+        assert (result.valid, result.when) == (when is None, when), result.message
+        assert result.valid or result.message.startswith("Robot 0 squeezes")
+        assert report([robot], *rows, workspace=squeezing).valid
 
 
 def test_contact_of_three_obstacles_has_three_sides():
@@ -205,7 +206,7 @@ def sampled_clearance(problem, path, num_samples=401):
 def test_random_motions_agree_with_samples_and_planner(one, other):
     rng = np.random.default_rng(8)
     q0, q1 = (q.reshape(40, 2, 3) for q in random_motions(rng, 80, 4.0, 0.3, 0.6))
-    planner = planner_accepts(ROOM, (one, other), q0, q1)
+    planner = JointMotionTest(ROOM, (one, other))(q0, q1)
     solved = 0
     for a, b, free in zip(q0, q1, planner, strict=True):
         try:
@@ -244,13 +245,3 @@ def test_team_report_is_the_worst_pair_report(seed):
     else:
         first = min((r.when, *(pair[k] for k in r.who)) for r, pair in zip(alone, pairs, strict=True) if not r.valid)
         assert (result.when, *result.who) == first
-
-
-def planner_accepts(workspace, robots, begin, end):
-    """Return which motions of a team are free by the collision tests of the planners."""
-    free = np.ones(len(begin), dtype=bool)
-    for i, robot in enumerate(robots):
-        free &= MotionTest(workspace, robot)(begin[:, i], end[:, i])
-        for j in range(i):
-            free &= motions_apart(robot, begin[:, i], end[:, i], robots[j], begin[:, j], end[:, j], 1e-9)
-    return free

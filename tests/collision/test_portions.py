@@ -92,12 +92,13 @@ def test_collision_tests_past_deadline_raise(robot):
     test, late = MotionTest(ROOM, robot), JointMotionTest(ROOM, [robot, BAR], LONG_AGO)
     with pytest.raises(TimeoutError, match="before all motions were tested"):
         test(q0, q1, LONG_AGO)
-    with pytest.raises(TimeoutError):
-        MotionTest(ROOM, robot, LONG_AGO)
-    with pytest.raises(TimeoutError):
-        motions_apart(robot, q0, q1, BAR, q0, q1, 1e-9, LONG_AGO)
-    with pytest.raises(TimeoutError):
-        late.apart(0, q0, q1, 1, q0, q1)
+    for call, arguments in (
+        (MotionTest, (ROOM, robot, LONG_AGO)),
+        (motions_apart, (robot, q0, q1, BAR, q0, q1, 1e-9, LONG_AGO)),
+        (late.apart, (0, q0, q1, 1, q0, q1)),
+    ):
+        with pytest.raises(TimeoutError):
+            call(*arguments)
 
 
 def test_bisection_ends_at_deadline(monkeypatch):

@@ -17,18 +17,18 @@ DOOR_STRAIGHT = np.hypot(8.21 - 2.13, 2.07 - 1.94)
 NUDGED_BARS = nudged_team(RectangleRobot(0.4, 0.1))
 
 
-@pytest.mark.parametrize(
-    ("options", "status"),
-    [
-        ({"max_expansions": 3}, Status.EXPANSION_LIMIT),
-        ({"max_memory": 4000}, Status.MEMORY_LIMIT),
-        ({"max_memory": 1_500_000}, Status.MEMORY_LIMIT),
-        ({"step": 1e-3, "max_memory": 1e8}, Status.MEMORY_LIMIT),
-        ({"step": 1e-200}, Status.MEMORY_LIMIT),
-        ({"step": 2e-2, "time_limit": 0.05}, Status.TIME_LIMIT),
-        ({"time_limit": 1e-6}, Status.TIME_LIMIT),
-    ],
-)
+LIMITS = [
+    ({"max_expansions": 3}, Status.EXPANSION_LIMIT),
+    ({"max_memory": 4000}, Status.MEMORY_LIMIT),
+    ({"max_memory": 1_500_000}, Status.MEMORY_LIMIT),
+    ({"step": 1e-3, "max_memory": 1e8}, Status.MEMORY_LIMIT),
+    ({"step": 1e-200}, Status.MEMORY_LIMIT),
+    ({"step": 2e-2, "time_limit": 0.05}, Status.TIME_LIMIT),
+    ({"time_limit": 1e-6}, Status.TIME_LIMIT),
+]
+
+
+@pytest.mark.parametrize(("options", "status"), LIMITS)
 def test_planner_stops_at_limit(options, status):
     solution = bl_plan(ROOMS, zero(), BLOptions(("bl",), **options))
     assert solution.status is status and not solution.solved and solution.cost == np.inf

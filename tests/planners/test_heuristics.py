@@ -78,15 +78,8 @@ def test_straight_line_bounds_every_path_from_below(seed):
 
 def test_function_without_dim_gets_all_coordinates_once():
     asked = []
-
-    def distance(x):
-        asked.append(x.shape)
-        return np.abs(x).sum(axis=1)
-
-    assert sum_of_distances([distance])([[(1, 2, 3)]])[0] == 6
+    assert sum_of_distances([lambda x: asked.append(x.shape) or taxicab(x)])([[(1, 2, 3)]])[0] == 6
     assert asked == [(1, 3)]
-    for distance.dim, expected in ((2, 3), (3, 6)):
-        assert sum_of_distances([distance])([[(1, 2, 3)]])[0] == expected
 
 
 def test_errors_of_distance_functions_carry_a_hint():

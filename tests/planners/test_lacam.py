@@ -113,14 +113,8 @@ def random_moves(rng, num_robots=4, num_primitives=4):
             table = rng.random((num_primitives, num_primitives)) < 0.45
             table[0, 0] = False
             collide[i, j], collide[j, i] = table, table.T
-    neighbors = [
-        [
-            (j, [sum(1 << q for q in np.flatnonzero(row).tolist()) for row in collide[i, j]])
-            for j in range(num_robots)
-            if j != i
-        ]
-        for i in range(num_robots)
-    ]
+    as_bits = {pair: [sum(1 << q for q in np.flatnonzero(row).tolist()) for row in collide[pair]] for pair in collide}
+    neighbors = [[(j, as_bits[i, j]) for j in range(num_robots) if j != i] for i in range(num_robots)]
     ranked = [rng.permutation(num_primitives).tolist() for _ in range(num_robots)]
     return Moves([list(range(num_primitives))] * num_robots, ranked, neighbors), collide
 

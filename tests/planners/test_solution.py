@@ -255,7 +255,9 @@ CONTRADICTIONS = {
         *({"motions_factor": value} for value in (True, "1", [], NAN)),
         *({"cost": value} for value in (INF, NAN, "1", DEEP)),
     ],
-    "to be null, got null for cost": [{"cost": None}],
+    "to be null, got null for (cost|makespan|path|times)": [
+        {name: None} for name in ("cost", "makespan", "path", "times")
+    ],
     "got null for path, times": [{"path": None, "times": None}],
     'expected "times" from 0 to the makespan 7.5': [{"makespan": 7.5}],
     "path": [{"path": path} for path in ([], [[]], [[[]]], [1, 2], "abc", {}, [[[1, 2]], [[1]]], DEEP)],

@@ -28,30 +28,22 @@ def planned(timetable, i):
 
 @pytest.mark.parametrize("problem", [MIXED, scenes.crowd(6)], ids=["mixed", "crowd"])
 def test_motions_fit_where_robots_are_apart(problem):
-    path = straight(problem, 40)
-    timetable, rng = Timetable(problem, path), np.random.default_rng(1)
-    timetable.ignored.add(len(problem.robots) - 1)
-    for i, robot in enumerate(problem.robots[:-1]):
-        q = (
-            problem.starts[i]
-            + rng.uniform(-1, 1, (24, problem.dof))
-            + np.append([2.0, 1.0], [0.0] * robot.dof)[: problem.dof]
-        )
-        begin, end = q[:12], q[12:]
+    path, rng = straight(problem, 40), np.random.default_rng(1)
+    timetable, others = Timetable(problem, path), problem.robots[:-1]
+    timetable.ignored.add(len(others))
+    for i, robot in enumerate(others):
+        begin, end = problem.starts[i] + rng.uniform(-1, 1, (2, 12, problem.dof)) + [2.0, 1.0, 0.0][: problem.dof]
         row, count = rng.integers(0, 50, 12), rng.integers(0, 8, 12)
         fits = timetable.are_free(i, begin, end, row, count)
         for k in range(12):
-            expected = True
-            for step in range(count[k]):
-                first, last = (
-                    between(begin[[k]], end[[k]], np.array([[(step + ahead) / count[k]]])) for ahead in (0, 1)
-                )
-                at = [min(row[k] + step + ahead, len(path) - 1) for ahead in (0, 1)]
-                for j in range(len(problem.robots) - 1):
-                    others = problem.robots[j], path[at[0], [j]], path[at[1], [j]]
-                    if j != i:
-                        expected &= motions_apart(robot, first, last, *others, problem.workspace.tolerance)[0]
-            assert fits[k] == expected
+            q = between(begin[[k]], end[[k]], np.linspace(0, 1, count[k] + 1)[:, None])
+            at = np.minimum(row[k] + np.arange(count[k] + 1), len(path) - 1)
+            meets = [
+                ~motions_apart(robot, q[:-1], q[1:], other, path[at[:-1], j], path[at[1:], j], 1e-8).all()
+                for j, other in enumerate(others)
+                if j != i
+            ]
+            assert fits[k] == (not any(meets))
 
 
 def test_place_is_free_after_last_robot_passed():

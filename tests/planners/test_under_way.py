@@ -1,7 +1,6 @@
 """Replanning for teams on their way, and teams that get new goals; an independent test checks all paths."""
 
 from dataclasses import replace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -121,22 +120,19 @@ def replace_path(solution, path):
 def test_invalid_replan_arguments_raise():
     problem = scenes.four_rooms(2)
     solution = bl_plan(problem)
-    with pytest.raises(ValueError, match="starts must be where the solution has the robots"):
-        replan(problem, solution, 2.0)
-    with pytest.raises(ValueError, match="at must be a finite time of at least 0"):
-        replan(problem, solution, -1.0)
-    with pytest.raises(ValueError, match="must be for the problem's robots"):
-        replan(scenes.four_rooms(3), solution, 0.0)
-    with pytest.raises(ValueError, match="must be a Solution that has a path"):
-        replan(problem, cast("Any", solution.path), 0.0)
     broken = solution.path.copy()
     broken[1, 0, 0] = np.nan
-    with pytest.raises(ValueError, match="must have a finite path"):
-        replan(problem, replace(solution, path=broken), 0.0)
-    with pytest.raises(ValueError, match="its goal must be its start"):
-        replan(problem, solution, 0.0, standing=[1])
-    with pytest.raises(ValueError, match="indices of the 2 robots"):
-        replan(problem, solution, 0.0, standing=[2])
+    for arguments, message in (
+        ((problem, solution, 2.0), "starts must be where the solution has the robots"),
+        ((problem, solution, -1.0), "at must be a finite time of at least 0"),
+        ((scenes.four_rooms(3), solution, 0.0), "must be for the problem's robots"),
+        ((problem, solution.path, 0.0), "must be a Solution that has a path"),
+        ((problem, replace(solution, path=broken), 0.0), "must have a finite path"),
+        ((problem, solution, 0.0, BLOptions(), [1]), "its goal must be its start"),
+        ((problem, solution, 0.0, BLOptions(), [2]), "indices of the 2 robots"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            replan(*arguments)
 
 
 def test_replan_past_time_limit_returns_no_path():

@@ -79,9 +79,8 @@ def test_scene_file_refuses_unknown_shape(tmp_path):
 SQUARE = AnyShape(((-1, -1), (1, -1), (1, 1), (-1, 1)))
 
 
-@pytest.mark.parametrize(
-    ("robot", "message"),
-    [
+def test_problem_refuses_invalid_shapes():
+    for robot, message in (
         (replace(SQUARE, body=SQUARE.body[::-1]), "be convex, its vertices counterclockwise"),
         (replace(SQUARE, body=(*SQUARE.body, (-1, 1))), "each given once"),
         (replace(SQUARE, body=()), "core of finite vertices"),
@@ -89,11 +88,9 @@ SQUARE = AnyShape(((-1, -1), (1, -1), (1, 1), (-1, 1)))
         (replace(SQUARE, rounding=-1.0), "finite rounding"),
         (replace(SQUARE, dof=4), "dof of 2 or 3"),
         (AnyShape(((1.0, 0.0),), rounding=0.5), "reference point"),
-    ],
-)
-def test_problem_refuses_invalid_shapes(robot, message):
-    with pytest.raises(ValueError, match=f"Robot 0 must .*{message}"):
-        Problem(Workspace(((0, 0), (9, 9))), [robot], [(4, 4, 0)], [(5, 5, 0)])
+    ):
+        with pytest.raises(ValueError, match=f"Robot 0 must .*{message}"):
+            Problem(Workspace(((0, 0), (9, 9))), [robot], [(4, 4, 0)], [(5, 5, 0)])
 
 
 def test_disc_may_turn_about_a_point_of_its_rim():
