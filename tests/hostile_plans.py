@@ -16,7 +16,7 @@ import time
 import warnings
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
 
@@ -178,13 +178,13 @@ class Judge:
         self.counts["free space: asked"] += 1
         walls = shapely.multilinestrings(shapely.linestrings(self.boundary))
         if shapely.length(shapely.symmetric_difference(walls, shapely.boundary(rounded))) > 1e-12 * walls.length:
-            self.fail("free space: other walls", None, None, None, None, None)
+            self.fail("free space: other walls")
         solid = shapely.union_all([shapely.Polygon(ring) for ring in self.plan.obstacles])
         given = shapely.box(*np.ravel(self.plan.bounds)) - solid
         for kind, lost in (("wall", rounded - given), ("gap", given - rounded)):
             thick = shapely.buffer(lost, -_VANISHES / 2 * self.plan.tolerance)
             if not thick.is_empty:
-                self.fail(f"free space: a {kind} vanished", thick.bounds[:2], thick.bounds[2:], None, None, None)
+                self.fail(f"free space: a {kind} vanished", thick.bounds[:2], thick.bounds[2:])
 
     def interval(self, plane, x, y, radius, in_sectors=False):
         """Return the least and largest distance between points within a radius of both ends."""
@@ -241,13 +241,11 @@ class Judge:
         judged, width = np.isfinite(exact) | everywhere, float(np.ptp(self.boundary.reshape(-1, 2), axis=0).max())
         self.counts[f"{name}: asked"] += int(judged.sum())
         for i in np.flatnonzero(judged & ((lower > exact + slack) | (upper < exact - slack))):
-            allowed = {
-                kind: self.interval(self.rounded, goal, x[i], radius)
-                for kind, radius in (
-                    ("broken, but within the tolerance", _NEAR * self.plan.tolerance),
-                    ("broken, but for 32 bits", _NEAR_32 * width),
-                )
+            radii = {
+                "broken, but within the tolerance": _NEAR * self.plan.tolerance,
+                "broken, but for 32 bits": _NEAR_32 * width,
             }
+            allowed = {kind: self.interval(self.rounded, goal, x[i], radius) for kind, radius in radii.items()}
             holds = (kind for kind, (lo, hi) in allowed.items() if lower[i] <= hi + slack and upper[i] >= lo - slack)
             self.fail(f"{name}: {next(holds, 'broken')}", goal, x[i], (lower[i], upper[i]), exact[i], allowed)
 
@@ -263,7 +261,7 @@ class Judge:
         self.counts[f"{name}: asked"] += len(x)
         for each, answer in zip(x, got, strict=True):
             if bool(answer) != self.given.sees(goal, each) and not self._may_see(goal, each, bool(answer)):
-                self.fail(f"{name}: wrong", goal, each, bool(answer), not answer, None)
+                self.fail(f"{name}: wrong", goal, each, bool(answer), not answer)
 
     def _may_see(self, a, b, answer):
         """Return whether a segment or a free path within the tolerance of the given segment has this answer."""
@@ -281,7 +279,7 @@ class Judge:
                 return True
         return False
 
-    def fail(self, kind, goal, x, got, exact, allowed):
+    def fail(self, kind, goal=None, x=None, got=None, exact=None, allowed=None):
         self.counts[kind] += 1
         rings = [ring.tolist() for ring in self.plan.obstacles]
         bounds = [end.tolist() for end in self.plan.bounds]
@@ -309,7 +307,7 @@ def judge(plan, ask):
     is_free = np.array([bool(result.given.sectors_at(as_exact(each))) for each in x])
     pairs = None
     if "pairs" in ask:
-        pairs = _refusing(result, "pairs", lambda: construct_pairs(workspace, max_bytes=2**14))
+        pairs = _refusing(result, "pairs", partial(construct_pairs, workspace, max_bytes=2**14))
     for number, (goal, right) in enumerate(zip(goals, exact, strict=True)):
         own = oracle.with_goal(goal)
         if "oracle" in ask:
@@ -327,13 +325,8 @@ def judge(plan, ask):
             continue
         for leaf, most in (("cone", 120), ("cone", 1000), ("plane", 400)):
             name = f"{leaf}s of {most} bytes"
-            plr = _refusing(
-                result,
-                name,
-                lambda leaf=leaf, most=most, own=own: construct(
-                    own, workspace.bounds, leaf=leaf, max_bytes=most, certified=True
-                ),
-            )
+            make = partial(construct, own, workspace.bounds, leaf=leaf, max_bytes=most, certified=True)
+            plr = _refusing(result, name, make)
             if plr is not None:
                 result.bounds(name, result.placed(goal, plan.tolerance), x, plr.numpy().bounds(x), slack)
     return result
@@ -347,7 +340,7 @@ def _refusing(result, name, make):
             signal.setitimer(signal.ITIMER_PROF, _HANGS)
         return make()
     except RuntimeError as error:
-        result.fail(f"{name}: {error}", result.plan.goals[0], result.plan.points[0], None, None, None)
+        result.fail(f"{name}: {error}", result.plan.goals[0], result.plan.points[0])
     except ValueError as error:
         result.counts[f"{name}: refused: {' '.join(str(error).split()[:12])}"] += 1
 
@@ -366,7 +359,7 @@ def trial(seed, number, ask):
         result.fail("refused", plan.goals[0], plan.points[0], str(error), None, None)
     except Exception as error:
         result = Judge(plan, np.zeros((0, 2, 2)))
-        result.fail(f"{type(error).__name__}: {str(error)[:80]}", plan.goals[0], plan.points[0], None, None, None)
+        result.fail(f"{type(error).__name__}: {str(error)[:80]}", plan.goals[0], plan.points[0])
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
     return result

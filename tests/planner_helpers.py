@@ -92,10 +92,9 @@ def graph_of(lattice):
     graph = nx.DiGraph()
     graph.add_nodes_from(range(len(lattice.q)))
     node, primitive = np.nonzero(np.isfinite(lattice.cost[:, 1:]))
-    cost = lattice.cost[node, primitive + 1].tolist()
-    graph.add_weighted_edges_from(
-        zip(node.tolist(), lattice.child[node, primitive + 1].tolist(), cost, strict=True), "cost"
-    )
+    edges = np.stack([node, lattice.child[node, primitive + 1]], axis=1).tolist()
+    for (begin, end), cost in zip(edges, lattice.cost[node, primitive + 1].tolist(), strict=True):
+        graph.add_edge(begin, end, cost=cost)
     return graph
 
 

@@ -72,10 +72,10 @@ def all_children(joint, terms, state):
     return {tuple(p): s for p, s in zip(primitive[valid].tolist(), score[valid].tolist(), strict=True)}
 
 
-@pytest.mark.parametrize(
-    ("problem", "step", "width"),
-    [(TIGHT_TEAM, 1.0, 10_000), (DISCS, 0.5, 100), *((TIGHT_TEAM, 1.0, width) for width in (1, 7, 100))],
-)
+CHILDREN = [(TIGHT_TEAM, 1.0, 10_000), (DISCS, 0.5, 100), (TIGHT_TEAM, 1.0, 1), (TIGHT_TEAM, 1.0, 100)]
+
+
+@pytest.mark.parametrize(("problem", "step", "width"), CHILDREN)
 def test_children_are_the_best_free_primitives(problem, step, width):
     search = search_of(problem, step, weight=2.0)
     joint, terms, state = search.joint, search.scores, free_states(search.joint, 8, seed=3)
@@ -129,13 +129,10 @@ def test_scores_add_costs_and_weighted_terms(chunk, monkeypatch):
         np.testing.assert_allclose(score, lattice.cost + 3 * table[lattice.child], rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "terms",
-    [lambda q: np.where(q[..., 1] > 5, np.inf, q[..., 0]), lambda q: np.where(q[..., 0] > 4, 1e300, 1e39)],
-    ids=["infinite on every way", "too large for float32"],
-)
-def test_infinite_estimates_prune_nothing(terms):
-    assert validate(DOOR, bl_plan(DOOR, Separable(terms), BLOptions(step=0.5)).path).valid
+@pytest.mark.parametrize("large", [np.inf, 1e300])  # float32 holds at most 3e38
+def test_infinite_estimates_prune_nothing(large):
+    heuristic = Separable(lambda q: np.where(q[..., 1] > 5, large, q[..., 0]))
+    assert validate(DOOR, bl_plan(DOOR, heuristic, BLOptions(step=0.5)).path).valid
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -185,11 +182,10 @@ def nodes_of_reference_search(lattice, term, first):
     return states, costs
 
 
-@pytest.mark.parametrize(
-    ("problem", "step", "weight"),
-    [(DOOR, 0.4, 0.0), (DOOR, 0.4, 1.0), (scenes.maze(), 0.04, 2.0)],
-    ids=["door-0", "door-1", "maze-2"],
-)
+WEIGHTED = [(DOOR, 0.4, 0.0), (DOOR, 0.4, 1.0), (scenes.maze(), 0.04, 2.0)]
+
+
+@pytest.mark.parametrize(("problem", "step", "weight"), WEIGHTED)
 def test_nodes_equal_reference_search(problem, step, weight, monkeypatch):
     monkeypatch.setattr(best_first, "_BATCH", 1)
     search = search_of(problem, step, weight=weight)
@@ -200,10 +196,10 @@ def test_nodes_equal_reference_search(problem, step, weight, monkeypatch):
     np.testing.assert_allclose(search.costs, costs, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("problem", "width", "batch"),
-    [(hallway(4), 1024, 1), (hallway(4), 1, 1), (CELL, 1, 16), (PAIR, 3, 8)],
-)
+EXHAUSTED = [(hallway(4), 1024, 1), (hallway(4), 1, 1), (CELL, 1, 16), (PAIR, 3, 8)]
+
+
+@pytest.mark.parametrize(("problem", "width", "batch"), EXHAUSTED)
 def test_exhausted_search_has_all_reachable_states(problem, width, batch, monkeypatch):
     monkeypatch.setattr(best_first, "_WIDTH", width)
     monkeypatch.setattr(best_first, "_BATCH", batch)
@@ -235,14 +231,14 @@ def test_cut_search_ends_at_memory_limit(monkeypatch):
 # Limits and pauses
 
 
-@pytest.mark.parametrize(
-    ("limit", "status", "num_states"),
-    [
-        ({"max_expansions": 40}, Status.EXPANSION_LIMIT, (41, 2000)),
-        ({"max_memory": 1e6}, Status.MEMORY_LIMIT, (2, 2000)),
-        ({"seconds": 0.0}, Status.TIME_LIMIT, (1, 1)),
-    ],
-)
+LIMITS = [
+    ({"max_expansions": 40}, Status.EXPANSION_LIMIT, (41, 2000)),
+    ({"max_memory": 1e6}, Status.MEMORY_LIMIT, (2, 2000)),
+    ({"seconds": 0.0}, Status.TIME_LIMIT, (1, 1)),
+]
+
+
+@pytest.mark.parametrize(("limit", "status", "num_states"), LIMITS)
 def test_search_stops_at_limit(limit, status, num_states):
     search = search_of(ROOMS, 0.4, zero(), 0.0)
     search.budget = search.memory_use.budget = search_budget(**limit)

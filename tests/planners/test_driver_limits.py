@@ -119,16 +119,12 @@ def test_interrupted_planner_returns_best_path(monkeypatch):
 
 
 def test_interrupted_sequential_path_gets_early_departures(monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
     problem = scenes.four_rooms(3)
     early = planned(problem, max_expansions=1)
-    with monkeypatch.context() as patched:
-        patched.setattr(driver, "first_step", interrupted)
-        solution = planned(problem)
+    interrupt_at(monkeypatch, driver, "first_step", 1)
+    solution = planned(problem)
     assert solution.status is Status.INTERRUPTED and solution.makespan == early.makespan < 0.8 * solution.cost
-    monkeypatch.setattr(driver, "with_early_departures", interrupted)
+    interrupt_at(monkeypatch, driver, "with_early_departures", 1)
     solution = planned(problem, max_expansions=1)
     assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
 
@@ -163,11 +159,10 @@ def test_path_at_time_limit_is_valid(limit):
 
 
 # No other test uses these steps: motions are cached per workspace and step.
-@pytest.mark.parametrize(
-    ("problem", "step"),
-    [(nudged_discs(4), 0.21), (nudged_discs(10), 1.9), (NUDGED_BARS, 0.51), (MIXED, 0.59)],
-    ids=["fine", "coarse", "bars", "mixed"],
-)
+LATTICES = [(nudged_discs(4), 0.21), (nudged_discs(10), 1.9), (NUDGED_BARS, 0.51), (MIXED, 0.59)]
+
+
+@pytest.mark.parametrize(("problem", "step"), LATTICES, ids=["fine", "coarse", "bars", "mixed"])
 def test_lattice_bytes_match_estimate(problem, step):
     _ = joint_lattice_of(problem, 1.5 * step).costs_to_go  # fills caches that all steps share
     tracemalloc.start()

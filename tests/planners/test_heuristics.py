@@ -8,18 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from planner_helpers import ROOM
 
-from plr_jax import (
-    Box,
-    DiscRobot,
-    Euclidean,
-    Problem,
-    RectangleRobot,
-    construct,
-    load,
-    path_cost,
-    robot_distance_fns,
-    scenes,
-)
+from plr_jax import Box, DiscRobot, Euclidean, Problem, RectangleRobot, construct, load, path_cost
 from plr_jax.planners import straight_line, sum_of_distances, zero
 
 DISCS = Problem(ROOM, [DiscRobot(0.4)] * 2, [(1, 1), (1, 9)], [(4, 5), (9, 9)])
@@ -53,7 +42,6 @@ def test_distance_functions_get_their_dim_coordinates():
     assert np.array_equal(heuristic(q), [6, 5])
     both = sum_of_distances([Euclidean((0, 0)), Euclidean((0, 0, 0))])
     assert np.array_equal(both.per_robot([[(3, 4, 1), (3, 4, 12)]]), [[5, 13]])
-    assert robot_distance_fns(scenes.four_rooms(2))[0].dim == 2 and Euclidean((1, 2, 3)).dim == 3
 
 
 def test_empty_batches_and_infinite_distances():

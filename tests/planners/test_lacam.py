@@ -28,15 +28,15 @@ def test_paused_search_equals_whole_search():
     np.testing.assert_array_equal(whole.solution_states, paused.solution_states)
 
 
-@pytest.mark.parametrize(
-    ("limit", "status"),
-    [
-        ({"max_expansions": 7}, Status.EXPANSION_LIMIT),
-        ({"max_memory": 1e4}, Status.MEMORY_LIMIT),
-        ({"seconds": -1.0}, Status.TIME_LIMIT),
-        ({}, None),
-    ],
-)
+LIMITS = [
+    ({"max_expansions": 7}, Status.EXPANSION_LIMIT),
+    ({"max_memory": 1e4}, Status.MEMORY_LIMIT),
+    ({"seconds": -1.0}, Status.TIME_LIMIT),
+    ({}, None),
+]
+
+
+@pytest.mark.parametrize(("limit", "status"), LIMITS)
 def test_search_stops_at_limit(limit, status):
     search = search_of(scenes.door(20), 0.4, search_budget(**limit))
     assert search.run(10) is status and search.budget.memory == search.memory_use.num_bytes > 0

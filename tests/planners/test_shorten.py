@@ -59,11 +59,7 @@ def straight_cost(problem):
     return pytest.approx(motion_costs(problem, problem.starts, problem.goals).sum())
 
 
-@pytest.mark.parametrize(
-    ("problem", "step"),
-    [(scenes.four_rooms(2), 0.5), (scenes.cross(2), 0.4), (MIXED, 0.8)],
-    ids=["rooms", "cross", "mixed"],
-)
+@pytest.mark.parametrize(("problem", "step"), [(scenes.four_rooms(2), 0.5), (scenes.cross(2), 0.4), (MIXED, 0.8)])
 def test_search_paths_become_cheaper(problem, step):
     joint = joint_lattice_of(problem, step)
     search = BestFirstSearch(joint, tabulate(joint, exact(problem)), 2.0, search_budget())

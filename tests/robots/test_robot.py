@@ -10,24 +10,13 @@ from PIL import Image
 from robot_helpers import PEBBLE, WING, AnyShape, sled
 from shapely.geometry import Polygon
 
-from plr_jax import (
-    DiscRobot,
-    PointRobot,
-    PolygonRobot,
-    Problem,
-    RectangleRobot,
-    Workspace,
-    path_cost,
-    plot,
-    scenes,
-    validate,
-)
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, plot, scenes, validate
 from plr_jax.collision.team import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.planners import Stats, Status, bl_plan
 from plr_jax.planners._solution import make_solution
 from plr_jax.plot._paths import timeline
-from plr_jax.robots.robot import shorter_turn, smaller_angle
+from plr_jax.robots.robot import PolygonRobot, shorter_turn, smaller_angle
 
 
 @pytest.mark.parametrize("size", [0, -1, np.nan, np.inf, "wide", None])
