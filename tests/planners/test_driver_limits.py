@@ -139,7 +139,7 @@ def test_best_first_search_stops_at_memory_limit():
 
 
 def test_coarser_lattice_is_tried_if_memory_is_short():
-    problem = scenes.door(4)
+    problem = scenes.door(2)
     roomy = bl_plan(problem, options=BLOptions(searchers=("lacam",)))
     tight = bl_plan(problem, options=BLOptions(searchers=("lacam",), max_memory=0.95 * roomy.stats.num_bytes))
     # The solution states the bytes that the first lattice would have taken.
@@ -159,7 +159,7 @@ def test_path_at_time_limit_is_valid(limit):
 
 
 # No other test uses these steps: motions are cached per workspace and step.
-LATTICES = [(nudged_discs(4), 0.21), (nudged_discs(10), 1.9), (NUDGED_BARS, 0.51), (MIXED, 0.59)]
+LATTICES = [(nudged_discs(4), 0.21), (nudged_discs(7), 1.9), (NUDGED_BARS, 0.51), (MIXED, 0.9)]
 
 
 @pytest.mark.parametrize(("problem", "step"), LATTICES, ids=["fine", "coarse", "bars", "mixed"])
