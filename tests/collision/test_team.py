@@ -8,7 +8,7 @@ import shapely
 from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, random_motions, sampled_distance
 
 from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace
-from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles, motions_apart
+from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles, motions_apart, within_reach
 from plr_jax.collision.walls import MotionTest
 
 TOLERANCE = 1e-9
@@ -151,3 +151,17 @@ def test_moved_rows_equal_a_new_trajectory(seed):
     around, motion = circles(*rng.uniform(0, 4, (2, 40, 2, 3))), rng.integers(0, 11, 40)
     for a, b in zip(traffic.robots_near(2, around, motion), made.robots_near(2, around, motion), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("i, j", [(1, 6), (2, 3), (0, 4)])
+def test_robots_out_of_reach_are_apart(i, j):
+    rng = np.random.default_rng(7)
+    a0, b0 = rng.uniform(0, 4, (2, 200, 2, 3))
+    a1, b1 = (q[:, :1] + rng.normal(0, 0.4, (200, 3, 3)) for q in (a0, b0))
+    a, b = (
+        (a0[:, :, None, None, None], a1[:, None, :, None, None]),
+        (b0[:, None, None, :, None], b1[:, None, None, None]),
+    )
+    meet = np.flatnonzero(~motions_apart(CROWD[i], *a, CROWD[j], *b, TOLERANCE).all(axis=(1, 2, 3, 4)))
+    near = within_reach(CROWD[i], circles(a0, a1), CROWD[j], circles(b0, b1))
+    assert np.isin(meet, near).all() and 0 < len(meet) <= len(near) < 200
