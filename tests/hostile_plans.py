@@ -15,12 +15,10 @@ import tempfile
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import shapely
@@ -44,113 +42,114 @@ _STEPS = [1e-6, 1e-3]  # more of these distances, in widths
 class Plan:
     """Arguments of a workspace, goals and query points."""
 
-    bounds: Any
-    obstacles: list[Any]
+    bounds: tuple
+    obstacles: list
     goals: np.ndarray
     points: np.ndarray
     tolerance: float
 
 
-def hostile_plan(seed: int, number: int, goals: int = 6, points: int = 24) -> Plan:
+def hostile_plan(seed, number, goals=6, points=24):
     rng = np.random.default_rng([seed, number])
     kind = rng.choice(["lattice", "decimals", "floats"])
     lo, hi = {"lattice": ((0, 0), (8, 6)), "decimals": ((0, 0), (1, 1)), "floats": ((-3.7, 2.1), (5.3, 9.4))}[kind]
     lo, hi = np.array(lo, float), np.array(hi, float)
     tolerance = 1e-9 * float((hi - lo).max())
 
-    def place(count: int) -> np.ndarray:
+    def place(count):
         if kind == "floats":
             return lo + rng.random((count, 2)) * (hi - lo)
-        parts = 8 if kind == "lattice" else 1000
-        scaled = rng.integers(0, np.rint((hi - lo) * (1 if kind == "lattice" else parts)).astype(int) + 1, (count, 2))
-        return scaled.astype(float) if kind == "lattice" else scaled / parts
+        parts = 1 if kind == "lattice" else 1000
+        return rng.integers(0, np.rint((hi - lo) * parts).astype(int) + 1, (count, 2)) / parts
 
-    def rectangle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        (x0, y0), (x1, y1) = np.minimum(a, b), np.maximum(a, b)
-        return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
-
-    def star(ring: np.ndarray) -> np.ndarray:
-        middle = ring.mean(axis=0)
-        return ring[np.argsort(np.arctan2(*(ring - middle).T[::-1]))]
-
-    rings: list[np.ndarray] = []
-
-    def ring_of(way: str) -> np.ndarray:
-        a, b, c = place(3)
-        thin = rng.uniform(1, 10) * tolerance
-        old = rings[rng.integers(len(rings))] if rings else rectangle(a, c)
-        vertex = old[rng.integers(len(old))]
-        if way == "rectangle":
-            return rectangle(a, b)
-        if way == "polygon":
-            return star(place(int(rng.integers(3, 6))))
-        if way == "touching":
-            return star(np.stack([vertex, a, b]))
-        if way == "opposite":  # a rectangle that shares a corner with another ring
-            return rectangle(vertex, a)
-        if way == "collinear":  # a rectangle with a side through a vertex of another ring
-            axis = rng.integers(2)
-            one, other = a.copy(), b.copy()
-            one[axis] = vertex[axis]
-            return rectangle(one, other)
-        if way == "flush":
-            axis, end = rng.integers(2), rng.choice([lo, hi])
-            one = a.copy()
-            one[axis] = end[axis]
-            return rectangle(one, b)
-        along = b - a if np.any(b != a) else np.array([1.0, 0.0])
-        across = np.array([-along[1], along[0]]) / np.hypot(*along)
-        if way == "spike":
-            foot = vertex if rng.random() < 0.5 else a
-            return np.stack([foot, foot + thin * across, foot + along * rng.uniform(0.2, 1)])
-        if way == "sliver":
-            axis = rng.integers(2)
-            one, other = (rng.choice([vertex, a])).copy(), b.copy()
-            other[axis] = one[axis] + thin
-            return rectangle(one, other)
-        if way == "slanted":
-            return np.stack([a, b, b + thin * across, a + thin * across])
-        # A gap: a rectangle just beside the upper end of another ring.
-        axis, edge = rng.integers(2), old.max(axis=0)
-        one, other = old.min(axis=0).copy(), edge.copy()
-        one[axis], other[axis] = edge[axis] + thin, edge[axis] + thin + abs(b - a)[axis]
-        return rectangle(one, other)
-
+    rings = []
     ways = ["rectangle", "polygon", "touching", "opposite", "collinear", "flush", "spike", "sliver", "slanted", "gap"]
     for _ in range(rng.integers(2, 8)):
-        ring = ring_of(str(rng.choice(ways, p=np.array([3, 2, 3, 3, 2, 2, 1, 1, 1, 1]) / 19)))
+        way = str(rng.choice(ways, p=np.array([3, 2, 3, 3, 2, 2, 1, 1, 1, 1]) / 19))
+        ring = _ring_of(way, rng, place, rings, lo, hi, tolerance)
         polygon = shapely.Polygon(ring)
         scale = np.ptp(ring, axis=0).max()
         if polygon.is_valid and polygon.area > 1e-11 * scale**2 and len(np.unique(ring, axis=0)) == len(ring):
             rings.append(ring)
-    ends = np.concatenate(
-        [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in [rectangle(lo, hi), *rings]]
-    )
-
-    def beside(count: int) -> Iterator[np.ndarray]:
-        """Return points beside walls, their ends and corners."""
-        for start, end in rng.permutation(ends)[np.arange(count) % len(ends)]:
-            along = (end - start) / np.hypot(*(end - start))
-            across = np.array([-along[1], along[0]])
-            offsets = [tolerance * each for each in _OFFSETS] + [each * (hi - lo).max() for each in _STEPS]
-            away = rng.choice(offsets) * rng.choice([-1, 1])
-            how = rng.choice(["wall", "end", "vertex"], p=[0.4, 0.4, 0.2])
-            if how == "wall":
-                yield start + rng.random() * (end - start) + away * across
-            elif how == "end":
-                yield start + rng.choice(offsets) * rng.choice([1, 1, -1]) * along + away * across
-            else:
-                angle = rng.uniform(0, 2 * np.pi)
-                yield start + away * np.array([np.cos(angle), np.sin(angle)])
-
-    near = np.array(list(beside(8 * (goals + points)))).clip(lo, hi)
+    outline = [_rectangle(lo, hi), *rings]
+    walls = np.concatenate([np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in outline])
+    near = _points_beside(walls, 8 * (goals + points), rng, tolerance, (hi - lo).max()).clip(lo, hi)
     blocked = shapely.buffer(shapely.union_all([shapely.Polygon(ring) for ring in rings]), -tolerance / 2)
     near = near[~shapely.intersects_xy(blocked, *near.T)]
     far = lo + rng.random((points, 2)) * (hi - lo)
     far = far[~shapely.intersects_xy(blocked, *far.T)]
-    return Plan(
-        (lo, hi), rings, near[:goals], np.concatenate([far, near[goals : goals + points - len(far) // 2]]), tolerance
-    )
+    points = np.concatenate([far, near[goals : goals + points - len(far) // 2]])
+    return Plan((lo, hi), rings, near[:goals], points, tolerance)
+
+
+def _rectangle(a, b):
+    (x0, y0), (x1, y1) = np.minimum(a, b), np.maximum(a, b)
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
+
+
+def _star(ring):
+    """Return the corners in the order of their directions from the middle."""
+    return ring[np.argsort(np.arctan2(*(ring - ring.mean(axis=0)).T[::-1]))]
+
+
+def _with_axis(point, axis, value):
+    return np.where(np.arange(2) == axis, value, point)
+
+
+def _ring_of(way, rng, place, rings, lo, hi, tolerance):
+    """Return a random ring, placed in some way beside the rings so far."""
+    a, b, c = place(3)
+    thin = rng.uniform(1, 10) * tolerance
+    old = rings[rng.integers(len(rings))] if rings else _rectangle(a, c)
+    vertex = old[rng.integers(len(old))]
+    if way == "rectangle":
+        return _rectangle(a, b)
+    if way == "polygon":
+        return _star(place(int(rng.integers(3, 6))))
+    if way == "touching":
+        return _star(np.stack([vertex, a, b]))
+    if way == "opposite":  # a rectangle that shares a corner with another ring
+        return _rectangle(vertex, a)
+    if way == "collinear":  # a rectangle with a side through a vertex of another ring
+        axis = rng.integers(2)
+        return _rectangle(_with_axis(a, axis, vertex[axis]), b)
+    if way == "flush":  # a rectangle with a side on the bounds
+        axis, end = rng.integers(2), rng.choice([lo, hi])
+        return _rectangle(_with_axis(a, axis, end[axis]), b)
+    along = b - a if np.any(b != a) else np.array([1.0, 0.0])
+    across = np.array([-along[1], along[0]]) / np.hypot(*along)
+    if way == "spike":
+        foot = vertex if rng.random() < 0.5 else a
+        return np.stack([foot, foot + thin * across, foot + along * rng.uniform(0.2, 1)])
+    if way == "sliver":
+        axis = rng.integers(2)
+        corner = rng.choice([vertex, a])
+        return _rectangle(corner, _with_axis(b, axis, corner[axis] + thin))
+    if way == "slanted":
+        return np.stack([a, b, b + thin * across, a + thin * across])
+    # A gap: a rectangle just beside the upper end of another ring.
+    axis, low, high = rng.integers(2), old.min(axis=0), old.max(axis=0)
+    begin = high[axis] + thin
+    return _rectangle(_with_axis(low, axis, begin), _with_axis(high, axis, begin + abs(b - a)[axis]))
+
+
+def _points_beside(walls, count, rng, tolerance, width):
+    """Return points beside walls, their ends and corners."""
+    points = []
+    for start, end in rng.permutation(walls)[np.arange(count) % len(walls)]:
+        along = (end - start) / np.hypot(*(end - start))
+        across = np.array([-along[1], along[0]])
+        offsets = [tolerance * each for each in _OFFSETS] + [each * width for each in _STEPS]
+        away = rng.choice(offsets) * rng.choice([-1, 1])
+        how = rng.choice(["wall", "end", "vertex"], p=[0.4, 0.4, 0.2])
+        if how == "wall":
+            points.append(start + rng.random() * (end - start) + away * across)
+        elif how == "end":
+            points.append(start + rng.choice(offsets) * rng.choice([1, 1, -1]) * along + away * across)
+        else:
+            angle = rng.uniform(0, 2 * np.pi)
+            points.append(start + away * np.array([np.cos(angle), np.sin(angle)]))
+    return np.array(points)
 
 
 @dataclass
@@ -163,15 +162,15 @@ class Judge:
     failures: list[str] = field(default_factory=list)
 
     @cached_property
-    def given(self) -> ExactPlane:
+    def given(self):
         return ExactPlane(self.plan.bounds, self.plan.obstacles)
 
     @cached_property
-    def rounded(self) -> ExactPlane:
+    def rounded(self):
         """Return the plane after rounding by the workspace."""
         return ExactPlane(self.boundary)
 
-    def free_space(self, rounded: Any):
+    def free_space(self, rounded):
         """Count walls and gaps that vanished by rounding although they are thicker than documented.
 
         Also count outlines of free space that are not the walls by which bounds are judged.
@@ -179,33 +178,21 @@ class Judge:
         self.counts["free space: asked"] += 1
         walls = shapely.multilinestrings(shapely.linestrings(self.boundary))
         if shapely.length(shapely.symmetric_difference(walls, shapely.boundary(rounded))) > 1e-12 * walls.length:
-            self.fail("free space: other walls", None, None, None, None, None)
+            self.fail("free space: other walls")
         solid = shapely.union_all([shapely.Polygon(ring) for ring in self.plan.obstacles])
         given = shapely.box(*np.ravel(self.plan.bounds)) - solid
         for kind, lost in (("wall", rounded - given), ("gap", given - rounded)):
             thick = shapely.buffer(lost, -_VANISHES / 2 * self.plan.tolerance)
             if not thick.is_empty:
-                self.fail(f"free space: a {kind} vanished", thick.bounds[:2], thick.bounds[2:], None, None, None)
+                self.fail(f"free space: a {kind} vanished", thick.bounds[:2], thick.bounds[2:])
 
-    def interval(
-        self, plane: ExactPlane, x: Any, y: Any, radius: float, in_sectors: bool = False
-    ) -> tuple[float, float]:
+    def interval(self, plane, x, y, radius, in_sectors=False):
         """Return the least and largest distance between points within a radius of both ends."""
         starts, ends = ([each, *plane.near(each, radius, in_sectors=in_sectors)] for each in (x, y))
         values = np.concatenate([plane.distances(each, ends) for each in starts])
         return float(values.min()), float(values.max())
 
-    def values(
-        self,
-        name: str,
-        goal: Any,
-        x: np.ndarray,
-        got: np.ndarray,
-        exact: np.ndarray,
-        slack: float,
-        radius: float,
-        in_sectors: bool = False,
-    ):
+    def values(self, name, goal, x, got, exact, slack, radius, in_sectors=False):
         """Count wrong values; with ``in_sectors``, the values of all sectors beside a contact count as right."""
         self.counts[f"{name}: asked"] += len(x)
         with np.errstate(invalid="ignore"):
@@ -217,7 +204,7 @@ class Judge:
             else:
                 self.fail(f"{name}: wrong", goal, x[i], got[i], exact[i], allowed[0])
 
-    def pairs(self, goal: Any, x: np.ndarray, got: np.ndarray, exact: np.ndarray, width: float):
+    def pairs(self, goal, x, got, exact, width):
         """Count wrong distances of pairs; distances beside walls that 32 bits do not resolve may be too short."""
         radius, slack = _NEAR_PAIRS * width, _SLACK_PAIRS * width
         may_lack = np.array([self._is_thin_at(point, radius) for point in [goal, *x]])
@@ -225,7 +212,7 @@ class Judge:
         self.counts["pairs: too short, where 32 bits do not resolve"] += int((may_lack & (got < exact - slack)).sum())
         self.values("pairs", goal, x[~may_lack], got[~may_lack], exact[~may_lack], slack, radius, True)
 
-    def _is_thin_at(self, x: np.ndarray, radius: float) -> bool:
+    def _is_thin_at(self, x, radius):
         """Return whether two walls, or both walls of a thin tip, are within the radius."""
         near = self.boundary[shapely.dwithin(shapely.linestrings(self.boundary), shapely.Point(x), radius)]
         for one in near:
@@ -241,7 +228,7 @@ class Judge:
         vertices = {tuple(end) for wall in near for end in wall.tolist() if np.hypot(*(end - x)) <= radius}
         return any(len(self.rounded.sectors_at(as_exact(vertex))) > 1 for vertex in vertices)
 
-    def bounds(self, name: str, goal: Any, x: np.ndarray, got: Any, slack: float, everywhere: bool = False):
+    def bounds(self, name, goal, x, got, slack, everywhere=False):
         """Count broken bounds; bounds that hold within the tolerance, or for 32-bit points, have separate names.
 
         With ``everywhere``, upper bounds must be ``inf`` at points that cannot be reached, where others mean nothing.
@@ -254,17 +241,15 @@ class Judge:
         judged, width = np.isfinite(exact) | everywhere, float(np.ptp(self.boundary.reshape(-1, 2), axis=0).max())
         self.counts[f"{name}: asked"] += int(judged.sum())
         for i in np.flatnonzero(judged & ((lower > exact + slack) | (upper < exact - slack))):
-            allowed = {
-                kind: self.interval(self.rounded, goal, x[i], radius)
-                for kind, radius in (
-                    ("broken, but within the tolerance", _NEAR * self.plan.tolerance),
-                    ("broken, but for 32 bits", _NEAR_32 * width),
-                )
+            radii = {
+                "broken, but within the tolerance": _NEAR * self.plan.tolerance,
+                "broken, but for 32 bits": _NEAR_32 * width,
             }
+            allowed = {kind: self.interval(self.rounded, goal, x[i], radius) for kind, radius in radii.items()}
             holds = (kind for kind, (lo, hi) in allowed.items() if lower[i] <= hi + slack and upper[i] >= lo - slack)
             self.fail(f"{name}: {next(holds, 'broken')}", goal, x[i], (lower[i], upper[i]), exact[i], allowed)
 
-    def placed(self, x: Any, radius: float) -> Any:
+    def placed(self, x, radius):
         """Return the contact within a radius or, for a point in an obstacle, the nearest point of its walls."""
         near = self.rounded.near(x, radius)
         contacts = [point for point in near if len(self.rounded.sectors_at(as_exact(point))) > 1]
@@ -272,13 +257,13 @@ class Judge:
             return x
         return min(contacts or near, key=lambda point: np.hypot(*(np.array(point, float) - x)), default=x)
 
-    def sight(self, name: str, goal: Any, x: np.ndarray, got: np.ndarray):
+    def sight(self, name, goal, x, got):
         self.counts[f"{name}: asked"] += len(x)
         for each, answer in zip(x, got, strict=True):
             if bool(answer) != self.given.sees(goal, each) and not self._may_see(goal, each, bool(answer)):
-                self.fail(f"{name}: wrong", goal, each, bool(answer), not answer, None)
+                self.fail(f"{name}: wrong", goal, each, bool(answer), not answer)
 
-    def _may_see(self, a: Any, b: Any, answer: bool) -> bool:
+    def _may_see(self, a, b, answer):
         """Return whether a segment or a free path within the tolerance of the given segment has this answer."""
         radius, way = _NEAR * self.plan.tolerance, b - a
         if np.hypot(*way) <= 4 * radius:
@@ -294,7 +279,7 @@ class Judge:
                 return True
         return False
 
-    def fail(self, kind: str, goal: Any, x: Any, got: Any, exact: Any, allowed: Any):
+    def fail(self, kind, goal=None, x=None, got=None, exact=None, allowed=None):
         self.counts[kind] += 1
         rings = [ring.tolist() for ring in self.plan.obstacles]
         bounds = [end.tolist() for end in self.plan.bounds]
@@ -305,7 +290,7 @@ class Judge:
         )
 
 
-def judge(plan: Plan, ask: Collection[str]) -> Judge:
+def judge(plan, ask):
     """Compare all answers of the package about a plan."""
     workspace = Workspace(plan.bounds, plan.obstacles)
     result = Judge(plan, workspace.boundary.segments)
@@ -322,7 +307,7 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
     is_free = np.array([bool(result.given.sectors_at(as_exact(each))) for each in x])
     pairs = None
     if "pairs" in ask:
-        pairs = _refusing(result, "pairs", lambda: construct_pairs(workspace, max_bytes=2**14))
+        pairs = _refusing(result, "pairs", partial(construct_pairs, workspace, max_bytes=2**14))
     for number, (goal, right) in enumerate(zip(goals, exact, strict=True)):
         own = oracle.with_goal(goal)
         if "oracle" in ask:
@@ -340,19 +325,14 @@ def judge(plan: Plan, ask: Collection[str]) -> Judge:
             continue
         for leaf, most in (("cone", 120), ("cone", 1000), ("plane", 400)):
             name = f"{leaf}s of {most} bytes"
-            plr = _refusing(
-                result,
-                name,
-                lambda leaf=leaf, most=most, own=own: construct(
-                    own, workspace.bounds, leaf=leaf, max_bytes=most, certified=True
-                ),
-            )
+            make = partial(construct, own, workspace.bounds, leaf=leaf, max_bytes=most, certified=True)
+            plr = _refusing(result, name, make)
             if plr is not None:
                 result.bounds(name, result.placed(goal, plan.tolerance), x, plr.numpy().bounds(x), slack)
     return result
 
 
-def _refusing(result: Judge, name: str, make: Callable[[], Any]) -> Any:
+def _refusing(result, name, make):
     """Return the result of ``make``, or None if it raises a ``ValueError``."""
     result.counts[f"{name}: made"] += 1
     try:
@@ -360,12 +340,12 @@ def _refusing(result: Judge, name: str, make: Callable[[], Any]) -> Any:
             signal.setitimer(signal.ITIMER_PROF, _HANGS)
         return make()
     except RuntimeError as error:
-        result.fail(f"{name}: {error}", result.plan.goals[0], result.plan.points[0], None, None, None)
+        result.fail(f"{name}: {error}", result.plan.goals[0], result.plan.points[0])
     except ValueError as error:
         result.counts[f"{name}: refused: {' '.join(str(error).split()[:12])}"] += 1
 
 
-def trial(seed: int, number: int, ask: Collection[str]) -> Judge:
+def trial(seed, number, ask):
     """Make and judge a plan; hangs and errors are counted as well."""
     plan = hostile_plan(seed, number)
     signal.setitimer(signal.ITIMER_PROF, _HANGS)
@@ -379,17 +359,17 @@ def trial(seed: int, number: int, ask: Collection[str]) -> Judge:
         result.fail("refused", plan.goals[0], plan.points[0], str(error), None, None)
     except Exception as error:
         result = Judge(plan, np.zeros((0, 2, 2)))
-        result.fail(f"{type(error).__name__}: {str(error)[:80]}", plan.goals[0], plan.points[0], None, None, None)
+        result.fail(f"{type(error).__name__}: {str(error)[:80]}", plan.goals[0], plan.points[0])
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
     return result
 
 
-def _give_up(*_: Any) -> None:
+def _give_up(*_):
     raise RuntimeError("hangs")
 
 
-def main() -> None:
+def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--plans", type=int, default=2_000)
     parser.add_argument("--first", type=int, default=0, help="number of the first plan")

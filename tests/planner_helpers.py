@@ -8,20 +8,9 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax import (
-    BLOptions,
-    DiscRobot,
-    PointRobot,
-    Problem,
-    RectangleRobot,
-    Workspace,
-    bl_plan,
-    robot_distance_fns,
-    scenes,
-    validate,
-)
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, robot_distance_fns, scenes, validate
 from plr_jax.collision.team import JointMotionTest, motions_apart
-from plr_jax.planners import sum_of_distances
+from plr_jax.planners import BLOptions, bl_plan, sum_of_distances
 from plr_jax.planners._solution import SearchBudget
 from plr_jax.planners.lattice import build_lattices
 
@@ -103,10 +92,9 @@ def graph_of(lattice):
     graph = nx.DiGraph()
     graph.add_nodes_from(range(len(lattice.q)))
     node, primitive = np.nonzero(np.isfinite(lattice.cost[:, 1:]))
-    cost = lattice.cost[node, primitive + 1].tolist()
-    graph.add_weighted_edges_from(
-        zip(node.tolist(), lattice.child[node, primitive + 1].tolist(), cost, strict=True), "cost"
-    )
+    edges = np.stack([node, lattice.child[node, primitive + 1]], axis=1).tolist()
+    for (begin, end), cost in zip(edges, lattice.cost[node, primitive + 1].tolist(), strict=True):
+        graph.add_edge(begin, end, cost=cost)
     return graph
 
 

@@ -1,4 +1,4 @@
-"""Teams on their lattices, for tests of the planners that move them step by step."""
+"""Teams and their lattices, for tests of planners that move robots step by step."""
 
 import shapely
 from planner_helpers import joint_lattice_of, search_budget
@@ -14,7 +14,7 @@ MIXED = Problem(
     [(5.3, 4.4, 0), (5.2, 1.2, -2.0), (0.6, 0.5, 0), (0.4, 4.6, 0), (1.0, 4.0, 0.0)],
 )
 
-TEAMS = {"rooms": (scenes.four_rooms(4), 0.5), "crowd": (scenes.crowd(12), 0.4), "mixed": (MIXED, 0.6)}
+TEAMS = {"rooms": (scenes.four_rooms(4), 0.5), "crowd": (scenes.crowd(8), 0.4), "mixed": (MIXED, 0.6)}
 
 
 def team_of(problem, step):

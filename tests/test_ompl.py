@@ -9,6 +9,7 @@ from plr_jax import Box, Euclidean, VisibilityGraph, construct, ompl_objective, 
 
 base = pytest.importorskip("ompl.base", reason="OMPL is not installed: pip install 'plr-jax[ompl]'")
 geometric = pytest.importorskip("ompl.geometric")
+util = pytest.importorskip("ompl.util")
 
 
 @pytest.fixture(scope="module")
@@ -45,27 +46,28 @@ def state_at(space, point):
     return state
 
 
-def test_heuristics_never_exceed_the_truth_and_know_the_walls(maze, setup):
+def test_motion_cost_heuristic_is_a_lower_bound_above_straight_lines(maze, setup):
     problem, oracle, plr = maze
     space, objective = setup.getStateSpace(), ompl_objective(setup.getSpaceInformation(), plr)
-    x, y = problem.workspace.sample_free(150, 0), problem.workspace.sample_free(150, 1)
-    y[:50] = problem.goals[0]
+    x, y = problem.workspace.sample_free(60, 0), problem.workspace.sample_free(60, 1)
+    y[:20] = problem.goals[0]
     true = oracle.between(x, y)
     states = zip(*([state_at(space, each) for each in points] for points in (x, y)), strict=True)
     found = np.array([objective.motionCostHeuristic(*pair).value() for pair in states])
     straight = np.linalg.norm(x - y, axis=1)
     assert (found <= true + 1e-12).all() and (found >= straight - 1e-12).all()
-    np.testing.assert_allclose(found[:50], true[:50], atol=4 * plr.max_error)  # the cost-to-go
-    assert (found[50:] > 1.05 * straight[50:]).mean() > 0.3  # and of others too it says more than a straight line
+    np.testing.assert_allclose(found[:20], true[:20], atol=4 * plr.max_error)  # the cost-to-go
+    assert (found[20:] > 1.05 * straight[20:]).mean() > 0.3
 
 
-def test_a_motion_costs_its_length(maze, setup):
+def test_motion_costs_its_length(maze, setup):
     space, objective = setup.getStateSpace(), ompl_objective(setup.getSpaceInformation(), maze[2])
     a, b = state_at(space, (0.1, 0.1)), state_at(space, (0.4, 0.5))
     assert objective.motionCost(a, b).value() == pytest.approx(0.5)
 
 
-def test_bit_star_asks_for_it_and_finds_a_short_valid_path(maze, setup):
+def test_bit_star_finds_short_valid_path(maze, setup):
+    util.RNG.setSeed(1)
     problem, oracle, plr = maze
     asked = []
 
@@ -75,7 +77,7 @@ def test_bit_star_asks_for_it_and_finds_a_short_valid_path(maze, setup):
 
     objective = ompl_objective(setup.getSpaceInformation(), plr, coordinates=place)
     shortest = oracle(problem.starts[:1])[0]
-    objective.setCostThreshold(base.Cost(1.05 * shortest))
+    objective.setCostThreshold(base.Cost(1.15 * shortest))
     setup.setOptimizationObjective(objective)
     setup.setPlanner(geometric.BITstar(setup.getSpaceInformation()))
     assert setup.solve(30.0)
@@ -87,13 +89,7 @@ def test_bit_star_asks_for_it_and_finds_a_short_valid_path(maze, setup):
     assert len(asked) > 100
 
 
-def test_a_plr_of_which_nothing_is_proven_is_refused(setup):
-    plr = construct(Euclidean((0.2, 0.2)), Box((0, 0), (0.5, 0.5)), max_leaves=10)
-    with pytest.raises(ValueError, match="Nothing is proven"):
-        ompl_objective(setup.getSpaceInformation(), plr)
-
-
-def test_outside_the_domain_it_is_the_distance(maze):
+def test_heuristic_outside_domain_is_straight_distance(maze):
     space = bounded(base.RealVectorStateSpace(2), -5.0, 5.0)
     objective = ompl_objective(base.SpaceInformation(space), maze[2])
     inside, outside = state_at(space, maze[0].starts[0]), state_at(space, (-3, 0.5))
@@ -101,28 +97,31 @@ def test_outside_the_domain_it_is_the_distance(maze):
         assert objective.motionCostHeuristic(*pair).value() == space.distance(*pair)
 
 
-def test_headings(maze):
+def test_heuristic_ignores_headings(maze):
     space = bounded(base.SE2StateSpace())
     objective = ompl_objective(base.SpaceInformation(space), maze[2])
     states = [space.allocState(), space.allocState()]
-    for state, (x, y) in zip(states, (maze[0].starts[0][:2], maze[0].goals[0][:2]), strict=True):
-        state.setX(float(x))
-        state.setY(float(y))
+    for state, q in zip(states, (maze[0].starts[0], maze[0].goals[0]), strict=True):
+        state.setX(float(q[0]))
+        state.setY(float(q[1]))
         state.setYaw(0.3)
     found, true = objective.motionCostHeuristic(*states).value(), maze[1](maze[0].starts[:1])[0]
     assert true - 4 * maze[2].max_error <= found <= true
 
 
 @pytest.mark.usefixtures("unchecked_types")
-def test_wrong_arguments_are_named(maze, setup):
+def test_invalid_arguments_raise(maze, setup):
     information = setup.getSpaceInformation()
+    unproven = construct(Euclidean((0.2, 0.2)), Box((0, 0), (0.5, 0.5)), max_leaves=10)
+    with pytest.raises(ValueError, match="Nothing is proven"):
+        ompl_objective(information, unproven)
     with pytest.raises(ValueError, match="plr must be a PLR, got <function"):
         ompl_objective(information, lambda x: x)
     with pytest.raises(ValueError, match=r"RealVectorStateSpace of 1 dimensions .* PLR of 2: pass coordinates="):
         ompl_objective(base.SpaceInformation(base.RealVectorStateSpace(1)), maze[2])
 
 
-def test_without_ompl_it_says_what_to_install(maze, monkeypatch):
+def test_missing_ompl_error_says_what_to_install(maze, monkeypatch):
     monkeypatch.setitem(sys.modules, "ompl", None)
     with pytest.raises(ImportError, match=r"pip install 'plr-jax\[ompl\]'"):
         ompl_objective(None, maze[2])

@@ -1,6 +1,4 @@
-"""What is tested in portions, under a clock, is what is tested at once."""
-
-import itertools
+"""Collision tests in portions, and under a deadline, give the answers of one large test."""
 
 import numpy as np
 import pytest
@@ -19,22 +17,19 @@ from plr_jax.robots.robot import PolygonRobot
 
 BLOCKS = [[(x, y), (x + 0.3, y), (x + 0.2, y + 0.4)] for x in (0.5, 1.5, 2.5) for y in (0.5, 1.5, 2.5)]
 ROOM = Workspace(((0, 0), (4, 4)), BLOCKS)
-MIDDLE = np.array([2.0, 2.0, 0.0])
+ANGLE = np.arange(60) * np.pi / 30
+ELLIPSE = PolygonRobot(np.column_stack([0.5 * np.cos(ANGLE), 0.4 * np.sin(ANGLE)]))
 LONG_AGO = -1.0  # on the clock
 
 
-def ellipse(num_corners, width=0.5, height=0.4):
-    angle = np.arange(num_corners) * 2 * np.pi / num_corners
-    return PolygonRobot(np.column_stack([width * np.cos(angle), height * np.sin(angle)]))
-
-
-def columns(num, reach=0.3):
+def random_columns(num, reach=0.3):
     q0, q1 = random_motions(np.random.default_rng(2), num, 4.0, reach, 1.0)
-    return q0 + MIDDLE, q1 + MIDDLE
+    middle = np.array([2.0, 2.0, 0.0])
+    return q0 + middle, q1 + middle
 
 
 @given(st.integers(3, 300), st.integers(0, 1000), st.floats(1e-6, 1.0))
-def test_the_lowest_of_many_corners_is_found_in_every_direction(num_corners, seed, flatness):
+def test_lowest_corner_equals_brute_force(num_corners, seed, flatness):
     rng = np.random.default_rng(seed)
     angle = np.sort(rng.uniform(0, 2 * np.pi, (num_corners, 4)), axis=0)
     if seed % 2:  # crowded in one place
@@ -47,26 +42,22 @@ def test_the_lowest_of_many_corners_is_found_in_every_direction(num_corners, see
     np.testing.assert_allclose(bodies._lowest(corners, nx, ny), expected, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("corners", "reach", "most"), [(500, -1e-9, 1 << 16), (40, 0.1, 1 << 16), (2, -1e-9, 1 << 16)]
-)
-def test_few_bodies_are_judged_at_a_time_however_long_they_are_in_doubt(corners, reach, most):
-    judged = []
+@pytest.mark.parametrize(("corners", "reach"), [(500, -1e-9), (40, 0.1), (2, -1e-9)])
+def test_bisection_limits_corner_pairs_per_call(corners, reach):
+    sizes, most = [], 1 << 16
 
     def undecided(a, b, reach):
-        judged.append(len(a.x) * (corners * corners if reach > 0 else corners + corners))
+        sizes.append(len(a.x) * (corners * corners if reach > 0 else corners + corners))
         return np.zeros(len(a.x), dtype=bool), np.zeros(len(a.x), dtype=bool)
 
-    q0, q1 = columns(3)
-    body = bodies.moving_bodies(BAR, q0, q1).with_size(np.zeros((2, corners)))
+    body = bodies.moving_bodies(BAR, *random_columns(3)).with_size(np.zeros((2, corners)))
     assert not bodies.bisect(undecided, body, body, reach).any()
-    assert max(judged) <= most
-    assert sum(judged) > most  # all at once would be more
+    assert max(sizes) <= most < sum(sizes)  # one call for all bodies would be larger
 
 
-@pytest.mark.parametrize("robots", list(itertools.combinations([BAR, WING, PEBBLE, DISC, ellipse(60)], 2)))
-def test_pairs_in_portions(robots, monkeypatch):
-    (a0, a1), (b0, b1) = columns(40), columns(30, 0.5)
+@pytest.mark.parametrize("robots", [(BAR, ELLIPSE), (WING, PEBBLE), (DISC, BAR)])
+def test_pairs_in_portions_equal_one_call(robots, monkeypatch):
+    (a0, a1), (b0, b1) = random_columns(20), random_columns(15, 0.5)
     motions = robots[0], a0[:, None], a1[:, None], robots[1], b0, b1
     whole = motions_apart(*motions, 1e-9)
     row = motions_apart(robots[0], a0[3:4], a1[3:4], robots[1], b0, b1, 1e-9)
@@ -77,17 +68,17 @@ def test_pairs_in_portions(robots, monkeypatch):
     assert 0 < whole.mean() < 1
 
 
-@pytest.mark.parametrize("robot", [POINT, DISC, BAR, WING, PEBBLE, ellipse(60)], ids=repr)
-def test_walls_in_portions(robot, monkeypatch):
-    q0, q1 = columns(300)
+@pytest.mark.parametrize("robot", [POINT, DISC, BAR, ELLIPSE], ids=["point", "disc", "bar", "ellipse"])
+def test_walls_in_portions_equal_one_call(robot, monkeypatch):
+    q0, q1 = random_columns(150)
     whole = MotionTest(ROOM, robot)(q0, q1)
-    for module, name, value in ((walls, "_PAIRS", 5), (walls, "_CENTERS", 100), (bodies, "_CORNERS", 20)):
+    for module, name, value in ((walls, "_PAIRS", 5), (walls, "_CENTERS", 60), (bodies, "_CORNERS", 20)):
         monkeypatch.setattr(module, name, value)
     np.testing.assert_array_equal(MotionTest(ROOM, robot)(q0, q1), whole)
     assert 0 < whole.mean() < 1
 
 
-def test_clearance_is_the_same_by_a_tree(monkeypatch):
+def test_clearance_by_tree_equals_clearance_by_lines(monkeypatch):
     x = np.random.default_rng(0).uniform(-1, 5, (500, 2))
     by_lines = ROOM.clearance(x)
     monkeypatch.setattr(workspaces, "_MANY_EDGES", 0)
@@ -96,32 +87,31 @@ def test_clearance_is_the_same_by_a_tree(monkeypatch):
 
 
 @pytest.mark.parametrize("robot", [POINT, DISC, BAR])
-def test_tests_end_at_the_deadline(robot):
-    q0, q1 = columns(50)
-    test = MotionTest(ROOM, robot)
+def test_collision_tests_past_deadline_raise(robot):
+    q0, q1 = random_columns(50)
+    test, late = MotionTest(ROOM, robot), JointMotionTest(ROOM, [robot, BAR], LONG_AGO)
     with pytest.raises(TimeoutError, match="before all motions were tested"):
         test(q0, q1, LONG_AGO)
-    with pytest.raises(TimeoutError):
-        MotionTest(ROOM, robot, LONG_AGO)
-    with pytest.raises(TimeoutError):
-        motions_apart(robot, q0, q1, BAR, q0, q1, 1e-9, LONG_AGO)
-    late = JointMotionTest(ROOM, [robot, BAR], LONG_AGO)
-    with pytest.raises(TimeoutError):
-        late.apart(0, q0, q1, 1, q0, q1)
+    for call, arguments in (
+        (MotionTest, (ROOM, robot, LONG_AGO)),
+        (motions_apart, (robot, q0, q1, BAR, q0, q1, 1e-9, LONG_AGO)),
+        (late.apart, (0, q0, q1, 1, q0, q1)),
+    ):
+        with pytest.raises(TimeoutError):
+            call(*arguments)
 
 
-def test_bodies_in_doubt_are_given_up_at_the_deadline(monkeypatch):
+def test_bisection_ends_at_deadline(monkeypatch):
     clock = iter(range(1000))
     monkeypatch.setattr(_arrays.time, "perf_counter", lambda: next(clock))
-    q0, q1 = columns(20)
-    body = bodies.moving_bodies(BAR, q0, q1).with_size(np.zeros((2, 4)))
+    body = bodies.moving_bodies(BAR, *random_columns(20)).with_size(np.zeros((2, 4)))
     never = np.zeros(20, dtype=bool)
     with pytest.raises(TimeoutError):
         bodies.bisect(lambda a, b, reach: (np.resize(never, len(a.x)),) * 2, body, body, -1e-9, deadline=5)
     assert next(clock) == 7  # six judgements were begun at most
 
 
-def test_motion_tests_are_kept_whatever_their_deadlines():
+def test_motion_tests_are_cached_per_workspace():
     room = Workspace(((0, 0), (4, 4)), BLOCKS)
     with pytest.raises(TimeoutError):
         motion_test(room, DISC, LONG_AGO)

@@ -1,41 +1,12 @@
-"""The planner: what it solves, each path checked by an independent test, its options, limits and interruptions."""
+"""The planner: problems that it solves (an independent test checks each path), its heuristics and its options."""
 
-import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from planner_helpers import (
-    DOOR,
-    ROOM,
-    ROOMS,
-    exact,
-    graph_of,
-    hallway,
-    joint_lattice_of,
-    nudged_discs,
-    nudged_team,
-    planned,
-)
+from planner_helpers import DOOR, ROOM, ROOMS, exact, hallway, joint_lattice_of, nudged_discs, nudged_team, planned
 
-from experiments import _dbcbs
-from plr_jax import (
-    BLOptions,
-    DiscRobot,
-    PointRobot,
-    Problem,
-    RectangleRobot,
-    Status,
-    Workspace,
-    bl_plan,
-    replan,
-    robot_distance_fns,
-    scenes,
-    straight_line,
-    sum_of_distances,
-    validate,
-    zero,
-)
-from plr_jax.planners import driver
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, robot_distance_fns, scenes, validate
+from plr_jax.planners import BLOptions, Status, bl_plan, driver, replan, straight_line, sum_of_distances, zero
 
 LARGE = Workspace(((0, 0), (1000, 1000)))
 
@@ -45,118 +16,65 @@ LARGE = Workspace(((0, 0), (1000, 1000)))
 
 @pytest.mark.parametrize(
     "problem",
-    [DOOR, scenes.maze(), scenes.four_rooms(4), scenes.four_rooms(8), scenes.cross(3), scenes.tangle()],
-    ids=["door", "maze", "rooms-4", "rooms-8", "cross-3", "tangle"],
+    [
+        pytest.param(DOOR, id="door"),
+        pytest.param(scenes.four_rooms(3), id="rooms"),
+        pytest.param(scenes.cross(2), id="cross"),
+        pytest.param(scenes.tangle(), id="tangle", marks=pytest.mark.full),
+    ],
 )
-def test_scenes(problem):
+def test_scenes_are_solved_near_the_shortest_ways(problem):
     solution = planned(problem)
     assert solution.status is Status.SOLVED
-    # The joint cost has the robots' own shortest ways as a bound, but for what inflating corners rounds off.
+    # The robots' own shortest ways bound the joint cost, except for the rounding of inflated corners.
     alone = float(exact(problem)(problem.starts[None])[0])
     assert solution.cost >= (1 - 1e-3) * alone
     # Measured: up to 1.03 for discs, and up to 1.31 for rectangles, whose turns the bound leaves out.
     assert solution.cost <= (1.05 if problem.dof == 2 else 1.35) * alone
 
 
-@pytest.mark.parametrize("width", [3, 4])
-def test_a_full_ring_of_discs_moves_on_by_one(width):
-    """Each disc all but fills its cell of a ring, at whose corners they cannot all move at once."""
-    ring = [*((x, 0) for x in range(width)), (width - 1, 1), *((x, 2) for x in range(width)[::-1]), (0, 1)]
-    starts = np.array(ring) + 0.5
-    workspace = Workspace(((0, 0), (width, 3)), [[(1, 1), (width - 1, 1), (width - 1, 2), (1, 2)]])
+def test_full_ring_of_discs_rotates():
+    """Each disc almost fills its cell of a ring. The discs cannot all pass the corners at once."""
+    starts = np.array([(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1)]) + 0.5
+    workspace = Workspace(((0, 0), (3, 3)), [shapely.box(1, 1, 2, 2)])
     problem = Problem(workspace, [DiscRobot(0.4)] * len(starts), starts, np.roll(starts, -1, axis=0))
     solution = bl_plan(problem, options=BLOptions(max_expansions=1000))
     assert solution.solved and validate(problem, solution.path).valid
     assert len(starts) - 1e-9 <= solution.cost < 1.05 * len(starts)  # each goes a side of a cell at least
 
 
-@pytest.mark.parametrize("num_cells", [5, 7])
-def test_no_point_squeezes_through_a_contact_at_the_center_of_a_cell(num_cells):
+def test_points_go_around_contact_at_cell_center():
     boxes = [[(0, 0), (1, 0), (1, 1), (0, 1)], [(1, 1), (2, 1), (2, 2), (1, 2)]]  # they touch at (1, 1)
     workspace, above, below = Workspace(((-1, -1), (3, 3)), boxes), (0.5, 1.5), (1.5, 0.5)
-    step = 4 / num_cells
-    solution = planned(Problem(workspace, [PointRobot()], [above], [below]), step=step)
+    solution = planned(Problem(workspace, [PointRobot()], [above], [below]), step=0.8)
     assert 2 + np.sqrt(2) - 1e-9 <= solution.cost < 4.5  # around either box
-    # One that ends there may come from any side, and another one must not go through its goal.
+    # A robot that ends at the contact may come from any side. Another robot must not go through it.
     team = Problem(workspace, [PointRobot()] * 3, [above, below, (1, 1)], [(1, 1), (1, 1), above])
-    assert planned(team, step=step).cost == pytest.approx(3 * np.sqrt(0.5))
+    assert planned(team, step=0.8).cost == pytest.approx(3 * np.sqrt(0.5))
 
 
-DBCBS = ["alcove_unicycle", "alcove_unicycle_sphere", "at_goal_unicycle", "classic", "gen_p10_n8_0_unicycle_sphere"]
-DBCBS += ["swap4_unicycle_sphere", "wall", "window2_unicycle", "window4_unicycle_sphere"]
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("name", DBCBS)
-def test_problems_of_dbcbs_their_robots_holonomic(data_dir, name):
-    assert planned(_dbcbs.read_problem(data_dir / "dbcbs" / f"{name}.yaml")).status is Status.SOLVED
-
-
-def test_infeasible_problems_are_refused_before_planning(data_dir):
-    with pytest.raises(ValueError, match="Robots 0 and 1 overlap at their goals"):
-        _dbcbs.read_problem(data_dir / "dbcbs" / "infeasible_0.yaml")
-    wall = Workspace(((0, 0), (6, 6)), [shapely.box(2, 0, 3, 6)])
-    with pytest.raises(ValueError, match=r"Robot 0 has its goal .* cut off"):
-        Problem(wall, [DiscRobot(0.3)], [(1, 1)], [(5, 5)])
-
-
-CROWD = scenes.crowd(40, seed=3)
+CROWD = scenes.crowd(8, seed=3)
 BAY = Workspace(((0, 0), (7, 2.2)), [shapely.box(0, 1, 3.1, 2.2), shapely.box(4.05, 1, 7, 2.2)])
 TINY = Workspace(((0, 1e6), (0.06, 1e6 + 0.04)), [shapely.box(0.02, 1e6, 0.03, 1e6 + 0.03)])
 SOLVED = {
-    "a perturbed door": (scenes.perturbed(DOOR, 0), {}),
-    "perturbed rooms": (scenes.perturbed(scenes.four_rooms(3), 1), {}),
-    "a perturbed cross": (scenes.perturbed(scenes.cross(2), 2), {}),
     "a crowd": (CROWD, {"heuristic": straight_line(CROWD), "step": 0.4}),
     "a bay narrower than a cell of the first lattice": (
         Problem(BAY, [DiscRobot(0.45)] * 2, [(0.6, 0.5), (6.4, 0.5)], [(6.4, 0.5), (0.6, 0.5)]), {}),
     "a disc that is small in a large map": (
         Problem(LARGE, [DiscRobot(1e-3)], [(1, 2)], [(990, 20)]), {"max_expansions": 2000}),
-    "a rectangle that is small in a large map": (
-        Problem(LARGE, [RectangleRobot(2, 1)], [(1, 2, 0)], [(990, 20, 1)]), {"max_expansions": 2000}),
     "walls far from the origin": (Problem(TINY, [PointRobot()], [(0.01, 1e6 + 0.01)], [(0.05, 1e6 + 0.011)]), {}),
     "ends that touch walls and one another": (
         Problem(ROOM, [DiscRobot(0.5)] * 2, [(0.5, 0.5), (1.5, 0.5)], [(9.5, 9.5), (8.5, 9.5)]), {}),
-    **{
-        f"goals in the cells of starts, {robot}, by {searcher}": (
-            nudged_team(robot), {"searchers": (searcher,), "step": 1.0})
-        for robot in (DiscRobot(0.15), RectangleRobot(0.4, 0.1)) for searcher in ("lacam", "bl")
-    },
+    "goals of discs in the cells of starts": (nudged_team(DiscRobot(0.15)), {"searchers": ("bl",), "step": 1.0}),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(("problem", "options"), SOLVED.values(), ids=SOLVED)
-def test_what_is_solved(problem, options):
+def test_problem_is_solved(problem, options):
     planned(problem, **options)
 
 
-def test_a_team_of_unequal_robots():
-    workspace = Workspace(((0, 0), (8, 6)), [shapely.box(3.8, 0, 4.2, 2), shapely.box(3.8, 4, 4.2, 6)])
-    robots = [PointRobot(), DiscRobot(0.5), RectangleRobot(1.4, 0.5)]
-    starts = [(1, 1, 9), (1, 5, 8), (6.5, 5, 0.5)]
-    goals = [(7, 5, 9), (6.5, 1.5, 8), (1.2, 1.2, 2)]
-    problem = Problem(workspace, robots, starts, goals)
-    solution = planned(problem)
-    assert (solution.path[:, :2, 2] == (9, 8)).all(), "round robots keep the heading of their start"
-
-
-def test_a_robot_on_its_goal_leaves_and_comes_back():
-    bay = Workspace(((0, 0), (7, 2.2)), [shapely.box(0, 1, 3, 2.2), shapely.box(4.2, 1, 7, 2.2)])
-    problem = Problem(bay, [DiscRobot(0.45)] * 2, [(0.6, 0.5), (3.6, 0.5)], [(6.4, 0.5), (3.6, 0.5)])
-    solution = planned(problem)
-    away = solution.path[:, 1, 1]
-    assert away[0] == away[-1] == 0.5 and away.max() > 1.3, "the second robot waits in the bay"
-
-
-def test_packed_discs_move_from_place_to_place():
-    places = np.array([(x + 0.5, y + 0.5) for x in range(3) for y in range(3)])
-    starts, goals = places[:8], places[[7, 0, 1, 4, 8, 6, 3, 5]]
-    problem = Problem(Workspace(((0, 0), (3, 3)), []), [DiscRobot(0.5)] * 8, starts, goals)
-    assert driver.first_step(problem) == 1.0
-    planned(problem)
-
-
-def test_small_robots_beside_large_ones_have_a_lattice_of_their_size():
+def test_step_fits_the_robots_that_replan():
     robots, starts = [DiscRobot(3.65), DiscRobot(0.3)], [(5, 3.65), (0.5, 0.5)]
     before = Problem(ROOM, robots, starts, [(5, 3.65), (0.5, 9.5)])
     problem = Problem(ROOM, robots, starts, [(5, 3.65), (9.5, 0.5)])
@@ -165,34 +83,33 @@ def test_small_robots_beside_large_ones_have_a_lattice_of_their_size():
     assert solution.stats.found_by == "replan" and validate(problem, solution.path).valid
 
 
-def test_a_robot_may_be_wider_than_its_workspace_by_the_tolerance():
+def test_robot_may_be_wider_than_workspace_by_tolerance():
     workspace = Workspace(((1e10, 1e10), (1e10 + 1, 1e10 + 1)))
     start, goal = (1e10 + 0.5, 1e10 + 0.5), (1e10 + 0.501, 1e10 + 0.5)
     problem = Problem(workspace, [DiscRobot(0.5 + workspace.tolerance / 2)], [start], [goal])
     assert driver.first_step(problem) == 1.0
 
 
-def test_crowds_take_wider_steps_than_a_few_robots():
+def test_crowds_take_wider_steps():
     steps = [driver.first_step(scenes.crowd(size)) for size in (40, 100, 200, 500)]
     assert steps[0] == steps[1] == pytest.approx(0.4) and steps[1] < steps[2] <= steps[3] < 0.8
     halls = Workspace(((0, 0), (31, 15)), [shapely.box(15, 0, 16, 6.9), shapely.box(15, 8.1, 16, 15)])
     places = [(1 + 1.4 * i, 1 + 1.44 * j) for i in range(10) for j in range(10)]
     places += [(31 - x, y) for x, y in places]
     problem = Problem(halls, [DiscRobot(0.4)] * 200, places, places[::-1])
-    assert driver.first_step(problem) == 0.4, "the door is narrower than a wider step leaves it open"
+    assert driver.first_step(problem) == 0.4, "a wider step would miss the door"
 
 
-def test_a_passage_that_the_first_lattice_lacks_is_found_where_the_way_around_is_long():
+def test_passage_that_first_lattice_misses_is_found():
     lower, upper = [(4.5, 0), (5.5, 0), (5.5, 2.69), (4.5, 2.69)], [(4.5, 3.51), (5.5, 3.51), (5.5, 8.8), (4.5, 8.8)]
     workspace = Workspace(((0, 0), (10, 10)), [lower, upper])
     problem = Problem(workspace, [DiscRobot(0.4)] * 2, [(1, 3), (1, 5)], [(9, 3), (9, 5)])
     assert bl_plan(problem, options=BLOptions(("lacam",), step=0.4)).cost > 27
-    for searchers in (("lacam",), ("bl",), ("lacam", "bl")):
-        assert planned(problem, exact(problem), searchers=searchers).cost < 17.2
+    assert planned(problem, exact(problem), searchers=("lacam",)).cost < 17.2
 
 
 @pytest.mark.parametrize("weight", [None, 0.0])
-def test_a_start_that_is_the_goal(weight):
+def test_start_at_goal_costs_nothing(weight):
     problem = Problem(ROOM, [DiscRobot(0.4), DiscRobot(0.5)], [(1, 1), (5, 5)], [(1, 1), (5, 5)])
     solution = planned(problem, straight_line(problem), heuristic_weight=weight)
     assert solution.status is Status.SOLVED and solution.cost == solution.makespan == solution.lower_bound == 0
@@ -200,23 +117,23 @@ def test_a_start_that_is_the_goal(weight):
 
 
 @pytest.mark.parametrize("start", [0.0, 1.0])
-def test_a_goal_that_is_the_start_but_for_a_whole_turn(start):
+def test_whole_turn_costs_nothing(start):
     problem = Problem(ROOM, [RectangleRobot(1, 0.5)], [(5, 5, start)], [(5, 5, start + 2 * np.pi)])
     solution = planned(problem, straight_line(problem), time_limit=20)
     assert solution.cost == pytest.approx(0, abs=1e-12)
 
 
-def test_many_robots_that_are_only_nudged_go_straight():
-    problem = nudged_discs(8)
+def test_many_robots_with_near_goals_go_straight():
+    problem = nudged_discs(4)
     solution = bl_plan(problem)
     assert solution.solved and validate(problem, solution.path).valid
-    assert solution.cost == pytest.approx(64 * np.hypot(0.1, 0.1))
-    # 6,400 cells: one table of their motions, and a column of costs for each robot.
-    assert solution.stats.num_bytes < 2e7
+    assert solution.cost == pytest.approx(16 * np.hypot(0.1, 0.1))
+    # 1,600 cells: one table of their motions, and a column of costs for each robot.
+    assert solution.stats.num_bytes < 5e6
 
 
 @pytest.mark.parametrize("robot", [PointRobot(), DiscRobot(0.3), RectangleRobot(1, 0.4)])
-def test_an_empty_room_is_crossed_straight(robot):
+def test_empty_room_is_crossed_straight(robot):
     dof = 3 if isinstance(robot, RectangleRobot) else 2
     problem = Problem(ROOM, [robot], [(1.03, 2.1, 0.3)[:dof]], [(8.7, 6.9, -0.9)[:dof]])
     solution = planned(problem, straight_line(problem), cost_factor=1.0)
@@ -226,12 +143,8 @@ def test_an_empty_room_is_crossed_straight(robot):
 # Where nothing is found
 
 
-@pytest.mark.parametrize(
-    ("problem", "step", "num_nodes"),
-    [(hallway(5), 1.0, 10), (ROOMS, 1e12, 0)],
-    ids=["robots that cannot pass", "a lattice of one cell"],
-)
-def test_what_has_no_path_is_exhausted(problem, step, num_nodes):
+@pytest.mark.parametrize(("problem", "step", "num_nodes"), [(hallway(5), 1.0, 10), (ROOMS, 1e12, 0)])
+def test_problem_without_path_is_exhausted(problem, step, num_nodes):
     solution = bl_plan(problem, zero(), BLOptions(("bl",), step=step, time_limit=5))
     assert solution.status is Status.EXHAUSTED and solution.path is None and solution.cost == np.inf
     assert solution.stats.num_nodes == num_nodes and solution.stats.history == ()
@@ -239,10 +152,10 @@ def test_what_has_no_path_is_exhausted(problem, step, num_nodes):
     np.testing.assert_array_equal(solution.samples[0], problem.starts)
 
 
-# What a solution tells
+# Samples and statistics
 
 
-def test_samples_are_the_free_joint_configurations_of_the_nodes_and_statistics_add_up():
+def test_samples_are_free_and_statistics_add_up():
     solution = planned(ROOMS, step=0.5)
     samples, stats = solution.samples, solution.stats
     assert len(samples) == stats.num_nodes
@@ -256,31 +169,16 @@ def test_samples_are_the_free_joint_configurations_of_the_nodes_and_statistics_a
     assert sum(stats.seconds.values()) >= stats.first_solution * 0.5
 
 
-# What heuristics and options do, and that nothing else does
+# Heuristics and options
 
 
-def same(first, second):
-    """Whether two solutions are alike bit for bit, but for seconds."""
-    counts = [
-        (s.stats.num_nodes, s.stats.num_expansions, s.stats.num_children_scored, s.stats.num_children_valid)
-        for s in (first, second)
-    ]
-    return (
-        np.array_equal(first.path, second.path)
-        and np.array_equal(first.samples, second.samples)
-        and counts[0] == counts[1]
-        and (first.cost, first.makespan, first.status) == (second.cost, second.makespan, second.status)
-    )
-
-
-def test_without_a_heuristic_costs_along_the_lattice_guide():
+def test_default_heuristic_is_cost_along_lattice():
     solution = bl_plan(DOOR, options=BLOptions(searchers=("bl",), step=0.4, heuristic_weight=1.0))
-    (lattice,) = joint_lattice_of(DOOR, 0.4).lattices
-    least = nx.dijkstra_path_length(graph_of(lattice), lattice.start, lattice.goal, "cost")
+    (least,) = joint_lattice_of(DOOR, 0.4).least_costs
     assert solution.stats.history[0][1] == pytest.approx(least, rel=1e-6) and solution.stats.num_nodes < 100
 
 
-def test_the_better_the_heuristic_the_fewer_the_nodes():
+def test_better_heuristics_need_fewer_nodes():
     of_points = sum_of_distances(robot_distance_fns(DOOR, inflated=False))  # the paper's
     distances, paper, line, nothing = (
         planned(DOOR, heuristic).stats.num_nodes
@@ -289,58 +187,47 @@ def test_the_better_the_heuristic_the_fewer_the_nodes():
     assert distances < line < nothing and 6 * max(distances, paper) <= nothing
 
 
-@pytest.mark.parametrize("options", [{}, {"cost_factor": 1.0, "max_expansions": 60}], ids=["first", "improving"])
-def test_two_runs_do_the_same_bit_for_bit_whatever_is_planned_between(options):
-    problem = scenes.four_rooms(3)
-    before = planned(problem, **options)
-    planned(scenes.perturbed(problem, 1))
-    planned(problem, step=0.5)
-    assert same(before, planned(problem, **options))
+def test_plans_repeat_whatever_is_planned_between():
+    options = {"cost_factor": 1.0, "max_expansions": 20}
+    first = planned(ROOMS, **options)
+    planned(DOOR, step=0.5)
+    again = planned(ROOMS, **options)
+    np.testing.assert_array_equal(first.path, again.path)
+    np.testing.assert_array_equal(first.samples, again.samples)
+    assert first.stats.num_expansions == again.stats.num_expansions > 0 and first.status is again.status
 
 
 # Refusals
 
 
 @pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("heuristic", "message"),
-    [
+def test_other_objects_as_heuristic_raise():
+    for heuristic, message in (
         (zero, r"the result of zero\(\), got zero itself: call it"),
-        (straight_line, r"the result of straight_line\(problem\), got straight_line itself: call it"),
         (sum_of_distances, r"the result of sum_of_distances\(distance_fns\), got sum_of_distances itself: call it"),
         (BLOptions(), r"bl_plan\(problem, options=BLOptions"),
         (robot_distance_fns(ROOMS), r"a sum over robots.* sum_of_distances\(distance_fns\)"),
         (lambda q: np.zeros(len(q)), r"a sum over robots with a method per_robot\(q\)"),
-    ],
-)
-def test_what_is_no_heuristic_is_refused(heuristic, message):
-    with pytest.raises(ValueError, match=message):
-        bl_plan(ROOMS, heuristic)
+    ):
+        with pytest.raises(ValueError, match=message):
+            bl_plan(ROOMS, heuristic)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"step": 0.0}, "step must be None or a positive finite number, got 0.0"),
-        ({"step": float("inf")}, "step must be None or a positive"),
-        ({"lower_bound": float("nan")}, "lower_bound must be None or a positive"),
-        ({"heuristic_weight": -0.1}, "heuristic_weight must be .* from 0 to 1e6, got -0.1"),
-        ({"heuristic_weight": float("inf")}, "heuristic_weight must be"),
-        ({"heuristic_weight": 1e300}, "heuristic_weight must be"),
-        ({"time_limit": 10**400}, "time_limit must be"),
-        ({"step": 10**400}, "step must be"),
-        *(({"searchers": other}, "searchers must name at least one of") for other in (5, [[]], iter(["bl"]), None)),
-        ({"cost_factor": 0.0}, "cost_factor must be a positive number or inf"),
-        ({"time_limit": -5.0}, "time_limit must be a positive number or inf, got -5.0"),
-        ({"time_limit": float("nan")}, "time_limit must be a positive"),
-        ({"max_expansions": 0.0}, "max_expansions must be a positive"),
-        ({"max_memory": 0.0}, "max_memory must be a positive"),
-        ({"searchers": ()}, "searchers must name at least one of"),
-        ({"searchers": "bl"}, "searchers must name at least one of"),
-    ],
-    ids=lambda value: str(value)[:40] if isinstance(value, dict) else "",
-)
+POSITIVE = ("step", "lower_bound", "cost_factor", "time_limit", "max_expansions", "max_memory")
+
+
 @pytest.mark.usefixtures("unchecked_types")
-def test_options_that_make_no_sense(options, message):
-    with pytest.raises(ValueError, match=message):
-        BLOptions(**options)
+def test_invalid_options_raise():
+    for name in POSITIVE:
+        for value in (0.0, -5.0, float("nan")):
+            with pytest.raises(ValueError, match=rf"{name} must be .*positive .*, got {value}"):
+                BLOptions(**{name: value})
+    for value in (float("inf"), 10**400):
+        with pytest.raises(ValueError, match="step must be None or a positive finite number"):
+            BLOptions(step=value)
+    for value in (-0.1, float("inf"), 1e300):
+        with pytest.raises(ValueError, match=r"heuristic_weight must be .* from 0 to 1e6"):
+            BLOptions(heuristic_weight=value)
+    for value in (5, [[]], iter(["bl"]), None, (), "bl"):
+        with pytest.raises(ValueError, match="searchers must name at least one of"):
+            BLOptions(searchers=value)

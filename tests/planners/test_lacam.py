@@ -1,4 +1,4 @@
-"""Lazy search: every path by the independent check, an empty stack against all states that can be reached."""
+"""Lazy search (LaCAM): its moves, collisions, steps and limits, and what an empty stack proves."""
 
 from itertools import combinations, product
 
@@ -13,14 +13,13 @@ from plr_jax.planners import Status, lacam
 from plr_jax.planners.lacam import PIBT, Moves
 
 
-@pytest.mark.parametrize(("problem", "step"), [(hallway(3), 1.0), (hallway(5), 1.0)], ids=["3 cells", "5 cells"])
-def test_an_empty_stack_means_that_all_reachable_states_are_nodes(problem, step):
-    search = search_of(problem, step)
+def test_exhausted_search_has_all_reachable_states():
+    search = search_of(hallway(5), 1.0)
     assert search.run(10**6) is Status.EXHAUSTED and search.found is None
     assert set(map(tuple, search.node_states.tolist())) == reachable(search.joint)
 
 
-def test_a_paused_search_goes_on_where_it_was():
+def test_paused_search_equals_whole_search():
     whole, paused = search_of(scenes.door(20), 0.4), search_of(scenes.door(20), 0.4)
     assert whole.run(10_000) is Status.SOLVED
     for patience in (2, 3, 5):
@@ -29,22 +28,22 @@ def test_a_paused_search_goes_on_where_it_was():
     np.testing.assert_array_equal(whole.solution_states, paused.solution_states)
 
 
-@pytest.mark.parametrize(
-    ("limit", "status"),
-    [
-        ({"max_expansions": 7}, Status.EXPANSION_LIMIT),
-        ({"max_memory": 1e4}, Status.MEMORY_LIMIT),
-        ({"seconds": -1.0}, Status.TIME_LIMIT),
-        ({}, None),
-    ],
-)
-def test_limits(limit, status):
+LIMITS = [
+    ({"max_expansions": 7}, Status.EXPANSION_LIMIT),
+    ({"max_memory": 1e4}, Status.MEMORY_LIMIT),
+    ({"seconds": -1.0}, Status.TIME_LIMIT),
+    ({}, None),
+]
+
+
+@pytest.mark.parametrize(("limit", "status"), LIMITS)
+def test_search_stops_at_limit(limit, status):
     search = search_of(scenes.door(20), 0.4, search_budget(**limit))
     assert search.run(10) is status and search.budget.memory == search.memory_use.num_bytes > 0
 
 
 def wandered(joint, seed, steps=4):
-    """A state that each robot reaches alone, from its start."""
+    """Return a state that each robot reaches alone from its start."""
     rng, state = np.random.default_rng(seed), []
     for lattice in joint.lattices:
         node = lattice.start
@@ -55,10 +54,9 @@ def wandered(joint, seed, steps=4):
 
 
 @pytest.mark.parametrize("name", TEAMS)
-@pytest.mark.parametrize("seed", range(2))
-def test_moves_are_those_of_each_robot_best_first(name, seed):
+def test_moves_rank_free_primitives_of_each_robot(name):
     joint, moves_of = team_of(*TEAMS[name])
-    state = wandered(joint, seed)
+    state = wandered(joint, seed=0)
     moves = moves_of(state)
     for i, (lattice, costs) in enumerate(zip(joint.lattices, joint.costs_to_go, strict=True)):
         assert moves.child[i] == lattice.child[state[i]].tolist()
@@ -69,7 +67,7 @@ def test_moves_are_those_of_each_robot_best_first(name, seed):
 
 @pytest.mark.parametrize("few_pairs", [0, 64], ids=["by cells", "each by itself"])
 @pytest.mark.parametrize("name", ["crowd", "mixed"])  # rooms keep robots apart
-def test_collisions_are_those_of_each_two_motions(name, few_pairs, monkeypatch):
+def test_collisions_of_moves_equal_pair_tests(name, few_pairs, monkeypatch):
     monkeypatch.setattr(lacam, "_FEW_PAIRS", few_pairs)
     joint, moves_of = team_of(*TEAMS[name])
     robots, tolerance = joint.problem.robots, joint.problem.workspace.tolerance
@@ -87,7 +85,7 @@ def test_collisions_are_those_of_each_two_motions(name, few_pairs, monkeypatch):
             collide = ~apart.reshape(a.cost.shape[1], b.cost.shape[1])
             for robot, other, expected in ((i, j, collide), (j, i, collide.T)):
                 (said,) = [bits for k, bits in moves.neighbors[robot] if k == other] or [[0] * len(expected)]
-                # Nobody asks what a motion that is not free collides with.
+                # Collisions of motions that are not free are not needed.
                 for p in moves.ranked[robot]:
                     colliding = [q for q in moves.ranked[other] if said[p] >> q & 1]
                     assert sorted(colliding) == [q for q in np.flatnonzero(expected[p]) if q in moves.ranked[other]]
@@ -95,10 +93,10 @@ def test_collisions_are_those_of_each_two_motions(name, few_pairs, monkeypatch):
     assert num_colliding > 0 and any(moves_of._between_cells) == (few_pairs == 0 and name == "crowd")
 
 
-def test_moves_past_the_deadline_and_in_portions(monkeypatch):
+def test_moves_in_portions_and_past_deadline(monkeypatch):
     joint, moves = team_of(*TEAMS["mixed"])
     state = np.array([lattice.start for lattice in joint.lattices])
-    state[2] = state[0]  # discs of one kind that meet
+    state[2] = state[0]  # equal discs that meet
     whole = moves(state)
     monkeypatch.setattr(lacam, "_MOST", 1)
     assert moves(state) == whole and any(whole.neighbors)
@@ -108,21 +106,15 @@ def test_moves_past_the_deadline_and_in_portions(monkeypatch):
 
 
 def random_moves(rng, num_robots=4, num_primitives=4):
-    """Collisions by chance, but for staying beside one another."""
+    """Return random moves and their collisions, in which robots that stay do not collide."""
     collide = {}
     for i in range(num_robots):
         for j in range(i):
             table = rng.random((num_primitives, num_primitives)) < 0.45
             table[0, 0] = False
             collide[i, j], collide[j, i] = table, table.T
-    neighbors = [
-        [
-            (j, [sum(1 << q for q in np.flatnonzero(row).tolist()) for row in collide[i, j]])
-            for j in range(num_robots)
-            if j != i
-        ]
-        for i in range(num_robots)
-    ]
+    as_bits = {pair: [sum(1 << q for q in np.flatnonzero(row).tolist()) for row in collide[pair]] for pair in collide}
+    neighbors = [[(j, as_bits[i, j]) for j in range(num_robots) if j != i] for i in range(num_robots)]
     ranked = [rng.permutation(num_primitives).tolist() for _ in range(num_robots)]
     return Moves([list(range(num_primitives))] * num_robots, ranked, neighbors), collide
 
@@ -131,14 +123,14 @@ def collides(collide, step):
     return any(table[step[i], step[j]] for (i, j), table in collide.items())
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_without_constraints_there_is_a_step_that_collides_with_nothing(seed):
+@pytest.mark.parametrize("seed", range(20))
+def test_free_step_exists_without_constraints(seed):
     rng = np.random.default_rng(seed)
     moves, collide = random_moves(rng)
     order = rng.permutation(4).tolist()
     step = PIBT(moves).find(order, ())
     assert step is not None and not collides(collide, step)
-    # The first in order has its best primitive for which the others could make way at all.
+    # The first robot has its best primitive for which the others can make way.
     best = next(
         p
         for p in moves.ranked[order[0]]
@@ -147,8 +139,8 @@ def test_without_constraints_there_is_a_step_that_collides_with_nothing(seed):
     assert step[order[0]] == best
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_constraints_are_kept(seed):
+@pytest.mark.parametrize("seed", range(20))
+def test_steps_keep_constraints(seed):
     rng = np.random.default_rng(100 + seed)
     moves, collide = random_moves(rng)
     order = rng.permutation(4).tolist()
@@ -162,8 +154,8 @@ def test_constraints_are_kept(seed):
         assert (step is not None) == (not collides(collide, whole))
 
 
-def test_a_step_is_found_however_many_choices_it_would_take():
-    # A clique in which every motion of one robot asks all others to make way, which none of them can.
+def test_step_is_found_within_few_choices():
+    # In this clique, each motion asks all other robots to make way, but no robot can.
     num = 30
     bits = [0] + [0b1] * 8
     back = [0b111111110] + [0] * 8

@@ -1,4 +1,4 @@
-"""Lattices against their definition, the independent check and NetworkX; teams on them."""
+"""Lattices against their definition, the independent check and NetworkX; lattices of teams."""
 
 from itertools import product
 
@@ -10,7 +10,7 @@ from planner_helpers import ROOM, graph_of, joint_lattice_of, nudged_discs, nudg
 from robot_helpers import along, shapes
 from team_helpers import MIXED
 
-from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes, validate
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, scenes
 from plr_jax.planners import lattice as module
 from plr_jax.planners.lattice import PRIMITIVES
 
@@ -26,7 +26,7 @@ def lattice_of(problem, step):
 
 
 def offsets_between(workspace, robot, step, q0, q1):
-    """Columns, rows and turns between the cells of configurations, by the definition of the grid."""
+    """Return columns, rows and turns between the cells of configurations, by the definition of the grid."""
     width = workspace.bounds.width
     side = width / np.ceil(width / step - 1e-9)
     cells = [np.floor((q[:, :2] - workspace.bounds.lo) / side).astype(int) for q in (q0, q1)]
@@ -42,11 +42,11 @@ def offsets_between(workspace, robot, step, q0, q1):
 
 
 def deepest_overlap(workspace, robot, q0, q1):
-    """How deep each motion goes into what is blocked, sampled densely; negative where it keeps clear."""
+    """Return how deep samples of each motion go into walls; negative if the motion keeps clear."""
     q0, q1 = (np.column_stack([q, np.zeros((len(q), 3 - q.shape[1]))]) for q in (q0, q1))
     box = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
     beyond = box.buffer(10, join_style="mitre").difference(box)
-    num_samples, region = 201, shapely.union_all([*workspace.obstacles, beyond])
+    num_samples, region = 81, shapely.union_all([*workspace.obstacles, beyond])
     bodies = shapes(robot, along(q0, q1, num_samples))
     if isinstance(robot, RectangleRobot):
         overlap = shapely.intersection(bodies, region)
@@ -60,7 +60,7 @@ def deepest_overlap(workspace, robot, q0, q1):
 
 
 def visited(lattice):
-    """The nodes of a lattice but for those that the start and the goal replace."""
+    """Return the nodes of a lattice, without those that the start and the goal replace."""
     return np.setdiff1d(np.arange(len(lattice.q)), lattice.kind.terminals.cell[lattice.row])
 
 
@@ -78,64 +78,32 @@ STEPS = {"point": 0.4, "disc": 0.45, "bar": 0.7}
 
 @pytest.fixture(scope="module", params=ALONE)
 def alone(request):
-    """A robot, its step and its lattice."""
+    """Return a problem of one robot, its step and its lattice."""
     problem, step = ALONE[request.param], STEPS[request.param]
     return problem, step, lattice_of(problem, step)
-
-
-def tours(graph):
-    """Walks along all motions, each from a node back to it."""
-    for component in nx.strongly_connected_components(graph):
-        part = graph.subgraph(component)
-        if part.number_of_edges():
-            yield [edge[0] for edge in nx.eulerian_circuit(part)]
 
 
 # Motions
 
 
-def test_every_motion_is_free_by_the_independent_check(alone):
-    problem, _, lattice = alone
-    graph = graph_of(lattice).subgraph(visited(lattice))
-    walked = 0
-    for tour in tours(graph):
-        path = lattice.q[[*tour, tour[0]]][:, None]
-        report = validate(Problem(problem.workspace, problem.robots, path[0], path[0]), path)
-        assert report.valid, report.message
-        walked += len(tour)
-    assert walked == graph.number_of_edges() > 300
-
-
-def test_motions_that_are_missing_collide(alone):
+def test_motions_exist_where_robot_keeps_clear(alone):
     problem, step, lattice = alone
-    (robot,), graph, num_blocked, nodes = problem.robots, graph_of(lattice), 0, visited(lattice)
-    for node in nodes[:: 1 if problem.dof == 2 else 5].tolist():
-        others = np.setdiff1d(nodes, [node, *graph[node]])
-        offsets = offsets_between(
-            problem.workspace, robot, step, np.repeat(lattice.q[[node]], len(others), axis=0), lattice.q[others]
-        )
-        others = others[[tuple(offset) in PRIMITIVES for offset in offsets.tolist()]]
-        if len(others):
-            ends = lattice.q[others]
-            depth = deepest_overlap(problem.workspace, robot, np.repeat(lattice.q[[node]], len(ends), axis=0), ends)
-            assert (depth > -1e-3).all(), "a motion is blocked that keeps well clear of all walls"
-            num_blocked += len(others)
+    (robot,), graph, nodes, num_blocked = problem.robots, graph_of(lattice), visited(lattice), 0
+    for node in nodes[:: 2 if problem.dof == 2 else 31].tolist():
+        ends = np.setdiff1d(nodes, [node])
+        begins = np.full(len(ends), node)
+        offsets = offsets_between(problem.workspace, robot, step, lattice.q[begins], lattice.q[ends])
+        is_near = [tuple(offset) in PRIMITIVES for offset in offsets.tolist()]
+        begins, ends = begins[is_near], ends[is_near]
+        depth = deepest_overlap(problem.workspace, robot, lattice.q[begins], lattice.q[ends])
+        exists = np.isin(ends, list(graph[node]))
+        assert set(ends[exists].tolist()) == set(graph[node]) & set(nodes.tolist())
+        assert (depth[exists] < 1e-3).all() and (depth[~exists] > -1e-3).all()
+        num_blocked += np.sum(~exists)
     assert num_blocked > 5
 
 
-def test_motions_lead_to_the_cell_of_their_primitive(alone):
-    problem, step, lattice = alone
-    primitives = [p for p in PRIMITIVES if problem.dof == 3 or p[2] == 0]
-    assert lattice.cost.shape == (len(lattice.q), 1 + len(primitives))
-    node, primitive = np.nonzero(
-        np.isfinite(lattice.cost[:, 1:]) & np.isin(np.arange(len(lattice.q)), visited(lattice))[:, None]
-    )
-    child = lattice.child[node, primitive + 1]
-    offsets = offsets_between(problem.workspace, problem.robots[0], step, lattice.q[node], lattice.q[child])
-    np.testing.assert_array_equal(offsets, np.array(primitives)[primitive])
-
-
-def test_cells_without_a_configuration_have_a_blocked_center(alone):
+def test_cells_without_configuration_have_blocked_center(alone):
     problem, step, lattice = alone
     (robot,), width = problem.robots, problem.workspace.bounds.width
     columns, rows = np.ceil(width / step - 1e-9).astype(int)
@@ -144,12 +112,12 @@ def test_cells_without_a_configuration_have_a_blocked_center(alone):
     for cell in product(range(columns), range(rows)):
         if cell not in occupied:
             missing.append([*((np.array(cell) + 0.5) * side), 0.0][: problem.dof])
-    if robot != PointRobot():  # which has one wherever a cell is not all wall
+    if robot != PointRobot():  # points have a configuration in every cell that is not all wall
         q = np.array(missing)
         assert len(q) > 3 and (deepest_overlap(problem.workspace, robot, q, q) > 0).all()
 
 
-def test_staying_costs_nothing_and_blocked_primitives_lead_back(alone):
+def test_blocked_primitives_lead_back(alone):
     lattice = alone[2]
     np.testing.assert_array_equal(lattice.child[:, 0], np.arange(len(lattice.q)))
     assert (lattice.cost[:, 0] == 0).all()
@@ -160,7 +128,7 @@ def test_staying_costs_nothing_and_blocked_primitives_lead_back(alone):
     assert stride == pytest.approx(lengths.max()) and stride > alone[1]
 
 
-def test_costs_are_lengths_and_weighted_turns():
+def test_costs_add_lengths_and_weighted_turns():
     problem = Problem(ROOM, [BAR], [(5.5, 5.5, 0)], [(1.5, 1.5, 0)], rotation_weight=2.0)
     lattice = lattice_of(problem, 1.0)
     turn = np.pi / 2 / np.ceil(np.pi / 2 / min(1 / BAR.circumscribed_radius, np.pi / 4))
@@ -171,30 +139,26 @@ def test_costs_are_lengths_and_weighted_turns():
 # Reaching the goal
 
 
-@pytest.mark.parametrize("step", [0.2, 0.4, 0.5, 1.0])
-def test_passages_narrower_than_a_cell_are_found(step):
+@pytest.mark.parametrize("step", [0.4, 1.0])
+def test_narrow_passages_are_found(step):
     assert reaches_goal(lattice_of(scenes.single_door(), step))
 
 
-# Starts and goals: exact, told apart, and each robot's own
+# Starts and goals
 
 
-@pytest.mark.parametrize(
-    ("start", "goal"),
-    [
-        ((5.1, 5.1, 0), (5.3, 5.2, 0)),
-        ((5.1, 5.1, 0.01), (5.1, 5.1, -0.02)),
-        ((5.1, 5.1, 0.01), (5.1, 5.1, -0.02 + 4 * np.pi)),
-        ((5.1, 5.1, 3.1), (5.1, 5.1, -3.1)),
-        ((5.1, 5.1, 0), (5.1 + 1e-9, 5.1, 0)),
-        ((0.9, 9.1, 0), (0.7, 9.1, 0)),
-    ],
-    ids=["place", "heading", "heading-wrapped", "half-turn", "near", "corner"],
-)
-def test_ends_in_one_cell_are_told_apart(start, goal):
+NEAR_ENDS = {
+    "place": ((5.1, 5.1, 0), (5.3, 5.2, 0)),
+    "wrapped heading": ((5.1, 5.1, 0.01), (5.1, 5.1, -0.02 + 4 * np.pi)),
+    "half turn": ((5.1, 5.1, 3.1), (5.1, 5.1, -3.1)),
+    "tiny distance": ((5.1, 5.1, 0), (5.1 + 1e-9, 5.1, 0)),
+    "corner": ((0.9, 9.1, 0), (0.7, 9.1, 0)),
+}
+
+
+@pytest.mark.parametrize(("start", "goal"), NEAR_ENDS.values(), ids=NEAR_ENDS)
+def test_start_and_goal_in_one_cell_are_two_nodes(start, goal):
     problem = Problem(ROOM, [BAR], [start], [goal])
-    coarse = lattice_of(problem, 40.0)
-    np.testing.assert_array_equal(coarse.q[[coarse.start, coarse.goal]], [start, goal])
     lattice = lattice_of(problem, 1.0)
     assert lattice.start != lattice.goal
     np.testing.assert_array_equal(lattice.q[[lattice.start, lattice.goal]], [start, goal])
@@ -205,12 +169,15 @@ def test_ends_in_one_cell_are_told_apart(start, goal):
     assert cheapest == pytest.approx(way + BAR.circumscribed_radius * turn, abs=1e-9)
 
 
+NUDGED = {"discs": nudged_team(DiscRobot(0.15)), "bars": nudged_team(RectangleRobot(0.4, 0.1))}
+
+
 def num_cells(kind):
     return len(kind.q) - 2 * len(kind.members)  # the other nodes are starts and goals
 
 
 def motions_at_ends(problem, robot, lattice, step):
-    """The motions from and to a start and a goal, by their definition: 1 where they are free, 0.5 where unsure."""
+    """Return the motions from and to a start and a goal by definition: 1 if free, 0 if blocked, 0.5 if unsure."""
 
     def offsets(pairs):
         q0, q1 = lattice.q[pairs[:, 0]], lattice.q[pairs[:, 1]]
@@ -235,17 +202,17 @@ def motions_at_ends(problem, robot, lattice, step):
     return motions
 
 
-@pytest.mark.parametrize("robot", [DiscRobot(0.15), RectangleRobot(0.4, 0.1)], ids=["discs", "bars"])
-@pytest.mark.parametrize("step", [0.5, 1.0, 3.0])
-def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
-    problem, num_blocked = nudged_team(robot), 0
+@pytest.mark.parametrize(("name", "step"), [("discs", 0.5), ("discs", 3.0), ("bars", 1.0)])
+def test_motions_at_starts_and_goals_follow_definition(name, step):
+    problem, num_blocked = NUDGED[name], 0
+    robot = problem.robots[0]
     for i, lattice in enumerate(joint_lattice_of(problem, step).lattices):
         dof = robot.dof
         np.testing.assert_array_equal(lattice.q[lattice.goal], problem.goals[i, :dof])
         np.testing.assert_allclose(lattice.q[lattice.start][:2], problem.starts[i, :2])
         graph, visited_nodes = graph_of(lattice), set(visited(lattice).tolist())
         of_others = set(range(num_cells(lattice.kind), len(lattice.q))) - {lattice.start, lattice.goal}
-        assert not of_others & nx.descendants(graph, lattice.start), "nobody passes the ends of another"
+        assert not of_others & nx.descendants(graph, lattice.start), "robots pass no ends of other robots"
         expected = motions_at_ends(problem, robot, lattice, step)
         found = {(u, v) for u, v in graph.edges if {u, v} <= visited_nodes and {u, v} & {lattice.start, lattice.goal}}
         for motion, is_free in expected.items():
@@ -264,23 +231,9 @@ def test_motions_to_and_from_ends_are_those_of_their_definition(robot, step):
 
 # Teams
 
-NUDGED = {"nudged discs": nudged_team(DiscRobot(0.15)), "nudged bars": nudged_team(RectangleRobot(0.4, 0.1))}
 
-
-def random_boxes(seed):
-    rng = np.random.default_rng(seed)
-    corners, sizes = rng.uniform(0.8, 4.5, (6, 2)), rng.uniform(0.05, 1.6, (6, 2))
-    return Workspace(
-        ((0, 0), (6, 6)), [shapely.box(*lo, *(lo + size)) for lo, size in zip(corners, sizes, strict=True)]
-    )
-
-
-@pytest.mark.parametrize(
-    ("problem", "step"),
-    [(MIXED, 0.9), (MIXED, 1.5), *((problem, 1.0) for problem in NUDGED.values())],
-    ids=["0.9", "1.5", *NUDGED],
-)
-def test_costs_to_go_are_those_that_networkx_finds(problem, step):
+@pytest.mark.parametrize(("problem", "step"), [(MIXED, 1.2), (NUDGED["bars"], 1.5)], ids=["mixed", "bars"])
+def test_costs_to_go_equal_networkx(problem, step):
     joint = joint_lattice_of(problem, step)
     for kind in joint.kinds:
         rows = np.arange(len(kind.members))
@@ -288,10 +241,9 @@ def test_costs_to_go_are_those_that_networkx_finds(problem, step):
         for row, i in enumerate(kind.members.tolist()):
             lattice = joint.lattices[i]
             graph = graph_of(lattice).reverse()
-            expected = nx.single_source_dijkstra_path_length(graph, lattice.goal, weight="cost")
+            expected, paths = nx.single_source_dijkstra(graph, lattice.goal, weight="cost")
             assert costs[row, lattice.start] == pytest.approx(expected.get(lattice.start, np.inf), rel=1e-12)
-            # Ways by the start are left out, as it stands for its cell: costs by that cell's representative differ.
-            paths = {node: nx.dijkstra_path(graph, lattice.goal, node, "cost") for node in expected}
+            # Leave out ways through the start: it stands for its cell, and the cell's representative costs other.
             through = [node for node, path in paths.items() if lattice.start not in path[1:]]
             assert len(through) > 5
             least = np.array([expected[node] for node in through])
@@ -299,40 +251,36 @@ def test_costs_to_go_are_those_that_networkx_finds(problem, step):
             assert (np.isclose(costs[row, through], least, rtol=1e-12)).mean() > 0.9
 
 
-def test_a_goal_out_of_reach_costs_infinitely_much_as_networkx_says():
-    answers = set()
-    for seed, step in product(range(12), (0.5, 1.5)):
-        try:
-            problem = Problem(random_boxes(seed), [DiscRobot(0.3)], [(0.4, 0.4)], [(5.6, 5.6)])
-        except ValueError:  # no way for the disc
-            continue
+def test_unreachable_goal_costs_infinity():
+    boxes = [shapely.box(x, y, x + 0.9, y + 0.9) for x in (0.7, 2.4, 4.1) for y in (0.7, 2.4, 4.1)]
+    problem = Problem(Workspace(((0, 0), (6, 6)), boxes), [DiscRobot(0.3)], [(0.35, 0.35)], [(5.6, 5.6)])
+    answers = []
+    for step in (0.25, 0.5, 1.5, 3.0):
         joint = joint_lattice_of(problem, step)
-        (lattice,), (cost,) = joint.lattices, joint.least_costs
-        answers.add(bool(np.isfinite(cost)))
-        assert np.isfinite(cost) == nx.has_path(graph_of(lattice), lattice.start, lattice.goal)
-    assert answers == {True, False}
+        answers.append(bool(np.isfinite(joint.least_costs[0])))
+        assert answers[-1] == reaches_goal(joint.lattices[0])
+    assert set(answers) == {True, False}
 
 
-def test_costs_to_go_in_portions(monkeypatch):
+def test_costs_to_go_in_portions_equal_one_call(monkeypatch):
     problem = scenes.door(6)
     whole = joint_lattice_of(problem, 0.5).costs_to_go
     monkeypatch.setattr(module, "_NODES", 1)
     np.testing.assert_array_equal(joint_lattice_of(problem, 0.5).costs_to_go, whole)
 
 
-def test_robots_with_both_ends_in_one_cell_are_of_one_kind():
-    problem = nudged_discs(8)
+def test_equal_robots_share_a_kind():
+    problem = nudged_discs(5)
     joint = joint_lattice_of(problem, 0.8)
     (kind,) = joint.kinds
-    assert kind.members.tolist() == list(range(64))
+    assert kind.members.tolist() == list(range(25))
     np.testing.assert_allclose(joint.least_costs, np.hypot(*(problem.goals - problem.starts).T))
 
 
 def test_costs_to_come_mirror_costs_to_go():
-    # Motions here cost as much one way as the other; a table of swapped ends has the same costs, backward.
-    there = MIXED
+    # Motions cost the same in both directions, so that swapped ends have the same costs, backward.
     back = Problem(MIXED.workspace, MIXED.robots, MIXED.goals, MIXED.starts)
-    for kind, mirrored in zip(joint_lattice_of(there, 0.5).kinds, joint_lattice_of(back, 0.5).kinds, strict=True):
+    for kind, mirrored in zip(joint_lattice_of(MIXED, 0.8).kinds, joint_lattice_of(back, 0.8).kinds, strict=True):
         rows, cells = np.arange(len(kind.members)), slice(num_cells(kind))
         come, go = np.stack([kind.costs_to_come(row)[cells] for row in rows]), mirrored.costs_to_go(rows)[:, cells]
         np.testing.assert_allclose(come, go, rtol=1e-9)
