@@ -8,6 +8,7 @@ import shapely
 from piece_helpers import box
 from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, along, random_motions, shapes
 
+from experiments import _dbcbs
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, validate
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.collision.walls import MotionTest
@@ -245,3 +246,32 @@ def test_team_report_is_the_worst_pair_report(seed):
     else:
         first = min((r.when, *(pair[k] for k in r.who)) for r, pair in zip(alone, pairs, strict=True) if not r.valid)
         assert (result.when, *result.who) == first
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(
+    ("problem", "solution"),
+    [
+        ("dbcbs/classic", "dbcbs/solutions/classic_solution"),
+        ("dbcbs/swap2_unicycle", "dbcbs/solutions/swap3_unicycle_solution"),  # two of its three robots
+        ("dynobench/multirobot/example/swap4_unicycle", "dynobench/multirobot/results/swap4_unicycle_solution"),
+        ("dynobench/unicycle1_v0/bugtrap_0", "dynobench/unicycle1_v0/bugtrap_0/idbastar_v0_solution_v0"),
+        (
+            "dynobench/unicycle1_v0/parallelpark_0",
+            "dynobench/unicycle1_v0/parallelpark_0/idbastar_v0_opt_solution_v0",
+        ),
+    ],
+)
+def test_published_trajectories_are_valid_until_a_robot_is_moved(data_dir, problem, solution):
+    path = _dbcbs.read_trajectories(data_dir / f"{solution}.yaml")
+    stated = _dbcbs.read_problem(data_dir / f"{problem}.yaml")
+    np.testing.assert_allclose(path[0, : len(stated.robots)], stated.starts, atol=1e-9)
+    problem = Problem(stated.workspace, [stated.robots[0]] * path.shape[1], path[0], path[-1])
+    result = validate(problem, path)
+    assert result.valid, result.message
+    assert 0.01 < result.clearance < 0.031  # at its rows, a trajectory keeps 0.02 or more
+    assert result.clearance <= sampled_clearance(problem, path) + 1e-6
+    if path.shape[1] > 1:
+        path[30, 0] = path[30, 1]
+        result = validate(problem, path)
+        assert not result.valid and 0 in result.who and 29 <= result.when <= 30

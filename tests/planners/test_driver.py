@@ -5,6 +5,7 @@ import pytest
 import shapely
 from planner_helpers import DOOR, ROOM, ROOMS, exact, hallway, joint_lattice_of, nudged_discs, nudged_team, planned
 
+from experiments import _dbcbs
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, robot_distance_fns, scenes, validate
 from plr_jax.planners import BLOptions, Status, bl_plan, driver, replan, straight_line, sum_of_distances, zero
 
@@ -231,3 +232,19 @@ def test_invalid_options_raise():
     for value in (5, [[]], iter(["bl"]), None, (), "bl"):
         with pytest.raises(ValueError, match="searchers must name at least one of"):
             BLOptions(searchers=value)
+
+
+DBCBS = ["alcove_unicycle", "alcove_unicycle_sphere", "at_goal_unicycle", "classic", "gen_p10_n8_0_unicycle_sphere"]
+DBCBS += ["swap4_unicycle_sphere", "wall", "window2_unicycle", "window4_unicycle_sphere"]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", DBCBS)
+def test_published_problems_are_solved_by_holonomic_robots(data_dir, name):
+    assert planned(_dbcbs.read_problem(data_dir / "dbcbs" / f"{name}.yaml")).status is Status.SOLVED
+
+
+@pytest.mark.full
+def test_published_infeasible_problem_is_refused(data_dir):
+    with pytest.raises(ValueError, match="Robots 0 and 1 overlap at their goals"):
+        _dbcbs.read_problem(data_dir / "dbcbs" / "infeasible_0.yaml")
