@@ -1,4 +1,4 @@
-"""Bounds of pieces and leaves, classes of leaves, and certificates as files keep them."""
+"""Certificates in files, and classes of leaves."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -7,78 +7,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from piece_helpers import WORKSPACES, points_of
 
-from plr_jax.geometry.box import Box
-from plr_jax.oracles import VisibilityGraph
-from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import (
     Certificate,
     LeafBounds,
-    LeafFunctions,
     Proof,
     classify_bounds,
-    prove_bounds,
     read_certificate,
     read_classes,
     write_classes,
 )
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.leaves import leaf_model
-from plr_jax.plr.tree import Cells, grown_domain
-
-# Bounds of pieces and of leaves, against distances of many points.
-
-
-def sampled(oracle, visible, slope, intercept, rng, k):
-    """Return the least and the largest distance minus plane among random points of each piece."""
-    x = points_of(rng, visible.pieces, k)
-    x += 1e-4 * (visible.center[:, None] - x)  # off the tips, past which the oracle sees
-    contacts = oracle.workspace.boundary.vertices[oracle.workspace.boundary.contacts]
-    at_contact = (np.linalg.norm(x[:, :, None] - contacts, axis=3) < 1e-7).any(axis=2)
-    x = np.where(at_contact[:, :, None], 0.0, x)  # there the distance is that of the nearest side
-    planes = intercept[visible.cell, None] + (slope[visible.cell, None] * x).sum(axis=2)
-    met = np.where(at_contact, np.nan, oracle(x.reshape(-1, 2)).reshape(x.shape[:2]) - planes)
-    return np.fmin.reduce(met, axis=1, initial=np.inf), np.fmax.reduce(met, axis=1, initial=-np.inf)
-
-
-def sufficient(least, most, _):
-    return Certificate(1.0, None, Proof.LEAVES).sufficient_bounds(least, most, np.zeros(len(least)))
-
-
-@pytest.mark.parametrize("kind", WORKSPACES)
-def test_bounds_contain_distances_minus_planes_and_are_tight(kind):
-    """In the sixteenths of a square."""
-    rng, cells, domain = np.random.default_rng(1), Cells.root(2), Box((0, 0), (10, 10))
-    workspace = kind(rng)
-    oracle = VisibilityGraph(workspace, workspace.sample_free(1, 1)[0])
-    memory = CellMemory(domain, oracle.cell_sources(grown_domain(domain)))
-    for axis in (0, 1, 0, 1):
-        memory.sources(cells)
-        cells = cells.split(np.full(len(cells), axis))
-    visible = memory.sources(cells)
-    slope, intercept = rng.normal(size=(visible.num_cells, 2)) * 0.7, rng.normal(size=visible.num_cells)
-    functions = LeafFunctions(leaf_model("plane"), 0 * slope - 1, 0 * slope + 1, np.column_stack([intercept, slope]))
-    low, high = sampled(oracle, visible, slope, intercept, rng, 1000)
-    lower, upper = functions.bounds_of_pieces(visible, visible.cell)
-    assert (lower - visible.slack <= low).all() and (upper + visible.slack >= high).all()
-    assert (upper - lower <= 40).all()
-    errors = functions.largest_errors(visible)
-    lower, upper = np.zeros((2, visible.num_cells))
-    np.minimum.at(lower, visible.cell, low)
-    np.maximum.at(upper, visible.cell, high)
-    assert (errors >= np.maximum(-lower, upper) - visible.slack).all()
-    assert ((errors > 0) == np.isin(np.arange(visible.num_cells), visible.cell)).all()
-    bounds = prove_bounds(functions, visible, sufficient)
-    assert (bounds.lower <= lower).all() and (bounds.upper >= upper).all()
-    largest, proven = max(upper.max(), -lower.min()), max(bounds.upper.max(), -bounds.lower.min())
-    assert largest <= proven <= 1.03 * largest  # the samples do not meet the very largest
-    spare = 0.1 * (upper - lower) + 0.01 * largest
-    assert (bounds.lower >= lower - spare).all() and (bounds.upper <= upper + spare).all()
-    nothing = oracle.cell_sources(Box((20, 20), (30, 30)))
-    bounds = prove_bounds(functions, nothing, sufficient)
-    assert bounds.lower.tolist() == [-nothing.slack] and bounds.upper.tolist() == [nothing.slack]
-
 
 # Certificates in files.
 

@@ -31,9 +31,10 @@ def check_cell_distances(oracle, domain, memory, cells, u):
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
-def test_distances_in_cells_equal_the_oracle(kind):
-    """In cells that are asked for in any order, several times, along either axis first."""
+def test_distances_in_cells_equal_the_oracle(kind, monkeypatch):
+    """In cells that are asked for in any order, several times, along either axis first, in batches of any size."""
     for seed in range(6):
+        monkeypatch.setattr("plr_jax.plr.cell_memory._PAIRS_AT_ONCE", 1 if seed == 5 else 1 << 19)
         rng, domain = np.random.default_rng(seed), (Box((0, 0), (10, 10)), Box((-3, 1), (7, 13)))[seed % 3 > 0]
         workspace = kind(rng, squeeze=seed % 2 == 0)
         oracle = VisibilityGraph(workspace, workspace.sample_free(1, seed)[0])
@@ -55,15 +56,6 @@ def test_cells_below_a_very_thin_wall_keep_the_corner_of_their_paths():
     for axis in (0, 1, 0, 1, 0, 1, 0, 1):
         check_cell_distances(oracle, UNIT, memory, cells, rng.uniform(-1, 1, (20, 2)))
         cells = cells.split(np.full(len(cells), axis))
-
-
-def test_distances_in_cells_do_not_depend_on_the_batch_size(maze, monkeypatch):
-    cells = Cells.root(2)
-    x = cells.points(np.random.default_rng(0).uniform(-1, 1, (200, 2)), UNIT)
-    visible = CellMemory(UNIT, maze.cell_sources(grown_domain(UNIT))).sources(cells)
-    whole = distances_in_cells(visible, x)
-    monkeypatch.setattr("plr_jax.plr.cell_memory._PAIRS_AT_ONCE", 1)
-    np.testing.assert_array_equal(distances_in_cells(visible, x), whole)
 
 
 LEAVES = ("plane", "continuous", "smooth", "cone")
@@ -135,8 +127,7 @@ def test_bounds_contain_exact_distances_and_are_tight(certified, maze):
     assert plain.max_error is None and plain.band is None and plain.num_bytes + 4 == plr.num_bytes
 
 
-@pytest.mark.full
-@pytest.mark.parametrize(("leaf", "kind"), list(zip((*LEAVES, "cone", "plane"), WORKSPACES * 2, strict=True)))
+@pytest.mark.parametrize(("leaf", "kind"), list(zip(LEAVES, WORKSPACES * 2, strict=False)))
 def test_bounds_hold_in_random_workspaces(leaf, kind):
     """Among slivers, contacts and closed parts; also if the goal is a corner, or the domain not the bounds."""
     number = LEAVES.index(leaf)
@@ -180,26 +171,24 @@ def test_bounds_hold_in_free_space_without_samples(leaf):
     check_within(plr, x, oracle(x), 10_000)
 
 
-def _spike(angle, depth):
-    """A spike whose tip is just beyond a border of cells, and a goal beside it."""
+def spike(angle, depth):
+    """Return a spike whose tip is just beyond a border of cells, and a goal beside it."""
     tip, half = np.array([0.4, 0.25 + depth]), 0.125 * angle
     return [(0.4, tip[1]), (0.4 - half, depth), (0.4 + half, depth)], tip - (3 * angle * depth, depth * 2 / 3)
 
 
-# Spikes, and a short thin wall inside of cells.
-SMALL = [_spike(1e-4, 2e-5), _spike(1e-3, 1e-5), _spike(1e-5, 1e-4)]
-SMALL.append((box(0.4 - 2.5e-9, 0.4 - 4e-6, 0.4 + 2.5e-9, 0.4 + 4e-6), (0.4 - 1e-6, 0.4)))
-
-
 @pytest.mark.full
 @pytest.mark.parametrize("leaf", ["plane", "cone"])
-@pytest.mark.parametrize(("wall", "goal"), SMALL)
+@pytest.mark.parametrize(
+    ("wall", "goal"),
+    [spike(1e-4, 2e-5), spike(1e-5, 1e-4), (box(0.4 - 2.5e-9, 0.399996, 0.4 + 2.5e-9, 0.400004), (0.399999, 0.4))],
+)
 def test_bounds_hold_behind_walls_far_smaller_than_cells(wall, goal, leaf):
     oracle = VisibilityGraph(Workspace(UNIT, [wall]), goal)
     plr = construct(oracle, UNIT, leaf=leaf, max_bytes=512, certified="leaves")
     rng, size = np.random.default_rng(0), 4 * np.abs(np.array(wall)[0] - goal).max()
-    x = np.array(wall)[0] + size * np.column_stack([rng.random(20_000) ** 3, 2 * rng.random(20_000) - 1])
-    check_within(plr, x, np.where(oracle.workspace.clearance(x) >= 0, oracle(x), np.inf))
+    x = np.array(wall)[0] + size * np.column_stack([rng.random(10_000) ** 3, 2 * rng.random(10_000) - 1])
+    check_within(plr, x, np.where(oracle.workspace.clearance(x) >= 0, oracle(x), np.inf), 2_500)
 
 
 @pytest.mark.full
@@ -233,7 +222,6 @@ def test_interrupted_proof_leaves_an_unproven_plr(maze, monkeypatch):
     np.testing.assert_array_equal(plr.leaf_boxes, whole.leaf_boxes)
 
 
-@pytest.mark.full
 def test_proofs_of_few_pieces_hold(maze, monkeypatch):
     plr = construct(maze, UNIT, max_leaves=20)
     tight = certify(plr, maze, leaf_bounds=True)

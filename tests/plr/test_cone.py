@@ -102,17 +102,6 @@ def test_bounds_of_cone_minus_leaf_hold(name, terms):
 
 
 @pytest.mark.parametrize("kind", WORKSPACES)
-def test_cones_of_random_workspaces_tile_the_domain(kind):
-    workspace = kind(np.random.default_rng(2))
-    oracle = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
-    plr = construct(oracle, Box((-1, -1), (11, 11)), leaf="cone", max_leaves=50)
-    assert 10 < plr.num_leaves <= 50
-    leaf_by_search(plr, -1 + 12 * points(500, 0))
-    x = workspace.sample_free(3000, 1)
-    assert mean_error(plr, oracle, x[np.isfinite(oracle(x))]) < 0.2
-
-
-@pytest.mark.parametrize("kind", WORKSPACES)
 def test_cones_of_several_goals_know_distance_and_index_of_the_nearest(kind):
     workspace = kind(np.random.default_rng(2))
     goals = [*workspace.sample_free(4, 0), workspace.boundary.vertices[0]]

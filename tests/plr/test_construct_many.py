@@ -95,11 +95,7 @@ def test_certified_bounds_contain_exact_distances(oracles):
     assert errors_of(plr, oracles[0], x).max() <= plr.max_error < 1.5 * alone.max_error
 
 
-def test_goals_of_two_workspaces_and_planes(oracles):
-    rooms = plr_jax.scenes.four_rooms(2).workspace
-    other = plr_jax.VisibilityGraph(rooms, (1.37, 5.23))
-    mixed = plr_jax.construct_many([other, oracles[0]], rooms.bounds, **CONES)
-    assert errors_of(mixed[0], other, rooms.sample_free(2000, seed=0)).mean() < 0.02
+def test_planes_equal_single_constructions(oracles):
     planes = {"leaf": "plane", "max_leaves": 30, "seed": 3}
     (plane,) = many(oracles[:1], **planes)
     assert plane.to_bytes() == plr_jax.construct(oracles[0], MAZE.bounds, **planes).to_bytes()
@@ -110,20 +106,14 @@ def parts_of_one(monkeypatch):
     monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", 1)
 
 
-@pytest.mark.parametrize("at_once", [1, 3])
-def test_bytes_do_not_depend_on_groups_and_threads(oracles, family, monkeypatch, at_once):
-    monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", at_once)
-    with ThreadPoolExecutor(3) as threads:
-        assert files_of(many(oracles[::-1], executor=threads)) == files_of(family)[::-1]
-
-
-def test_proofs_do_not_depend_on_groups(oracles, monkeypatch):
-    some, options = oracles[:3], {"certified": True, "max_bytes": 1000}
-    expected = files_of(many(some, **options))
+@pytest.mark.parametrize("options", [{"max_bytes": 200}, {"max_bytes": 600, "certified": True}])
+def test_bytes_do_not_depend_on_groups_and_threads(oracles, monkeypatch, options):
+    expected = files_of(many(oracles[:3], **options))
     for at_once, pieces in ((64, 1), (2, 1 << 14)):
         monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", at_once)
         monkeypatch.setattr(_construct_many, "_PIECES_AT_ONCE", pieces)
-        assert files_of(many(some[::-1], **options)) == expected[::-1]
+        with ThreadPoolExecutor(3) as threads:
+            assert files_of(many(oracles[2::-1], executor=threads, **options)) == expected[::-1]
 
 
 @pytest.mark.full
@@ -192,7 +182,7 @@ def test_finished_checkpoints_build_nothing(work, family, finished, monkeypatch)
 def test_cut_or_damaged_checkpoints_are_completed(work, finished, tmp_path):
     path, files = finished
     whole = path.read_bytes()
-    kept = [whole[:size] for size in (0, 14, 42, len(whole) // 3, len(whole) - 1)]
+    kept = [whole[:size] for size in (0, 42, len(whole) // 3, len(whole) - 1)]
     for data in (*kept, whole[:-20] + bytes([whole[-20] ^ 1]) + whole[-19:]):
         (tmp_path / "cut").write_bytes(data)
         assert files_of(many(work, checkpoint=tmp_path / "cut")) == files
@@ -213,13 +203,11 @@ def test_members_finished_before_an_error_are_kept(work, finished, tmp_path):
     "change",
     [
         lambda work: (work[:2], {}),
-        lambda work: ([*work[:2], plr_jax.VisibilityGraph(OPEN, (0.2, 0.31))], {}),
         lambda work: ([work[0], work[0].with_goal((0.93, 0.951)), work[2]], {}),
         lambda work: (work[::-1], {}),
         lambda work: (work, {"max_bytes": 301}),
         lambda work: (work, {"leaf": "plane", "max_bytes": 300}),
         lambda work: (work, {"seed": 1}),
-        lambda work: (work, {"max_depth": 7}),
     ],
 )
 def test_checkpoints_of_other_work_are_refused_and_unchanged(work, finished, change):

@@ -104,18 +104,6 @@ def test_starts_that_do_not_see_their_source_take_another(plr):
     np.testing.assert_array_equal(around, [[[0.9, 0.72], [0.5, 0.7], [0.4, 0.7], GOAL]])
 
 
-def test_paths_around_rounded_corners_cross_no_wall():
-    octagon = shapely.Point(0.5, 0.5).buffer(0.2 / np.pi, quad_segs=2)
-    workspace = Workspace(UNIT, [octagon])
-    exact = VisibilityGraph(workspace, GOAL)
-    plr = construct(exact, UNIT, leaf="cone", max_bytes=1024)
-    assert plr.stored.sources.num_fine >= 4
-    starts = workspace.sample_free(500, seed=0)
-    traces = trace(plr, starts, workspace)
-    assert traces.arrived.all()
-    assert np.abs(traces.lengths / exact(starts) - 1).max() < 1e-3
-
-
 def test_paths_bend_where_two_walls_touch():
     """Two wedges touch at a point, above which the angle of free space exceeds 180 degrees."""
     bounds = np.array([(41.923294, 43.768486), (62.551895, 65.369339)])

@@ -79,21 +79,6 @@ def test_domains_that_no_longer_reach_the_goal_raise(oracle):
         far.updated(changed(oracle, shapely.box(5.1, 0, 5.4, 6)))
 
 
-@pytest.mark.full
-def test_distances_behind_a_blocked_way_grow_equally():
-    """Both ways around a wall end at one corner. Behind it, all distances grow by one number, and leaves stay."""
-    walls = [shapely.box(2, 1, 6, 5), shapely.box(6.5, 0, 7, 3), shapely.box(6.5, 3.2, 7, 6)]
-    before = VisibilityGraph(Workspace(BOUNDS, walls), (1.0, 2.9))
-    after = changed(before, shapely.box(3, 0, 3.2, 1))
-    plr = construct(before, BOUNDS, leaf="cone", max_bytes=BYTES, certified=True)
-    new = plr.updated(after, before, max_bytes=BYTES)
-    x = np.random.default_rng(0).uniform((7.05, 3.21), (8, 6), (500, 2))
-    moved = after(x) - before(x)
-    np.testing.assert_allclose(new(x) - plr(x), moved, atol=1e-3)
-    lower, upper = new.bounds(x)
-    assert (lower <= after(x) + 1e-5).all() and (upper >= after(x) - 1e-5).all()
-
-
 @pytest.mark.parametrize(
     ("update", "message"),
     [
