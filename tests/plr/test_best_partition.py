@@ -17,7 +17,7 @@ from plr_jax.plr.tree import Cells
 @pytest.fixture(autouse=True)
 def boxes_of_all_shapes_in_small_batches(monkeypatch):
     """Allow all boxes of up to three splits along each axis, and judge few boxes at once."""
-    monkeypatch.setattr(best_partition, "BOXES_PER_BATCH", 5)
+    monkeypatch.setattr(best_partition, "BOXES_PER_BATCH", 20)
     monkeypatch.setattr(best_partition, "MAX_ASPECT_BITS", 3)
 
 
@@ -133,7 +133,7 @@ def search(costs, **given):
     return found.integral.sum(), len(found.cells), found
 
 
-@pytest.mark.parametrize("most", [1, 2, 5, 12, 20, 40])
+@pytest.mark.parametrize("most", [1, 5, 20, 40])
 @pytest.mark.parametrize("limit", ["max_leaves", "max_bytes"])
 def test_partitions_are_the_best_at_some_price(most, limit):
     """Each leaf takes three bytes."""

@@ -23,7 +23,7 @@ INDEX = np.random.default_rng(0).integers(0, 4, 500)
 X = np.random.default_rng(0).uniform(-0.1, 1.1, (500, 2)).astype(np.float32)
 
 
-def built(leaf, goals=GOALS, max_leaves=60):
+def built(leaf, goals=GOALS, max_leaves=25):
     return [construct(VisibilityGraph(ROOM, goal), UNIT, leaf=leaf, max_leaves=max_leaves) for goal in goals]
 
 

@@ -63,7 +63,7 @@ def test_paths_of_batches_equal_paths_of_single_starts(plr, workspace):
         np.testing.assert_array_equal(one.paths[0, : one.counts[0]], many.paths[row, : many.counts[row]])
 
 
-@pytest.mark.parametrize("scene", ["maze", "thin_maze"])
+@pytest.mark.parametrize("scene", ["maze", pytest.param("thin_maze", marks=pytest.mark.full)])
 def test_paths_in_mazes_are_shortest_and_cross_no_wall(scene):
     problem = getattr(scenes, scene)()
     workspace, exact = problem.workspace, VisibilityGraph(problem.workspace, problem.goals[0])
