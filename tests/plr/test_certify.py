@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from piece_helpers import WORKSPACES, box
+from piece_helpers import WORKSPACES, box, fan_workspace, general_workspace, lattice_workspace
 from plr_helpers import UNIT, cone
 
 from plr_jax.geometry.box import Box
@@ -58,7 +58,7 @@ def test_cells_below_a_very_thin_wall_keep_the_corner_of_their_paths():
         cells = cells.split(np.full(len(cells), axis))
 
 
-LEAVES = ("plane", "continuous", "smooth", "cone")
+SMOOTH = pytest.param("smooth", marks=pytest.mark.full)
 TEN = ((0, 0), (10, 10))
 
 
@@ -106,7 +106,7 @@ def check_bounds(plr, oracle, n=10_000):
     return largest
 
 
-@pytest.fixture(scope="module", params=LEAVES)
+@pytest.fixture(scope="module", params=("plane", "continuous", SMOOTH, "cone"))
 def certified(request, maze):
     """A PLR of the maze with bounds of every leaf."""
     return construct(maze, UNIT, leaf=request.param, max_bytes=300, certified="leaves")
@@ -127,15 +127,22 @@ def test_bounds_contain_exact_distances_and_are_tight(certified, maze):
     assert plain.max_error is None and plain.band is None and plain.num_bytes + 4 == plr.num_bytes
 
 
-@pytest.mark.parametrize(("leaf", "kind"), list(zip(LEAVES, WORKSPACES * 2, strict=False)))
-def test_bounds_hold_in_random_workspaces(leaf, kind):
-    """Among slivers, contacts and closed parts; also if the goal is a corner, or the domain not the bounds."""
-    number = LEAVES.index(leaf)
-    workspace = kind(np.random.default_rng(number), squeeze=number % 2 == 0)
-    goal = workspace.sample_free(1, 0)[0] if number < 2 else workspace.boundary.vertices[7]
-    domain = Box((-3, -1), (12, 14)) if number in (1, 2) else Box((1.3, 1.9), (9.1, 8))
-    oracle = VisibilityGraph(workspace, goal)
-    plr = construct(oracle, domain, leaf=leaf, max_leaves=40, certified="leaves" if number % 2 else True)
+@pytest.mark.parametrize(
+    ("leaf", "kind", "goal", "domain"),  # the goal is a corner of an obstacle, or a free point if None
+    [
+        ("plane", general_workspace, None, Box((1.3, 1.9), (9.1, 8))),
+        pytest.param("continuous", lattice_workspace, None, Box((-3, -1), (12, 14)), marks=pytest.mark.full),
+        pytest.param("smooth", fan_workspace, 7, Box((-3, -1), (12, 14)), marks=pytest.mark.full),
+        ("cone", lattice_workspace, 7, Box((1.3, 1.9), (9.1, 8))),
+    ],
+)
+def test_bounds_hold_in_random_workspaces(leaf, kind, goal, domain):
+    """Among slivers, contacts and closed parts."""
+    workspace = kind(np.random.default_rng(3), squeeze=goal is None)
+    oracle = VisibilityGraph(
+        workspace, workspace.sample_free(1, 0)[0] if goal is None else workspace.boundary.vertices[goal]
+    )
+    plr = construct(oracle, domain, leaf=leaf, max_leaves=40, certified="leaves" if goal is None else True)
     check_bounds(plr, oracle)
 
 
