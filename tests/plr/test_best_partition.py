@@ -91,18 +91,6 @@ def least_costs(seed, max_depth=2 * DEPTH):
     return least(0, 0, 0, 0)
 
 
-def hull(least):
-    """Return the numbers of leaves that are best at some price above 0: the corners of the lower convex hull."""
-    best, price = [1], np.inf
-    while True:
-        more = np.arange(best[-1] + 1, len(least))
-        rate = (least[best[-1]] - least[more]) / (more - best[-1])
-        if not len(rate) or rate.max() <= 0:
-            return best
-        price = rate.max()
-        best.append(int(more[np.flatnonzero(rate == price)[-1]]))
-
-
 def limits_for(**given):
     none = {"max_depth": 60, "max_axis_depth": DEPTH, "max_leaves": 10**9, "max_bytes": np.inf, "tolerance": 0.0}
     return Limits(**(none | given), proof=Proof.NONE, frame_bytes=13)
@@ -143,8 +131,13 @@ def test_partitions_are_the_best_at_some_price(most, limit):
         cost, number, _ = search(random_costs(seed), **given)
         assert number <= most
         np.testing.assert_allclose(cost, least[number], rtol=1e-12)
-        assert number in hull(least)
-        largest += number == max(n for n in hull(least) if n <= most)
+        n = np.arange(1, len(least))
+        n = n[n != number]
+        saved = (least[number] - least[n]) / (n - number)  # per leaf
+        fewer, more = saved[n < number], saved[n > number]
+        assert more.max() <= fewer.min(initial=np.inf)
+        next_largest = n[n > number][more.argmax()] if more.max() > 0 else np.inf
+        largest += next_largest > most
     assert largest >= 7  # a price is found by halving, which may miss one whose range is narrow
 
 

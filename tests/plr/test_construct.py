@@ -2,7 +2,6 @@
 
 import heapq
 import pickle
-import signal
 from types import SimpleNamespace
 
 import numpy as np
@@ -60,7 +59,7 @@ def test_tolerance_bounds_the_error_at_samples_or_centers():
 
 def test_error_falls_with_leaves():
     """Planes are of second order: in 2-D four times the leaves should give about a quarter of the error."""
-    errors = np.array([errors_of(construct(walled, UNIT, max_leaves=n)).mean() for n in (16, 64, 256, 1024)])
+    errors = np.array([errors_of(construct(walled, UNIT, max_leaves=n)).mean() for n in (16, 64, 256)])
     assert np.all(errors[1:] < 0.45 * errors[:-1])
 
 
@@ -73,17 +72,15 @@ def test_errors_in_slivers_of_free_space_are_small():
     assert errors_in_free_space(plr, exact, workspace).max() < 0.06
 
 
-def test_seeds_decide_the_bytes(leaf):
+def test_seeds_decide_the_bytes():
     """Masked distances mean inf. Once the mask was lost, and masked numbers were distances."""
 
     def masked(x):
         distance = walled(x)
         return np.ma.masked_array(np.where(np.isinf(distance), 0.0, distance), np.isinf(distance))
 
-    first, again, other = (
-        construct(fn, UNIT, leaf=leaf, max_leaves=12, seed=seed, options=BuildOptions(num_samples=32))
-        for fn, seed in ((walled, 1), (masked, 1), (walled, 2))
-    )
+    limits = {"leaf": "continuous", "max_leaves": 12, "options": BuildOptions(num_samples=32)}
+    first, again, other = (construct(f, UNIT, seed=i, **limits) for f, i in ((walled, 1), (masked, 1), (walled, 2)))
     assert first.to_bytes() == again.to_bytes() != other.to_bytes()
 
 
@@ -104,17 +101,6 @@ def test_weights_reduce_errors_whatever_their_scale():
     assert error[0] < 0.5 * error[1]
 
 
-@pytest.mark.parametrize(("dim", "max_leaves", "most"), [(1, 15, 0.1), (3, 300, 0.17), (14, 6, 0.5)])
-def test_any_dimension(dim, max_leaves, most):
-    def exact(x):
-        return cone(3 * x - 1)
-
-    domain, options = Box(np.zeros(dim), np.ones(dim)), BuildOptions(num_samples=64)
-    plr = construct(exact, domain, max_leaves=max_leaves, options=options)
-    assert plr.num_leaves == max_leaves
-    assert errors_of(plr, 1000, exact).mean() < most
-
-
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("options", "message"),
@@ -131,7 +117,6 @@ def test_any_dimension(dim, max_leaves, most):
         ({"domain": ((0, 0), (1, 0))}, "positive width"),
         ({"domain": (3 * [0], 3 * [1]), "leaf": "smooth"}, "up to 2 dimensions, got 3. Use continuous leaves"),
         ({"domain": (7 * [0], 7 * [1]), "leaf": "continuous"}, "up to 6 dimensions, got 7. Use planes"),
-        ({"distance_fn": ORACLE, "leaf": "best", "max_bytes": "x"}, "max_bytes must be an integer >= 1, got 'x'"),
         ({"leaf": "cone"}, "Use leaf='continuous' for any other"),
         ({"domain": (3 * [0], 3 * [1]), "leaf": "cone"}, "in 3 dimensions"),
         (CONES | {"max_bytes": 20}, "max_bytes=20 is too small: one leaf takes"),
@@ -144,7 +129,6 @@ def test_any_dimension(dim, max_leaves, most):
             for leaf in ("plane", "continuous")
             for rule, message in (
                 ({"split": lambda fit: np.full(len(fit.cells), 5)}, "split must return one axis from 0 to 1 a cell"),
-                ({"split": lambda fit: np.zeros(0, int)}, "split must return one axis"),
                 ({"should_split": lambda fit: np.ones(len(fit.cells) + 1)}, "should_split must return one priority"),
                 ({"should_split": lambda fit: np.full(len(fit.cells), np.nan)}, "must return one priority a cell"),
             )
@@ -154,10 +138,8 @@ def test_any_dimension(dim, max_leaves, most):
             for leaf in ("plane", "continuous")
             for options, message in (
                 ({"distance_fn": lambda x: np.full(len(x), 1e31)}, "scale them down"),
-                ({"distance_fn": lambda x: np.full(len(x), 1e100)}, "scale them down"),
                 ({"distance_fn": lambda x: np.full(len(x), np.inf)}, "found nothing reachable"),
                 ({"distance_fn": lambda x: np.full(len(x), np.nan)}, "distance_fn gives NaN at"),
-                ({"domain": ((0, 0), (1e39, 1e39))}, "A domain's coordinates must be below"),
                 ({"domain": ((0, 0), (1e-39, 1e-39))}, "A domain's coordinates must be below"),
                 ({"max_bytes": 13}, r"max_bytes=13 is too small: one leaf takes [123]\d bytes"),
             )
@@ -219,16 +201,13 @@ def test_best_leaves_with_own_rules_are_no_cones():
     assert plr.leaf.name in ("continuous", "smooth")
 
 
-@pytest.mark.parametrize(
-    ("limit", "name"),
-    [({"max_bytes": 66}, "continuous"), pytest.param({"max_leaves": 20}, "smooth", marks=pytest.mark.full)],
-)
-def test_best_leaves_have_the_smallest_error(limit, name):
+@pytest.mark.parametrize("limit", [{"max_bytes": 66}, pytest.param({"max_leaves": 20}, marks=pytest.mark.full)])
+def test_best_leaves_have_the_smallest_error(limit):
     """The product of mean and largest error. Of 20 leaves, cones have the smallest mean, but err by far the most."""
-    built = {leaf: construct(ORACLE, UNIT, leaf=leaf, **limit) for leaf in ("continuous", "smooth", "cone")}
-    errors = {leaf: errors_in_free_space(plr, ORACLE, MAZE.workspace) for leaf, plr in built.items()}
-    assert min(errors, key=lambda leaf: errors[leaf].mean() * errors[leaf].max()) == name
-    assert construct(ORACLE, UNIT, leaf="best", **limit).to_bytes() == built[name].to_bytes()
+    plrs = [construct(ORACLE, UNIT, leaf=leaf, **limit) for leaf in ("continuous", "smooth", "cone")]
+    errors = [errors_in_free_space(plr, ORACLE, MAZE.workspace) for plr in plrs]
+    best = plrs[np.argmin([error.mean() * error.max() for error in errors])]
+    assert construct(ORACLE, UNIT, leaf="best", **limit).to_bytes() == best.to_bytes()
 
 
 @pytest.mark.parametrize("step", ["leaves.continuous.grow", "_construct._sampled_error"])
@@ -372,19 +351,6 @@ def test_growth_ends_without_splits_or_at_an_interrupt():
 
     with pytest.warns(ConstructionInterrupted, match="Interrupted at 3 leaves: the PLR is the one built so far"):
         assert growth.grow([0], split_some, limits(max_leaves=100)) == [0] * 3
-
-
-def test_interrupted_construction_returns_the_plr_so_far(leaf):
-    calls = []
-
-    def interrupted(x):
-        calls.append(len(x))
-        return walled(x) if len(calls) < 8 else signal.raise_signal(signal.SIGINT)
-
-    with pytest.warns(ConstructionInterrupted, match="the PLR is the one built so far") as caught:
-        plr = construct(interrupted, UNIT, leaf=leaf, max_leaves=500)
-    assert 1 < plr.num_leaves < 500 and np.isfinite(plr(np.array([0.3, 0.3])))
-    assert f"at {plr.num_leaves} leaves" in str(caught[0].message)
 
 
 def test_too_small_budget_says_the_least_and_can_be_pickled():

@@ -1,6 +1,5 @@
 """Many PLRs at once, executors and checkpoints: bytes depend neither on workers nor on interruptions."""
 
-import os
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing import get_context
@@ -9,7 +8,6 @@ import numpy as np
 import pytest
 
 import plr_jax
-from experiments._scale_work import FatalOnce
 from plr_jax.plr import _construct_many, parallel_builds
 from plr_jax.plr.parallel_builds import BuildResults
 
@@ -18,9 +16,7 @@ from plr_jax.plr.parallel_builds import BuildResults
 
 MAZE = plr_jax.scenes.maze().workspace
 OPEN = plr_jax.Workspace(((0, 0), (1, 1)))
-CONES = {"leaf": "cone", "max_bytes": 300}
-FORKS = get_context("forkserver")
-FORKS.set_forkserver_preload(["experiments._scale_work"])
+CONES = {"leaf": "cone", "max_bytes": 240}
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +47,7 @@ def errors_of(plr, oracle, x):
 def test_family_errs_less_than_single_constructions(oracles, family):
     x, alone, together = MAZE.sample_free(1000, seed=1), [], []
     for plr, oracle in zip(family, oracles, strict=True):
-        assert plr.num_bytes <= 300
+        assert plr.num_bytes <= 240
         assert np.ldexp(1.0, -plr.cells.depth.sum(axis=1)).sum() == 1
         np.testing.assert_array_equal(plr_jax.from_bytes(plr.to_bytes())(x), plr(x))
         together.append(errors_of(plr, oracle, x).mean())
@@ -74,7 +70,7 @@ def test_members_have_the_sources_of_their_own_goal(oracles, family):
 
 def test_limits_hold(oracles):
     x = MAZE.sample_free(1000, seed=1)
-    for most in (1, 2, 5, 90):
+    for most in (1, 2, 60):
         (plr,) = many(oracles[:1], leaf="cone", max_leaves=most)
         assert most * 8 / 9 - 2 <= plr.num_leaves <= most
         assert np.isfinite(np.asarray(plr(x))).all()
@@ -114,18 +110,6 @@ def test_bytes_do_not_depend_on_groups_and_threads(oracles, monkeypatch, options
         monkeypatch.setattr(_construct_many, "_PIECES_AT_ONCE", pieces)
         with ThreadPoolExecutor(3) as threads:
             assert files_of(many(oracles[2::-1], executor=threads, **options)) == expected[::-1]
-
-
-@pytest.mark.full
-@pytest.mark.usefixtures("parts_of_one")
-def test_bytes_do_not_depend_on_processes_or_a_killed_worker(oracles, family, tmp_path):
-    fatal, planes = FatalOnce((0.4, 0.6), tmp_path / "killed", os.getpid()), {"leaf": "plane", "max_leaves": 30}
-    with ProcessPoolExecutor(2, mp_context=FORKS) as executor:
-        assert files_of(many(oracles, executor=executor)) == files_of(family)
-        plrs = many([*oracles[:3], fatal, *oracles[3:]], executor=executor, **planes)
-    assert (tmp_path / "killed").exists()
-    assert files_of(plrs[:3] + plrs[4:]) == files_of(many(oracles, **planes))
-    assert plrs[3].to_bytes() == plr_jax.construct(fatal, MAZE.bounds, **planes).to_bytes()
 
 
 class Failing(Executor):
@@ -172,14 +156,7 @@ def finished(work, tmp_path_factory):
     return path, files_of(many(work, checkpoint=path))
 
 
-def test_finished_checkpoints_build_nothing(work, family, finished, monkeypatch):
-    path, files = finished
-    assert files[:2] == files_of(family[:2])
-    monkeypatch.setattr(BuildResults, "_build_by", lambda done, pool, chunks, progress: [] if not chunks else 1 / 0)
-    assert files_of(many(work, checkpoint=path)) == files
-
-
-def test_cut_or_damaged_checkpoints_are_completed(work, finished, tmp_path):
+def test_cut_or_damaged_checkpoints_are_completed(work, finished, tmp_path, monkeypatch):
     path, files = finished
     whole = path.read_bytes()
     kept = [whole[:size] for size in (0, 42, len(whole) // 3, len(whole) - 1)]
@@ -187,6 +164,8 @@ def test_cut_or_damaged_checkpoints_are_completed(work, finished, tmp_path):
         (tmp_path / "cut").write_bytes(data)
         assert files_of(many(work, checkpoint=tmp_path / "cut")) == files
         assert (tmp_path / "cut").read_bytes() == whole
+    monkeypatch.setattr(BuildResults, "_build_by", lambda done, pool, chunks, progress: [] if not chunks else 1 / 0)
+    assert files_of(many(work, checkpoint=path)) == files, "a complete checkpoint builds nothing"
 
 
 @pytest.mark.usefixtures("parts_of_one")
@@ -205,8 +184,8 @@ def test_members_finished_before_an_error_are_kept(work, finished, tmp_path):
         lambda work: (work[:2], {}),
         lambda work: ([work[0], work[0].with_goal((0.93, 0.951)), work[2]], {}),
         lambda work: (work[::-1], {}),
-        lambda work: (work, {"max_bytes": 301}),
-        lambda work: (work, {"leaf": "plane", "max_bytes": 300}),
+        lambda work: (work, {"max_bytes": 241}),
+        lambda work: (work, {"leaf": "plane", "max_bytes": 240}),
         lambda work: (work, {"seed": 1}),
     ],
 )
