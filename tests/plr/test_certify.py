@@ -139,6 +139,7 @@ def test_bounds_hold_in_random_workspaces(leaf, kind, goal):
     check_bounds(construct(oracle, domain, leaf=leaf, max_leaves=40, certified="leaves" if goal else True), oracle)
 
 
+@pytest.mark.full
 def test_bounds_of_classes_are_narrow_and_take_few_bytes(maze):
     """A file with one bound for all leaves, as earlier releases wrote it, is read as it was written."""
     plr = construct(maze, UNIT, leaf="cone", max_bytes=2048, certified=True)
@@ -227,16 +228,14 @@ def test_proofs_of_few_pieces_hold(maze, monkeypatch):
 def test_bounds_and_slopes_under_jit(maze):
     plr = certify(construct(maze, UNIT, max_leaves=30), maze, leaf_bounds=True)
     x = jnp.asarray(np.random.default_rng(0).random((300, 2)), jnp.float32)
-    bounds, lower, slopes = jax.jit(
-        lambda plr, lower, x: (plr.bounds(x), lower(x), jax.vmap(jax.jacrev(plr.bounds))(x))
-    )(plr, plr.lower, x)
+    answers = jax.jit(lambda plr, x: (plr.bounds(x), plr.lower(x), jax.vmap(jax.grad(plr.lower))(x)))
+    bounds, lower, slope = answers(plr, x)
     np.testing.assert_allclose(bounds, plr.bounds(x), rtol=1e-6)
     np.testing.assert_array_equal(lower, bounds[0])
     leaf = leaf_of(plr, x)
-    is_sloped = (lower > 0) & ~plr.unreachable[leaf]  # bounds are at least 0
+    is_sloped = (np.asarray(lower) > 0) & ~plr.unreachable[leaf]  # bounds are at least 0
     assert is_sloped.sum() > 100
-    for slope in slopes:
-        np.testing.assert_allclose(slope[is_sloped], plr.slope[leaf][is_sloped], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(slope[is_sloped], plr.slope[leaf][is_sloped], rtol=1e-5, atol=1e-6)
     assert jax.tree_util.tree_map(lambda array: array, plr).max_error == plr.max_error
 
 
@@ -289,10 +288,7 @@ def planes(maze):
         (lambda plr, maze: construct(cone, UNIT, certified=True), "answers for whole cells"),
         (lambda plr, maze: certify(construct(cone, Box([0], [1]), max_leaves=4), maze), "in the plane"),
         (lambda plr, maze: certify(maze, maze), "plr must be a PLR"),
-        (
-            lambda plr, maze: construct(maze, UNIT, certified="cells"),
-            "certified must be True, False or 'leaves', got 'cells'",
-        ),
+        (lambda plr, maze: construct(maze, UNIT, certified="cells"), "True, False or 'leaves', got 'cells'"),
     ],
 )
 def test_proofs_that_are_impossible_raise(call, message, planes, maze):

@@ -101,16 +101,17 @@ def test_weights_reduce_errors_whatever_their_scale():
     assert error[0] < 0.5 * error[1]
 
 
+def rule(**options):
+    return {"options": BuildOptions(**options)}
+
+
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"options": {"num_samples": 9}}, r"options must be BuildOptions\(...\), got {"),
-        ({"options": BuildOptions(num_samples=2)}, "num_samples must be an integer >= 3, got 2"),
-        (
-            {"options": BuildOptions(num_samples=4), "leaf": "continuous"},
-            "num_samples must be an integer >= 5, got 4",
-        ),
+        (rule(num_samples=2), "num_samples must be an integer >= 3, got 2"),
+        (rule(num_samples=4) | {"leaf": "continuous"}, "samples must be an integer >= 5, got 4"),
         ({"seed": -1}, "seed must be an integer >= 0"),
         ({"leaf": 7}, r"leaf must be a leaf model or its name, one of 'plane', .*, got 7"),
         ({"leaf": "cubic"}, "one of 'plane', 'continuous', 'smooth', 'cone', got 'cubic'"),
@@ -120,23 +121,16 @@ def test_weights_reduce_errors_whatever_their_scale():
         ({"leaf": "cone"}, "Use leaf='continuous' for any other"),
         ({"domain": (3 * [0], 3 * [1]), "leaf": "cone"}, "in 3 dimensions"),
         (CONES | {"max_bytes": 20}, "max_bytes=20 is too small: one leaf takes"),
-        *(
-            (CONES | {"options": BuildOptions(**rule)}, "or use leaf='continuous'")
-            for rule in ({"weight_fn": cone}, {"should_split": maximum_depth}, {"split": cyclic_axis})
-        ),
-        *(
-            ({"leaf": leaf, "options": BuildOptions(**rule)}, message)
-            for leaf in ("plane", "continuous")
-            for rule, message in (
-                ({"split": lambda fit: np.full(len(fit.cells), 5)}, "split must return one axis from 0 to 1 a cell"),
-                ({"should_split": lambda fit: np.ones(len(fit.cells) + 1)}, "should_split must return one priority"),
-                ({"should_split": lambda fit: np.full(len(fit.cells), np.nan)}, "must return one priority a cell"),
-            )
-        ),
+        (CONES | rule(weight_fn=cone), "or use leaf='continuous'"),
+        (CONES | rule(should_split=maximum_depth), "or use leaf='continuous'"),
+        (CONES | rule(split=cyclic_axis), "or use leaf='continuous'"),
         *(
             ({"leaf": leaf} | options, message)
             for leaf in ("plane", "continuous")
             for options, message in (
+                (rule(split=lambda fit: np.full(len(fit.cells), 5)), "split must return one axis from 0 to 1 a cell"),
+                (rule(should_split=lambda fit: np.ones(len(fit.cells) + 1)), "should_split must return one priority"),
+                (rule(should_split=lambda fit: np.full(len(fit.cells), np.nan)), "must return one priority a cell"),
                 ({"distance_fn": lambda x: np.full(len(x), 1e31)}, "scale them down"),
                 ({"distance_fn": lambda x: np.full(len(x), np.inf)}, "found nothing reachable"),
                 ({"distance_fn": lambda x: np.full(len(x), np.nan)}, "distance_fn gives NaN at"),

@@ -75,19 +75,19 @@ def test_limits_hold(oracles):
         assert most * 8 / 9 - 2 <= plr.num_leaves <= most
         assert np.isfinite(np.asarray(plr(x))).all()
     assert all(0.95 * 200 <= plr.num_bytes <= 200 for plr in many(oracles[:2], max_bytes=200))
-    (shallow,) = many(oracles[:1], max_bytes=400, max_depth=7)
+    (shallow,) = many(oracles[:1], max_bytes=200, max_depth=7)
     assert shallow.depth <= 7
-    (few,) = many(oracles[:1], max_bytes=4000, tolerance=0.05)
+    (few,) = many(oracles[:1], max_bytes=1000, tolerance=0.05)
     assert few.num_bytes < 400 and errors_of(few, oracles[0], x).max() < 0.051
 
 
 def test_certified_bounds_contain_exact_distances(oracles):
-    x, options = MAZE.sample_free(3000, seed=6), CONES | {"certified": "leaves", "max_bytes": 400}
+    x, options = MAZE.sample_free(3000, seed=6), CONES | {"certified": "leaves", "max_bytes": 300}
     plr, _ = many(oracles[:2], **options)
     alone = plr_jax.construct(oracles[0], MAZE.bounds, **options)
     lower, upper = plr.bounds(x)
     assert (np.asarray(lower) <= oracles[0](x)).all() and (oracles[0](x) <= np.asarray(upper)).all()
-    assert plr.num_bytes <= 400
+    assert plr.num_bytes <= 300
     assert errors_of(plr, oracles[0], x).max() <= plr.max_error < 1.5 * alone.max_error
 
 
@@ -102,7 +102,7 @@ def parts_of_one(monkeypatch):
     monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", 1)
 
 
-@pytest.mark.parametrize("options", [{"max_bytes": 200}, {"max_bytes": 600, "certified": True}])
+@pytest.mark.parametrize("options", [{"max_bytes": 150}, {"max_bytes": 300, "certified": True}])
 def test_bytes_do_not_depend_on_groups_and_threads(oracles, monkeypatch, options):
     expected = files_of(many(oracles[:3], **options))
     for at_once, pieces in ((64, 1), (2, 1 << 14)):

@@ -88,10 +88,7 @@ def test_indices_broadcast_and_unknown_indices_give_nan():
         (lambda plr: stack([]), "at least one"),
         (lambda plr: PLR.stack([plr, plr])(np.zeros((5, 3, 3))), r"shape \(n, 2, dof\), got \(5, 3, 3\)"),
         (lambda plr: PLR.stack([plr, plr])(np.zeros((5, 2))), r"shape \(n, 2, dof\), got \(5, 2\)"),
-        (
-            lambda plr: PLR.stack([plr, plr])(np.zeros((5, 2, 1))),
-            "The PLR of robot 0 needs 2 coordinates, got configurations of 1",
-        ),
+        (lambda plr: PLR.stack([plr, plr])(np.zeros((5, 2, 1))), "robot 0 needs 2 coordinates, got .* of 1"),
     ],
 )
 def test_wrong_arguments_raise(call, message):
