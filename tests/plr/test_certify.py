@@ -116,9 +116,14 @@ def test_bounds_contain_exact_distances_and_are_tight(certified, maze):
     """Bounds of leaves take two bytes each, a bound of the largest error takes four."""
     assert certified.num_bytes <= 300
     assert certify(certified, maze, leaf_bounds=True).to_bytes() == certified.to_bytes()
-    assert check_bounds(certified, maze) > certified.max_error / 3
+    assert check_bounds(certified, maze) > 0.95 * certified.max_error
     plr = certify(from_bytes(certified.to_bytes()), maze)
-    assert plr.max_error / 2 < check_bounds(plr, maze) <= plr.max_error
+    assert check_bounds(plr, maze) > 0.95 * plr.max_error
+    x = maze.workspace.sample_free(5000, 0)
+    leaf, error, (least, most) = leaf_of(certified, x), maze(x) - certified(x), np.zeros((2, certified.num_leaves))
+    np.minimum.at(least, leaf, error)
+    np.maximum.at(most, leaf, error)
+    assert np.ptp(certified.bounds(x), axis=0).mean() < 1.7 * (most - least)[leaf].mean()
     x = np.array([[0.03, 0.9]])
     np.testing.assert_allclose(np.asarray(plr.bounds(x)) - plr(x), [[-plr.max_error], [plr.max_error]], rtol=1e-3)
     assert plr.bounds(x[0])[0].shape == ()
@@ -146,9 +151,7 @@ def test_bounds_of_classes_are_narrow_and_take_few_bytes(maze):
     check_bounds(plr, maze)
     assert 1900 < plr.num_bytes <= 2048
     assert certify(plr, maze).to_bytes() == plr.to_bytes()
-    loaded = from_bytes(plr.to_bytes())
-    assert loaded.max_error == plr.max_error
-    np.testing.assert_array_equal(loaded.band, plr.band)
+    np.testing.assert_array_equal(from_bytes(plr.to_bytes()).band, plr.band)
     one = plr_of_leaves(replace(plr._contents, certificate=Certificate(plr.max_error, None, Proof.CLASSES)))
     one = from_bytes(one.to_bytes())
     np.testing.assert_array_equal(one.band, [[-plr.max_error], [plr.max_error]])

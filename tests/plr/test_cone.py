@@ -235,7 +235,7 @@ def test_equal_sources_are_stored_once():
     assert index.tolist() == [0, 1, 1, 0]
     assert stored.parent.tolist() == [0, 0] and stored.is_root.tolist() == [True, False]
     np.testing.assert_allclose(stored.offsets, [0, 2**0.5])
-    # Source 1 and its parent, source 2, are stored as one source, whose parent is that of source 2.
+    # Source 1 and its parent, source 2, are stored as one source, whose parent is source 0.
     stored, index = store_sources(points[:3], distances[:3], np.array([0, 2, 0]), Box((0, 0), (2, 2)))
     assert index.tolist() == [0, 1, 1] and stored.parent.tolist() == [0, 0]
 
