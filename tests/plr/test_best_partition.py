@@ -156,22 +156,7 @@ def test_depth_of_an_axis_and_aspect_of_boxes_are_limited(monkeypatch):
         assert np.ptp(search(random_costs(seed))[2].cells.depth, axis=1).max() <= 1
 
 
-def test_boxes_without_error_are_leaves_and_not_halved():
-    """Exact are the lower half along the first axis and all boxes in it, and the quarters of the upper half."""
-    costs = dict(random_costs(3))
-    for d0, d1, p0, p1 in costs:
-        if (d0 and not p0 >> (d0 - 1)) or (d0 and d1):
-            costs[d0, d1, p0, p1] = 0.0
-    root = FakeBoxes(costs, Cells.root(2), [])
-    found = best_boxes(root)
-    assert found.integral.sum() == 0
-    assert len(found.cells) == 3
-    asked = np.array(root.asked)
-    in_lower_half = (asked[:, 0] > 0) & (asked[:, 2] >> np.maximum(asked[:, 0] - 1, 0) == 0)
-    assert in_lower_half.any() and (asked[in_lower_half, 0] == 1).all()
-
-
-def test_hopeless_halves_are_not_halved():
+def test_exact_boxes_and_hopeless_halves_are_not_halved():
     """The halves along the first axis are exact, so the halves along the second axis need no halves of their own."""
     costs = {key: float(key[0] == 0) * 2.0 ** -key[1] for key in random_costs(0)}
     root = FakeBoxes(costs, Cells.root(2), [])
