@@ -191,7 +191,7 @@ def test_best_tries_models_that_fit(dim, num_corners, proof, max_bytes, only_byt
 
 def test_best_leaves_with_own_rules_are_no_cones():
     options = BuildOptions(weight_fn=lambda x: np.ones(len(x)))
-    plr = construct(ORACLE, MAZE.workspace.bounds, leaf="best", max_bytes=120, options=options)
+    plr = construct(ORACLE, MAZE.workspace.bounds, leaf="best", max_leaves=4, options=options)
     assert plr.leaf.name in ("continuous", "smooth")
 
 

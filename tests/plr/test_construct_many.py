@@ -81,13 +81,20 @@ def test_limits_hold(oracles):
     assert few.num_bytes < 400 and errors_of(few, oracles[0], x).max() < 0.051
 
 
-def test_certified_bounds_contain_exact_distances(oracles):
-    x, options = MAZE.sample_free(3000, seed=6), CONES | {"certified": "leaves", "max_bytes": 300}
-    plr, _ = many(oracles[:2], **options)
-    alone = plr_jax.construct(oracles[0], MAZE.bounds, **options)
+PROVEN = CONES | {"certified": "leaves"}
+
+
+@pytest.fixture(scope="module")
+def proven(oracles):
+    return many(oracles, **PROVEN)
+
+
+def test_certified_bounds_contain_exact_distances(oracles, proven):
+    x, plr = MAZE.sample_free(3000, seed=6), proven[0]
+    alone = plr_jax.construct(oracles[0], MAZE.bounds, **PROVEN)
     lower, upper = plr.bounds(x)
     assert (np.asarray(lower) <= oracles[0](x)).all() and (oracles[0](x) <= np.asarray(upper)).all()
-    assert plr.num_bytes <= 300
+    assert plr.num_bytes <= 240
     assert errors_of(plr, oracles[0], x).max() <= plr.max_error < 1.5 * alone.max_error
 
 
@@ -102,14 +109,12 @@ def parts_of_one(monkeypatch):
     monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", 1)
 
 
-@pytest.mark.parametrize("options", [{"max_bytes": 150}, {"max_bytes": 300, "certified": True}])
-def test_bytes_do_not_depend_on_groups_and_threads(oracles, monkeypatch, options):
-    expected = files_of(many(oracles, **options))
+def test_bytes_do_not_depend_on_groups_and_threads(oracles, proven, monkeypatch):
     for at_once, pieces in ((64, 1), (2, 1 << 14)):
         monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", at_once)
         monkeypatch.setattr(_construct_many, "_PIECES_AT_ONCE", pieces)
         with ThreadPoolExecutor(3) as threads:
-            assert files_of(many(oracles[::-1], executor=threads, **options)) == expected[::-1]
+            assert files_of(many(oracles[::-1], executor=threads, **PROVEN)) == files_of(proven)[::-1]
 
 
 class Failing(Executor):

@@ -23,7 +23,7 @@ INDEX = np.random.default_rng(0).integers(0, 4, 500)
 X = np.random.default_rng(0).uniform(-0.1, 1.1, (500, 2)).astype(np.float32)
 
 
-def built(leaf, goals=GOALS, max_leaves=25):
+def built(leaf, goals=GOALS, max_leaves=16):
     return [construct(VisibilityGraph(ROOM, goal), UNIT, leaf=leaf, max_leaves=max_leaves) for goal in goals]
 
 
@@ -35,7 +35,7 @@ def periodic(k):
 @pytest.fixture(scope="module")
 def mixed():
     """PLRs of one goal, of four leaf models and sizes."""
-    return [built(leaf, GOALS[:1], n)[0] for leaf, n in zip(MODELS, (9, 30, 40, 200), strict=True)]
+    return [built(leaf, GOALS[:1], n)[0] for leaf, n in zip(MODELS, (9, 30, 20, 60), strict=True)]
 
 
 def test_stack_equals_its_plrs(mixed):

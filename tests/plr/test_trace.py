@@ -23,7 +23,7 @@ OUTSIDE, ELSEWHERE = TraceStatus.OUTSIDE, TraceStatus.ENDED_ELSEWHERE
 @pytest.fixture(scope="module")
 def plr():
     """Cones of a room with one wall, around whose top shortest paths turn."""
-    return construct(VisibilityGraph(ROOM, GOAL), UNIT, leaf="cone", max_bytes=512)
+    return construct(VisibilityGraph(ROOM, GOAL), UNIT, leaf="cone", max_bytes=300)
 
 
 def of_sources(code, parent, root_offset=None, source=0):
@@ -114,7 +114,7 @@ def test_paths_bend_where_two_walls_touch():
 
     wedges = [[contact, *at(np.array(sides), 5.0)] for sides in ((200, 220), (300, 340))]
     room = Workspace(bounds, wedges)
-    plr = construct(VisibilityGraph(room, at(345, 3.0)), room.bounds, leaf="cone", max_bytes=500)
+    plr = construct(VisibilityGraph(room, at(345, 3.0)), room.bounds, leaf="cone", max_bytes=250)
     above_left_wedge, below_contact = at(np.array([195, 260]), 3.0)[:, None]
     along = trace(plr, above_left_wedge, room)
     assert along.arrived.all() and along.lengths[0] == pytest.approx(6, abs=1e-6)
@@ -167,7 +167,7 @@ def test_waypoints_in_numpy_and_jax(plr):
 def test_paths_far_from_the_origin():
     shift = np.array([5e5, 4e6])
     exact = VisibilityGraph(Workspace((shift, shift + 1), [WALL + shift]), GOAL + shift)
-    plr = construct(exact, Box(shift, shift + 1), leaf="cone", max_bytes=512)
+    plr = construct(exact, Box(shift, shift + 1), leaf="cone", max_bytes=200)
     traces = trace(plr, np.array([[0.9, 0.1]]) + shift)
     np.testing.assert_allclose(traces.paths[0] - shift, [[0.9, 0.1], [0.5, 0.7], [0.4, 0.7], GOAL], atol=1e-7)
 
