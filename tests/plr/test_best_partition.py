@@ -1,4 +1,4 @@
-"""The best dyadic partition, against all of them."""
+"""The best dyadic partition, against all dyadic partitions."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -15,16 +15,18 @@ from plr_jax.plr.tree import Cells
 
 
 @pytest.fixture(autouse=True)
-def boxes_of_all_shapes(monkeypatch):
-    """Of three splits along each axis none is too long for the trees that all are compared with."""
+def boxes_of_all_shapes_in_small_batches(monkeypatch):
+    """Allow all boxes of up to three splits along each axis, and judge few boxes at once."""
+    monkeypatch.setattr(best_partition, "BOXES_PER_BATCH", 20)
     monkeypatch.setattr(best_partition, "MAX_ASPECT_BITS", 3)
 
 
 DEPTH = 3
 
 
+@cache
 def random_costs(seed):
-    """A cost for every box with up to three splits along each axis: random, smaller for smaller boxes."""
+    """Return a cost for every box of up to three splits along each axis: random, smaller for smaller boxes."""
     rng, costs = np.random.default_rng(seed), {}
     for d0, d1 in product(range(DEPTH + 1), repeat=2):
         for p0, p1 in product(range(2**d0), range(2**d1)):
@@ -34,7 +36,7 @@ def random_costs(seed):
 
 @dataclass(frozen=True, eq=False)
 class FakeBoxes:
-    """Boxes whose costs stand in a table; as leaves they are their cells."""
+    """Boxes with the costs of a table. ``asked`` collects the boxes whose cost was needed."""
 
     costs: dict
     cells: Cells
@@ -64,8 +66,10 @@ class FakeBoxes:
         return FakeBoxes(self.costs, some, self.asked), key[new], cells.hashes()
 
 
-def least_costs(costs, max_depth=2 * DEPTH):
-    """The twin: the least cost of all trees of each number of leaves, by all ways to share them out."""
+@cache
+def least_costs(seed, max_depth=2 * DEPTH):
+    """Return the least cost of all trees of each number of leaves, from all numbers of leaves in the two halves."""
+    costs = random_costs(seed)
 
     @cache
     def least(d0, d1, p0, p1):
@@ -87,18 +91,6 @@ def least_costs(costs, max_depth=2 * DEPTH):
     return least(0, 0, 0, 0)
 
 
-def hull(least):
-    """Numbers of leaves that are best at some price above 0: corners of the lower convex hull while it falls."""
-    best, price = [1], np.inf
-    while True:
-        more = np.arange(best[-1] + 1, len(least))
-        rate = (least[best[-1]] - least[more]) / (more - best[-1])
-        if not len(rate) or rate.max() <= 0:
-            return best
-        price = rate.max()
-        best.append(int(more[np.flatnonzero(rate == price)[-1]]))
-
-
 def limits_for(**given):
     none = {"max_depth": 60, "max_axis_depth": DEPTH, "max_leaves": 10**9, "max_bytes": np.inf, "tolerance": 0.0}
     return Limits(**(none | given), proof=Proof.NONE, frame_bytes=13)
@@ -117,7 +109,7 @@ def best_boxes(root, **given):
 
 
 def search(costs, **given):
-    """The cost and the number of leaves of the partition that is found, after checking that it is one."""
+    """Return cost, number of leaves and boxes of the best partition, after checking that they tile the domain."""
     root = FakeBoxes(costs, Cells.root(2), [])
     found = best_boxes(root, **given)
     assert len(root.asked) == len(set(root.asked)), "a box was judged twice"
@@ -129,55 +121,42 @@ def search(costs, **given):
     return found.integral.sum(), len(found.cells), found
 
 
-@pytest.mark.parametrize(
-    "given", [{"max_leaves": n} for n in (1, 2, 5, 12, 20, 40)] + [{"max_bytes": float(n)} for n in (13, 20, 50, 100)]
-)
-def test_the_tree_found_is_the_best_of_all_at_some_price(given):
-    """A budget of bytes is kept like one of leaves, of three bytes each."""
-    most, largest = given.get("max_leaves") or (given["max_bytes"] - 10) // 3, 0
+@pytest.mark.parametrize("most", [1, 5, 20, 40])
+@pytest.mark.parametrize("limit", ["max_leaves", "max_bytes"])
+def test_partitions_are_the_best_at_some_price(most, limit):
+    """Each leaf takes three bytes."""
+    given, largest = {limit: most if limit == "max_leaves" else 10.0 + 3 * most}, 0
     for seed in range(8):
-        costs = random_costs(seed)
-        least = least_costs(costs)
-        cost, number, _ = search(costs, **given)
+        least = least_costs(seed)
+        cost, number, _ = search(random_costs(seed), **given)
         assert number <= most
         np.testing.assert_allclose(cost, least[number], rtol=1e-12)
-        assert number in hull(least)
-        largest += number == max(n for n in hull(least) if n <= most)
+        n = np.arange(1, len(least))
+        n = n[n != number]
+        saved = (least[number] - least[n]) / (n - number)  # per leaf
+        fewer, more = saved[n < number], saved[n > number]
+        assert more.max() <= fewer.min(initial=np.inf)
+        next_largest = n[n > number][more.argmax()] if more.max() > 0 else np.inf
+        largest += next_largest > most
     assert largest >= 7  # a price is found by halving, which may miss one whose range is narrow
 
 
 @pytest.mark.parametrize("max_depth", [0, 1, 3, 6])
-def test_no_tree_is_deeper_than_allowed_and_nothing_cheaper_is_left(max_depth):
+def test_no_partition_of_the_allowed_depth_costs_less(max_depth):
     for seed in range(4):
-        costs = random_costs(seed)
-        cost, _, found = search(costs, max_depth=max_depth)
+        cost, _, found = search(random_costs(seed), max_depth=max_depth)
         assert found.cells.depth.sum(axis=1).max() <= max_depth
-        np.testing.assert_allclose(cost, least_costs(costs, max_depth).min(), rtol=1e-12)
+        np.testing.assert_allclose(cost, least_costs(seed, max_depth).min(), rtol=1e-12)
 
 
-def test_no_axis_is_halved_more_often_and_no_box_is_longer_than_allowed(monkeypatch):
+def test_depth_of_an_axis_and_aspect_of_boxes_are_limited(monkeypatch):
     assert search(random_costs(0), max_axis_depth=1)[2].cells.depth.max() == 1
     monkeypatch.setattr(best_partition, "MAX_ASPECT_BITS", 1)
     for seed in range(4):
         assert np.ptp(search(random_costs(seed))[2].cells.depth, axis=1).max() <= 1
 
 
-def test_boxes_without_error_are_leaves():
-    """Errors within the tolerance count nothing: what is good enough is not halved, nor looked into."""
-    costs = random_costs(3)
-    for d0, d1, p0, p1 in costs:  # the lower half along the first axis, and all in it; and the quarters of the other
-        if (d0 and not p0 >> (d0 - 1)) or (d0 and d1):
-            costs[d0, d1, p0, p1] = 0.0
-    root = FakeBoxes(costs, Cells.root(2), [])
-    found = best_boxes(root)
-    assert found.integral.sum() == 0
-    assert len(found.cells) == 3
-    asked = np.array(root.asked)
-    in_lower_half = (asked[:, 0] > 0) & (asked[:, 2] >> np.maximum(asked[:, 0] - 1, 0) == 0)
-    assert in_lower_half.any() and (asked[in_lower_half, 0] == 1).all()
-
-
-def test_halves_that_cannot_be_better_than_a_known_tree_are_not_halved():
+def test_exact_boxes_and_hopeless_halves_are_not_halved():
     """The halves along the first axis are exact, so the halves along the second axis need no halves of their own."""
     costs = {key: float(key[0] == 0) * 2.0 ** -key[1] for key in random_costs(0)}
     root = FakeBoxes(costs, Cells.root(2), [])
@@ -185,16 +164,8 @@ def test_halves_that_cannot_be_better_than_a_known_tree_are_not_halved():
     assert sorted(root.asked) == [(0, 1, 0, 0), (0, 1, 0, 1), (1, 0, 0, 0), (1, 0, 1, 0)]
 
 
-def test_a_peak_is_worth_leaves_until_another_leaf_costs_more_than_it_saves():
+def test_cost_of_a_halved_peak_is_least_over_all_leaves():
     peak, price = np.append(0.0, np.geomspace(0.01, 1e4, 50)), 0.1
     more = np.arange(1, 30)[:, None]
     least = ((1 + more) * price + peak / 3.0**more).min(axis=0)
     np.testing.assert_allclose(cost_if_halved(peak, price), least, rtol=1e-12)
-
-
-def test_many_new_boxes_are_judged_in_parts(monkeypatch):
-    whole = search(random_costs(5), max_leaves=20)
-    monkeypatch.setattr(best_partition, "BOXES_PER_BATCH", 3)
-    parts = search(random_costs(5), max_leaves=20)
-    assert parts[:2] == whole[:2]
-    np.testing.assert_array_equal(parts[2].cells.position, whole[2].cells.position)

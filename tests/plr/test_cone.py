@@ -1,4 +1,4 @@
-"""Cones of an oracle: small, exact, above other leaves within bounds, in files, and repaired where a map changes."""
+"""Leaves that are cones: their size, values, bounds and goals, their sources in files, and families of goals."""
 
 import pickle
 import tracemalloc
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from piece_helpers import TEN, WORKSPACES, box, points_of, random_pieces
+from piece_helpers import TEN, box, general_workspace, lattice_workspace, points_of, random_pieces
 from plr_helpers import UNIT, leaf_by_search, points
 from portable_helpers import case
 
@@ -25,30 +25,21 @@ from plr_jax.plr.leaves.cone import family, search
 from plr_jax.plr.leaves.cone.codec import StoredCones, StoredSources, read_cones, store_sources, write_cones
 from plr_jax.plr.tree import Cells, tree_of_axes
 
-# Cones of an oracle: small, exact, evaluated as cones, above other leaves within bounds, of sources in sight.
-
-
-@pytest.fixture(scope="module")
-def cones(maze):
-    """Its cones in a kilobyte."""
-    return construct(maze, UNIT, leaf="cone", max_bytes=1024)
-
 
 def mean_error(plr, oracle, x):
     return np.abs(np.asarray(plr(x), float) - oracle(x)).mean()
 
 
-def test_a_maze_in_a_kilobyte_less_and_of_fewer_leaves(cones, maze):
-    x = maze.workspace.sample_free(20_000, 0)
-    assert cones.num_bytes <= 1024 and mean_error(cones, maze, x) < 1e-6
+def test_cones_of_a_maze_are_small_and_accurate(maze):
+    x = maze.workspace.sample_free(5000, 0)
     small, few = (construct(maze, UNIT, leaf="cone", **limit) for limit in ({"max_bytes": 260}, {"max_leaves": 20}))
     assert small.num_bytes <= 260 and few.num_leaves <= 20
     assert mean_error(small, maze, x) < 1e-5 < mean_error(few, maze, x) < 0.1
 
 
 @pytest.mark.full
-def test_a_leaf_among_clutter_takes_little_memory():
-    """All pairs of 400 corners and the triangles of free space took a gigabyte, of more corners all there was."""
+def test_cones_among_clutter_take_little_memory():
+    """All pairs of 400 corners and triangles of free space once took a gigabyte."""
     free = np.ones((60, 60), bool)
     free[3::6, 3::6] = False
     workspace = Workspace.from_mask(free)
@@ -60,30 +51,28 @@ def test_a_leaf_among_clutter_takes_little_memory():
     tracemalloc.stop()
 
 
-def test_a_query_is_the_cone_of_the_points_leaf_around_a_source_of_the_oracle(cones, maze):
-    offset, apex = cones._coefficients[:, 0], cones._coefficients[:, 1:]
-    away = np.linalg.norm(apex[:, None] - maze.sources.points, axis=2)
+def test_values_and_gradients_are_those_of_cones_around_sources():
+    goal = np.array([0.25, 0.5])
+    oracle = VisibilityGraph(Workspace(UNIT, [box(0.4, 0, 0.5, 0.7)]), goal)
+    plr = construct(oracle, UNIT, leaf="cone", max_bytes=300)
+    offset, apex = plr._coefficients[:, 0], plr._coefficients[:, 1:]
+    away = np.linalg.norm(apex[:, None] - oracle.sources.points, axis=2)
     np.testing.assert_allclose(away.min(axis=1), 0, atol=1e-7)
-    np.testing.assert_allclose(offset, maze.sources.distances[away.argmin(axis=1)], atol=1e-6)
-    x = points(1000, 0).astype(np.float32).astype(float)
-    leaf = leaf_by_search(cones, x)
+    np.testing.assert_allclose(offset, oracle.sources.distances[away.argmin(axis=1)], atol=1e-6)
+    x = np.concatenate([[goal, goal + 1e-7], points(500, 0)]).astype(np.float32).astype(float)
+    leaf = leaf_by_search(plr, x)
     leg = x - apex[leaf]
     length = np.hypot(*leg.T)
-    np.testing.assert_allclose(np.asarray(cones(x)), offset[leaf] + length, atol=1e-6)
-    np.testing.assert_allclose(cones.values_in_leaves(leaf, x), offset[leaf] + length, rtol=1e-14)
-    gradient = np.asarray(jax.vmap(jax.grad(cones))(jnp.asarray(x, jnp.float32)))  # leads away from the source
-    np.testing.assert_allclose(gradient[length > 0.01], (leg / length[:, None])[length > 0.01], atol=1e-4)
+    np.testing.assert_allclose(np.asarray(plr(x)), offset[leaf] + length, atol=1e-6)
+    np.testing.assert_allclose(plr.values_in_leaves(leaf, x), offset[leaf] + length, rtol=1e-14)
+    gradient = np.asarray(jax.vmap(jax.grad(plr))(jnp.asarray(x, jnp.float32)))
+    far = length > 0.01
+    np.testing.assert_allclose(gradient[far], leg[far] / length[far, None], atol=1e-4)
+    assert plr(x)[0] == 0 and gradient[0].tolist() == [0, 0] and np.isfinite(gradient[1]).all()
 
 
-def test_the_gradient_is_zero_at_a_source():
-    goal = jnp.array([0.25, 0.5])
-    plr = construct(VisibilityGraph(Workspace(((0, 0), (1, 1))), goal), UNIT, leaf="cone", max_leaves=1)
-    assert plr(goal) == 0
-    np.testing.assert_array_equal(jax.grad(plr)(goal), [0, 0])
-    assert np.isfinite(jax.grad(plr)(goal + 1e-7)).all()
-
-
-def test_mean_planes_are_differences_of_the_cone(cones):
+def test_mean_planes_equal_differences_of_cones(maze):
+    cones = construct(maze, UNIT, leaf="cone", max_leaves=20)
     lo, hi = cones.leaf_boxes
     center, width = (lo + hi) / 2, hi - lo
 
@@ -97,8 +86,8 @@ def test_mean_planes_are_differences_of_the_cone(cones):
 
 
 @pytest.mark.parametrize(("name", "terms"), [("cone", 3), ("plane", 3), ("continuous", 4), ("smooth", 16)])
-def test_cones_are_above_leaves_within_their_bounds(name, terms):
-    """Whatever a leaf holds: at random points of pieces in its box cones minus it are between what is proven."""
+def test_bounds_of_cone_minus_leaf_hold(name, terms):
+    """At random points of pieces in the leaf's box."""
     leaf, rng = leaf_model(name), np.random.default_rng(3)
     pieces = random_pieces(rng, 60, 1.5)
     lo, hi = pieces.min(axis=2).T - rng.random((60, 2)), pieces.max(axis=2).T + rng.random((60, 2))
@@ -112,22 +101,15 @@ def test_cones_are_above_leaves_within_their_bounds(name, terms):
     assert (high - low < 40).all()
 
 
-@pytest.mark.parametrize("kind", WORKSPACES)
-def test_partitions_of_random_workspaces_tile_the_domain(kind):
+@pytest.mark.parametrize("kind", [general_workspace, lattice_workspace])
+def test_cones_of_several_goals_know_distance_and_index_of_the_nearest(kind):
     workspace = kind(np.random.default_rng(2))
-    oracle = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
-    plr = construct(oracle, Box((-1, -1), (11, 11)), leaf="cone", max_leaves=50)
-    assert 10 < plr.num_leaves <= 50
-    leaf_by_search(plr, -1 + 12 * points(500, 0))
-    x = workspace.sample_free(3000, 1)
-    assert mean_error(plr, oracle, x[np.isfinite(oracle(x))]) < 0.2
-
-
-def check_nearest(workspace, oracles, max_bytes):
-    """Check bounds and goals of cones of several goals against each goal's own oracle; return the mean error."""
-    plr = construct(NearestGoal(oracles), workspace.bounds, leaf="cone", max_bytes=max_bytes, certified="leaves")
-    assert plr.num_bytes <= max_bytes
-    x = workspace.sample_free(20_000, 1)
+    goals = [*workspace.sample_free(4, 0), workspace.boundary.vertices[0]]
+    first = VisibilityGraph(workspace, goals[0])
+    oracles = [first, *map(first.with_goal, goals[1:])]
+    plr = construct(NearestGoal(oracles), workspace.bounds, leaf="cone", max_bytes=2048, certified="leaves")
+    assert plr.num_bytes <= 2048
+    x = workspace.sample_free(5_000, 1)
     distances = np.stack([oracle(x) for oracle in oracles])
     is_reached = np.isfinite(distances).any(axis=0)
     x, distances = x[is_reached], distances[:, is_reached]
@@ -137,44 +119,29 @@ def check_nearest(workspace, oracles, max_bytes):
     excess = distances[which, np.arange(len(x))] - least
     resolution = 1e-6 * least.max()
     assert (excess <= 2 * resolution)[error <= resolution].all(), "another goal only where the distance ties or errs"
-    assert (error <= resolution).mean() > 0.9
-    return error.mean()
+    assert (error <= resolution).mean() > 0.9 and error.mean() < 1e-3
 
 
-@pytest.mark.parametrize("kind", WORKSPACES)
-def test_cones_of_several_goals_have_the_distance_and_index_of_the_nearest(kind):
-    workspace = kind(np.random.default_rng(2))
-    goals = [*workspace.sample_free(4, 0), workspace.boundary.vertices[0]]
-    first = VisibilityGraph(workspace, goals[0])
-    assert check_nearest(workspace, [first, *map(first.with_goal, goals[1:])], 4096) < 1e-3
-
-
-def test_files_of_cones_name_the_nearest_goal_and_other_files_say_what_to_do():
+def test_cones_in_files_name_the_nearest_goal():
+    """Other files do not, which their readers say."""
     workspace = Workspace(TEN, [box(4, 2, 6, 8)])
     nearest = NearestGoal([VisibilityGraph(workspace, goal) for goal in ((9, 1), (1, 5), (1, 5))])
     cones, planes = (construct(nearest, Box(*TEN), leaf=leaf, max_leaves=60) for leaf in ("cone", "plane"))
-    read = [from_bytes(plr.with_label("exits").to_bytes()) for plr in (cones, planes)]
+    from_cones, from_planes = (from_bytes(plr.with_label("exits").to_bytes()) for plr in (cones, planes))
     x = [(1, 5), (9, 1), (2, 2), (8, 8), (11, 1), (np.nan, 1)]
-    for plr in (
-        cones,
-        planes,
-        read[0],
-        pickle.loads(pickle.dumps(read[0])),
-        read[1].with_nearest_goal(nearest.which),
-    ):
+    pickled, named = pickle.loads(pickle.dumps(from_cones)), from_planes.with_nearest_goal(nearest.which)
+    for plr in (cones, planes, from_cones, pickled, named, from_cones.numpy()):
         assert plr.which(x).tolist() == [1, 0, 1, 0, -1, -1]
-    f = read[0].numpy()
-    assert f.which(x).tolist() == f.which(np.array(x * 9)).tolist()[:6] == [f.which(each) for each in x]
+    f = from_cones.numpy()
+    assert f.which(np.array(x * 9)).tolist()[:6] == [f.which(each) for each in x]
     one = construct(nearest.distance_fns[0], Box(*TEN), leaf="cone", max_leaves=60)
-    for plr in (read[1], one, planes.numpy()):
-        with pytest.raises(
-            ValueError, match=r"does not store which .*with_nearest_goal\(oracle.which\).* trace\(plr, x"
-        ):
+    for plr in (from_planes, one, planes.numpy()):
+        with pytest.raises(ValueError, match=r"not store which .*with_nearest_goal\(oracle.which\).* trace\(plr, x"):
             plr.which(x)
     assert (one.to_bytes()[2] & 15, cones.to_bytes()[2] & 15) == (5, 6), "readers of version 5 ask for an update"
 
 
-def test_goals_that_make_no_sense_are_refused():
+def test_invalid_stored_goals_raise():
     exits, planes = case("cones of exits"), case("maze of planes")
     for plr, width, message in (
         (planes, 2, "names goals, but its leaves have no sources"),
@@ -187,43 +154,33 @@ def test_goals_that_make_no_sense_are_refused():
             from_bytes(replace(plr.container, layers=(layer,), names_goals=True).to_bytes())
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("name", ["arena", "aknz_evac"])
-def test_cones_of_the_exits_of_a_walkable_area(name, data_dir):
-    workspace = scenes.read_workspace(data_dir / "jupedsim" / f"{name}.wkt")
-    first = VisibilityGraph(workspace, workspace.sample_free(1, 0)[0])
-    oracles = [first, *map(first.with_goal, workspace.sample_free(4, 5))]
-    assert check_nearest(workspace, oracles, 16_384) < 1e-3
-
-
-def test_where_nothing_is_reached_the_construction_says_so():
+def test_cones_of_an_unreachable_domain_raise():
     oracle = VisibilityGraph(Workspace(TEN, [box(4, 0, 6, 10)]), (1, 5))
     with pytest.raises(ValueError, match="nothing reachable"):
         construct(oracle, ((7, 0), (10, 10)), leaf="cone")
 
 
-@pytest.mark.parametrize("max_bytes", [261, 661])
-def test_more_points_see_their_source_and_no_proof_is_worse(maze, max_bytes, monkeypatch):
-    x, plrs = maze.workspace.sample_free(20_000, seed=0), []
+def test_leaves_prefer_visible_sources_without_a_worse_proof(maze, monkeypatch):
+    x, plrs = maze.workspace.sample_free(10_000, seed=0), []
     for choose in (search.prefer_visible_sources, lambda tree, options, fits: tree.source):
         monkeypatch.setattr(search, "prefer_visible_sources", choose)
-        plrs.append(construct(maze, UNIT, leaf="cone", max_bytes=max_bytes, certified=True))
+        plrs.append(construct(maze, UNIT, leaf="cone", max_bytes=261, certified=True))
     plr, before = plrs
-    assert plr.num_leaves == before.num_leaves and before.num_bytes <= max_bytes and plr.num_bytes <= max_bytes
+    assert plr.num_leaves == before.num_leaves and before.num_bytes <= 261 and plr.num_bytes <= 261
     assert plr.max_error <= before.max_error * (1 + 1e-6)
     sources = (each.stored.sources.points[each.stored.source[leaf_of(each, x)]] for each in plrs)
     hidden, hidden_before = (1 - maze.workspace.is_visible(x, source).mean() for source in sources)
     assert hidden < min(0.001, 0.4 * hidden_before) and mean_error(plr, maze, x) < 1.5 * mean_error(before, maze, x)
 
 
-# Sources and ranks of cones in files: on the lattice of a map, as parents of one another, read as written.
+# Sources in files.
 
 
 LATTICES = {"integers": 1.0, "hundredths": 0.01, "quarters": 0.25, "thirds": 1 / 3, "none": None}
 
 
 def random_sources(rng, dim, count, lattice):
-    """Sources of a tree whose roots are some of the first, with the distances along it."""
+    """Return sources, their distances along a tree, and their parents; some of the first are roots."""
     step = LATTICES[lattice]
     points = np.unique(rng.integers(-300, 300, (count, dim)), axis=0).astype(float)
     points = points * step if step else points + rng.random(points.shape)
@@ -249,7 +206,7 @@ def bits_of(domain, cones):
 
 @pytest.mark.parametrize("lattice", LATTICES)
 @given(st.integers(0, 100_000), st.integers(1, 5), st.sampled_from([1, 2, 17, 60]))
-def test_what_is_written_is_read(lattice, seed, dim, count):
+def test_sources_are_read_as_written(lattice, seed, dim, count):
     rng = np.random.default_rng(seed)
     points, distances, parents = random_sources(rng, dim, count, lattice)
     domain = Box(points.min(axis=0) - rng.random(dim), points.max(axis=0) + 10 * rng.random(dim) + 0.1)
@@ -271,14 +228,14 @@ def test_what_is_written_is_read(lattice, seed, dim, count):
     assert (np.abs(found.sources.offsets[index] - distances) <= far).all()
 
 
-def test_sources_at_one_place_are_stored_once():
+def test_equal_sources_are_stored_once():
     points = np.array([[0.0, 0], [1, 1], [1, 1 + 1e-15], [0, 0]])
     distances = np.array([0, 2**0.5, 2**0.5, 0])
     stored, index = store_sources(points, distances, np.array([0, 0, 0, 3]), Box((0, 0), (2, 2)))
     assert index.tolist() == [0, 1, 1, 0]
     assert stored.parent.tolist() == [0, 0] and stored.is_root.tolist() == [True, False]
     np.testing.assert_allclose(stored.offsets, [0, 2**0.5])
-    # A source whose parent is stored as the same source leads on to that one's parent.
+    # Source 1 and its parent, source 2, are stored as one source, whose parent is source 0.
     stored, index = store_sources(points[:3], distances[:3], np.array([0, 2, 0]), Box((0, 0), (2, 2)))
     assert index.tolist() == [0, 1, 1] and stored.parent.tolist() == [0, 0]
 
@@ -298,50 +255,46 @@ DOMAIN = Box((0, 0), (8, 8))
 SOURCES = StoredSources(0, 0, 1, np.array([[0, 0], [1, 4], [2, 7]]), np.array([0, 0, 1]), np.zeros(3))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"parent": np.array([0, 2, 1])}, "circle"),
-        ({"parent": np.array([0, 3, 1])}, "names source 3 of 3"),
-        ({"num_fine": 3, "exponent": 201}, "steps of"),
-        ({"num_fine": 3, "exponent": -201}, "steps of"),
-        ({"num_fine": 3, "exponent": 150}, "too large"),
-        ({"root_offset": np.array([np.nan, 0, 0])}, "too large"),
-        ({"root_offset": np.array([np.inf, 0, 0])}, "too large"),
-        ({"code": np.array([[0, 0], [1, 4], [2, 2**45]])}, "coordinates of 46 bits"),
-    ],
-)
-def test_sources_that_make_no_sense_are_refused(changes, message):
-    body = bits_of(DOMAIN, StoredCones(replace(SOURCES, **changes), np.zeros(4, int)))
-    with pytest.raises(ValueError, match=message):
-        read_cones(BitReader(body.to_bytes()), DOMAIN, 4)
+def bytes_of(**changes):
+    return bits_of(DOMAIN, StoredCones(replace(SOURCES, **changes), np.zeros(4, int))).to_bytes()
+
+
+def bytes_of_header(counts, *fraction, rest=bytes(99)):
+    return BitWriter().write(np.array(counts), 20).write(np.array(fraction, int), 16).to_bytes() + rest
 
 
 @pytest.mark.parametrize(
-    ("counts", "fraction", "rest", "message"),
+    ("data", "message"),
     [
-        ((0, 0), [], bytes(99), "no sources"),
-        ((0, 1), [0], bytes(99), "steps of 1 / 0"),
-        ((0, 2**20 - 1), [1], bytes(range(1, 30)), "end too early"),  # refused before they are made
+        (bytes_of(parent=np.array([0, 2, 1])), "circle"),
+        (bytes_of(parent=np.array([0, 3, 1])), "names source 3 of 3"),
+        (bytes_of(num_fine=3, exponent=201), "steps of"),
+        (bytes_of(num_fine=3, exponent=-201), "steps of"),
+        (bytes_of(num_fine=3, exponent=150), "too large"),
+        (bytes_of(root_offset=np.array([np.nan, 0, 0])), "too large"),
+        (bytes_of(root_offset=np.array([np.inf, 0, 0])), "too large"),
+        (bytes_of(code=np.array([[0, 0], [1, 4], [2, 2**45]])), "coordinates of 46 bits"),
+        (bytes_of_header((0, 0)), "no sources"),
+        (bytes_of_header((0, 1), 0), "steps of 1 / 0"),
+        (bytes_of_header((0, 2**20 - 1), 1, rest=bytes(range(1, 30))), "end too early"),  # before they are allocated
     ],
 )
-def test_counts_and_steps_that_are_none_are_refused(counts, fraction, rest, message):
-    body = BitWriter().write(np.array(counts), 20).write(np.array(fraction, int), 16)
+def test_invalid_stored_sources_raise(data, message):
     with pytest.raises(ValueError, match=message):
-        read_cones(BitReader(body.to_bytes() + rest), DOMAIN, 4)
+        read_cones(BitReader(data), DOMAIN, 4)
 
 
 @pytest.mark.parametrize(
     ("x", "distance", "message"),
     [(0.0, 1e39, "Scale them down"), (1e19, 0.0, r"Cones need distances and domains within 1e\+18")],
 )
-def test_what_cannot_be_squared_in_32_bits_is_refused(x, distance, message):
+def test_sources_too_large_for_floats_raise(x, distance, message):
     with pytest.raises(ValueError, match=message):
         store_sources(np.array([[x, 0.0]]), np.array([distance]), np.zeros(1, int), Box((0, 0), (8 + 2 * x, 8)))
 
 
 @pytest.mark.parametrize("width", [2.0**26, 1e17])
-def test_domains_of_any_width(width):
+def test_sources_of_wide_domains_are_read_as_written(width):
     points, parents = width * np.array([[0.25, 0.3], [0.5, 0.7], [0.9, 1.0]]), np.array([0, 0, 1])
     distances, domain = distances_along(points, parents, np.zeros(3)), Box([0, 0], [width, width])
     stored, index = store_sources(points, distances, parents, domain)
@@ -352,10 +305,10 @@ def test_domains_of_any_width(width):
     np.testing.assert_allclose(found.sources.offsets[index], distances, rtol=1e-6)
 
 
-# A family's boxes: their best sources beside all sources, and trees beside a recursion.
+# Cones of a family of goals.
 
 
-def test_boxes_have_the_best_source_of_their_halves_and_its_errors_at_samples():
+def test_boxes_take_the_best_source_of_their_halves():
     workspace, lattice = scenes.maze().workspace, family.Lattice(3)
     oracle = VisibilityGraph(workspace, (0.06, 0.07))
     cells = Cells(np.full((64, 2), 3), np.stack(np.divmod(np.arange(64), 8), axis=1))
@@ -378,7 +331,7 @@ def test_boxes_have_the_best_source_of_their_halves_and_its_errors_at_samples():
 
 
 @pytest.mark.parametrize("max_depth", [3, 4, 60])
-def test_trees_are_those_of_a_recursion(max_depth):
+def test_best_tree_has_the_least_cost(max_depth):
     lattice, rng = family.Lattice(2), np.random.default_rng(5)
     depth = np.repeat([sum(shape) for shape in lattice.first], [1 << sum(shape) for shape in lattice.first])
     costs = rng.random(lattice.num_boxes) * 3.0**-depth
@@ -392,7 +345,4 @@ def test_trees_are_those_of_a_recursion(max_depth):
     for price in (1.0, 0.1, 0.01, 0.0):
         tree = family.best_tree(lattice, costs, price, max_depth)
         np.testing.assert_allclose(costs[tree.box].sum() + price * len(tree.box), least(0), rtol=1e-12)
-        found = tree_of_axes(tree.axes, 2)
-        starts = np.array([lattice.first[tuple(shape)] for shape in found.leaves.depth.tolist()])
-        number = (found.leaves.position[:, 0] << found.leaves.depth[:, 1]) + found.leaves.position[:, 1]
-        np.testing.assert_array_equal(tree.box, starts + number)
+        assert tree_of_axes(tree.axes, 2).leaves.depth.sum(axis=1).tolist() == depth[tree.box].tolist()

@@ -14,7 +14,7 @@ def fit(distance_fn, cells=None, weight_fn=None, max_axis_depth=14):
     return sampler_of(distance_fn, UNIT, weight_fn, 64, max_axis_depth)(Cells.root(2) if cells is None else cells)
 
 
-def test_best_axis_is_the_one_along_which_the_function_bends_and_that_may_still_be_halved():
+def test_best_axis_is_that_of_the_bend_within_the_largest_depth():
     assert best_axis(fit(lambda x: np.abs(x[:, 0] - 0.5) + x[:, 1]))[0] == 0
     assert best_axis(fit(lambda x: np.abs(x[:, 1] - 0.5) + x[:, 0]))[0] == 1
     bend = lambda x: np.abs(x[:, 0] - 0.125) + 1e-3 * np.abs(x[:, 1] - 0.3)  # noqa: E731
@@ -22,7 +22,7 @@ def test_best_axis_is_the_one_along_which_the_function_bends_and_that_may_still_
     assert [best_axis(fit(bend, cells, max_axis_depth=most))[0] for most in (14, 2)] == [0, 1]
 
 
-def test_best_axis_never_makes_needles():
+def test_best_axis_limits_the_aspect_of_cells():
     cells, aspects = Cells.root(2), set()
     for _ in range(10):
         cells = cells.split(best_axis(fit(lambda x: (x[:, 0] > 1 / 3) * 1.0, cells)))
@@ -47,13 +47,13 @@ def test_sum_of_squares_after_split_equals_two_separate_fits():
             assert _sum_of_squares_after_split(found)[cell, axis] == pytest.approx(expected, rel=1e-6)
 
 
-def test_maximum_depth_splits_all_but_blocked_cells():
+def test_maximum_depth_splits_all_reachable_cells():
     halves = Cells.root(2).split(np.array([0]))
     priority = maximum_depth(fit(lambda x: np.where(x[:, 0] < 0.5, 1.0, np.inf), halves))
     np.testing.assert_array_equal(priority, [np.inf, 0])
 
 
-def test_largest_error_is_the_largest_weighted_residual_and_center_error_that_at_the_center_unless_it_is_blocked():
+def test_largest_error_and_center_error_of_a_fit():
     found = fit(lambda x: (x[:, 0] > 0.9) * 1.0, weight_fn=lambda x: 2.0 - x[:, 0])
     x = found.cells.points(found.pattern.u, UNIT)[0]
     expected = np.max((2 - x[:, 0]) * np.abs(found.residual[0]))

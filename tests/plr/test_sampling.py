@@ -1,4 +1,4 @@
-"""Samples of cells, least squares of planes, and what is refused of oracles."""
+"""Samples of cells, least squares of planes, and checks of what oracles return."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_pattern_starts_at_the_center_and_fills_the_cell(dim):
     assert not np.array_equal(pattern.u, sampling.sample_pattern(dim, 100, 0.0, 1).u)
 
 
-def test_every_face_is_sampled_with_little_weight_and_a_margin_reaches_beyond_the_cell():
+def test_faces_have_light_samples_and_margins_reach_beyond():
     pattern = sampling.sample_pattern(3, 90, 0.0, 0)
     for side in (-1, 1):
         assert (np.count_nonzero(pattern.u == side, axis=0) >= 5).all()
@@ -71,7 +71,7 @@ def test_undetermined_directions_get_slope_zero():
 # Cells.
 
 
-def test_blocked_cells_are_marked_and_cells_can_be_taken_and_appended():
+def test_blocked_cells_and_indexing_of_fits():
     found = fit(left_half, cells=Cells.root(1).split(np.array([0])))
     assert np.isfinite(found.center[0]) and np.isinf(found.center[1])
     np.testing.assert_allclose([found.center[0], found.half[0, 0]], [4.0, 1.0], atol=1e-7)
@@ -84,21 +84,21 @@ def test_blocked_cells_are_marked_and_cells_can_be_taken_and_appended():
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name)[::-1])
 
 
-def test_weights_pull_the_plane_and_zero_weights_do_not_void_it():
+def test_planes_follow_weights_unless_all_are_zero():
     bend = lambda x: np.abs(x[:, 0] - 1.0)  # noqa: E731
     left, nowhere = fit(bend, lambda x: 1.0 * (x[:, 0] < 1)), fit(bend, lambda x: np.zeros(len(x)))
     np.testing.assert_allclose(left.half[0, 0], -1.0, atol=1e-6)
     np.testing.assert_allclose(nowhere.center, fit(bend).center, atol=1e-8)
 
 
-def test_noise_is_what_floats_resolve_of_the_largest_distance():
+def test_noise_is_the_resolution_of_the_largest_distance():
     three = lambda x: np.full(len(x), 3.0)  # noqa: E731
     np.testing.assert_allclose(fit(three).noise, 3 * 2.0**-23)
     np.testing.assert_allclose(fit(three, lambda x: np.full(len(x), 0.5)).noise, 1.5 * 2**-23)
 
 
-def test_cells_whose_free_part_is_hardly_met_are_sampled_again():
-    """Two reachable samples a coefficient of a plane, and no more: a plane passes near them all."""
+def test_cells_with_few_reachable_samples_are_hardly_seen():
+    """They have at most two reachable samples a coefficient, so that a plane passes near all of them."""
     sliver = lambda x: np.where(np.abs(x[:, 0] - 0.92) < 0.03, x[:, 0], np.inf)  # noqa: E731
     patterns = [sampling.sample_pattern(1, num_samples, 0.0, 0) for num_samples in (64, 512)]
     sampler = sampling.Sampler(sliver, LINE, None, *patterns, 14)
@@ -116,7 +116,7 @@ def test_cells_whose_free_part_is_hardly_met_are_sampled_again():
         (lambda pattern, value, weight: (np.ma.masked_all(len(value)), value[:, :1]), "or masked numbers"),
     ],
 )
-def test_bad_fits_are_refused(rule, message):
+def test_invalid_coefficients_raise(rule, message):
     sampler = sampling.Sampler(lambda x: x[:, 0], LINE, None, *2 * [sampling.sample_pattern(1, 16, 0.0, 0)], 14, rule)
     with pytest.raises(ValueError, match=message):
         sampler(Cells.root(1))
@@ -126,19 +126,16 @@ def test_bad_fits_are_refused(rule, message):
 
 
 @pytest.mark.parametrize(
-    ("answer", "expected"),
+    ("answer", "expected"),  # what stands under a mask means nothing
     [
         (np.array([1, np.inf, 0], np.float32), [1, np.inf, 0]),
         ([3, 4, 5], [3, 4, 5]),
-        # What stands under a mask means nothing.
-        *(
-            (np.ma.masked_array(np.array([7, 0, -3], of), [False, True, True]), [7, np.inf, np.inf])
-            for of in (float, int)
-        ),
+        (np.ma.masked_array([7.0, 0, -3], [False, True, True]), [7, np.inf, np.inf]),
+        (np.ma.masked_array([7, 0, -3], [False, True, True]), [7, np.inf, np.inf]),
         (np.ma.masked_invalid([7.0, np.nan, -np.inf]), [7, np.inf, np.inf]),
     ],
 )
-def test_distances_are_doubles_and_inf_where_they_are_masked(answer, expected):
+def test_distances_are_doubles_and_inf_where_masked(answer, expected):
     found = sampling.call_oracle(lambda x: answer, points(3, 0))
     assert found.dtype == np.float64 and found.tolist() == expected
 
@@ -155,45 +152,48 @@ def test_an_oracle_may_compute_in_place():
     np.testing.assert_array_equal(x, kept)
 
 
+def ask_distances(answer):
+    return sampling.call_oracle(answer, points(5, 0))
+
+
+def ask_weights(answer):
+    return sampling.call_weights(answer, points(5, 0))
+
+
 @pytest.mark.parametrize(
-    ("call", "answer", "message"),
+    ("ask", "answer", "message"),
     [
-        (sampling.call_oracle, lambda x: x, "distance_fn must give one number per point"),
-        (sampling.call_oracle, lambda x: np.ones(len(x) - 1), "distance_fn must give one number per point"),
-        (sampling.call_oracle, lambda x: 1.0, "distance_fn must give one number per point"),
-        (
-            sampling.call_oracle,
-            lambda x: np.full(len(x), np.nan),
-            r"gives NaN at \[.*; use inf for unreachable",
-        ),
-        (sampling.call_oracle, lambda x: np.full(len(x), -np.inf), "distance_fn gives -inf at"),
-        (sampling.call_oracle, lambda x: np.full(len(x), "far"), "answer must be real numbers"),
-        (sampling.call_oracle, lambda x: {}, "answer must be real numbers"),
-        (sampling.call_oracle, lambda x: [[1.0], [2.0, 3.0]], "answer must be real numbers"),
-        (sampling.call_oracle, lambda x: 1j * cone(x), "answer must be real numbers"),
-        (sampling.call_weights, lambda x: -np.ones(len(x)), "weight_fn must return finite weights >= 0"),
-        (sampling.call_weights, lambda x: np.full(len(x), np.nan), "weight_fn must return finite weights >= 0"),
-        (sampling.call_weights, lambda x: x, "weight_fn must give one number per point"),
-        (
-            sampling.call_weights,
-            lambda x: np.ma.masked_less(np.ones(len(x)), 2),
-            "weight_fn's answer must be .*masked",
-        ),
+        (ask_distances, lambda x: x, "distance_fn must give one number per point"),
+        (ask_distances, lambda x: np.ones(len(x) - 1), "distance_fn must give one number per point"),
+        (ask_distances, lambda x: 1.0, "distance_fn must give one number per point"),
+        (ask_distances, lambda x: np.full(len(x), np.nan), r"gives NaN at \[.*; use inf for unreachable"),
+        (ask_distances, lambda x: np.full(len(x), -np.inf), "distance_fn gives -inf at"),
+        (ask_distances, lambda x: np.full(len(x), "far"), "answer must be real numbers"),
+        (ask_distances, lambda x: {}, "answer must be real numbers"),
+        (ask_distances, lambda x: [[1.0], [2.0, 3.0]], "answer must be real numbers"),
+        (ask_distances, lambda x: 1j * cone(x), "answer must be real numbers"),
+        (ask_weights, lambda x: -np.ones(len(x)), "weight_fn must return finite weights >= 0"),
+        (ask_weights, lambda x: np.full(len(x), np.nan), "weight_fn must return finite weights >= 0"),
+        (ask_weights, lambda x: x, "weight_fn must give one number per point"),
+        (ask_weights, lambda x: np.ma.masked_less(np.ones(len(x)), 2), "weight_fn's answer must be .*masked"),
     ],
 )
-def test_bad_answers_are_refused(call, answer, message):
+def test_invalid_answers_raise(ask, answer, message):
     with pytest.raises(ValueError, match=message):
-        call(answer, points(5, 0))
+        ask(answer)
 
 
 @pytest.mark.parametrize(
     "one_point", [lambda x: float(x[0] + x[1]), lambda x, y: x + y, lambda x: 1.0 if x[0] else 2.0]
 )
-def test_a_function_of_one_point_is_told_that_it_is_called_with_many(one_point):
+def test_functions_of_one_point_raise_with_a_note(one_point):
     with pytest.raises((TypeError, ValueError)) as caught:
-        sampling.call_oracle(one_point, np.zeros((5, 2)))
+        ask_distances(one_point)
     assert caught.value.__notes__ == [
         "distance_fn must return distances (n,) for points (n, dim); it was called with shape (5, 2)."
     ]
+
+
+def test_norms_of_all_points_raise():
     with pytest.raises(ValueError, match=r"shape \(5,\), got \(\); it is called with a batch of points \(5, dim\)"):
-        sampling.call_oracle(np.linalg.norm, np.zeros((5, 2)))
+        ask_distances(np.linalg.norm)
