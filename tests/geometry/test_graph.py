@@ -27,7 +27,7 @@ def lattice_graphs(draw):
 
 
 @given(lattice_graphs())
-def test_dijkstra_agrees_with_networkx(graph):
+def test_dijkstra_equals_networkx(graph):
     exported, edges = graph.to_networkx(), {frozenset(edge) for edge in graph.edges.tolist()}
     assert {frozenset(edge) for edge in exported.edges} == edges
     np.testing.assert_array_equal([place for _, place in exported.nodes(data="pos")], graph.vertices)
@@ -58,7 +58,7 @@ def searches(draw):
 
 
 @given(searches(), st.integers(1, 5))
-def test_it_finds_what_testing_every_pair_finds(search, count):
+def test_first_visible_equals_brute_force(search, count):
     lengths, visible = search
     before = lengths.copy()
     ways, shortest = first_visible(lengths, lambda point, way: visible[point, way], count)
@@ -74,7 +74,7 @@ def test_it_finds_what_testing_every_pair_finds(search, count):
     np.testing.assert_array_equal(lengths, before)
 
 
-def test_the_shortest_are_tested_first_and_none_twice():
+def test_shortest_ways_are_tested_first_and_once():
     tested = []
 
     def sees(point, way):
@@ -86,7 +86,7 @@ def test_the_shortest_are_tested_first_and_none_twice():
     assert tested == [[0, 1], [*range(2, 10)], [*range(10, 42)]]
 
 
-def test_many_points_are_searched_in_parts(monkeypatch):
+def test_search_in_parts_equals_search_at_once(monkeypatch):
     rng = np.random.default_rng(0)
     lengths, visible = rng.permutation(np.arange(350.0)).reshape(50, 7), rng.random((50, 7)) < 0.3
     monkeypatch.setattr("plr_jax.geometry.graph._CHUNK", 21)
@@ -95,7 +95,7 @@ def test_many_points_are_searched_in_parts(monkeypatch):
 
 
 @given(st.integers(0, 10_000))
-def test_ways_that_differ_from_point_to_point(seed):
+def test_ragged_search_equals_brute_force(seed):
     rng = np.random.default_rng(seed)
     counts = rng.integers(0, 6, 12)
     lengths, visible = rng.integers(0, 9, counts.sum()).astype(float), rng.random(counts.sum()) < 0.4
