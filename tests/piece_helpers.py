@@ -1,5 +1,7 @@
 """Helpers for tests of convex pieces: random pieces, workspaces, and conversion to Shapely polygons."""
 
+from fractions import Fraction
+
 import numpy as np
 import shapely
 
@@ -112,3 +114,11 @@ def hard_points(workspace, seed):
     x = np.concatenate([*x, workspace.boundary.vertices + beside[0] * rng.normal(size=2)])
     x = np.concatenate([rng.permutation(x)[:150], workspace.sample_free(50, seed)])
     return x[workspace.is_free(x)]
+
+
+def exact_turns(point, corners):
+    """Return in exact arithmetic how far left of each side of a polygon a point is, as cross products."""
+    px, py = map(Fraction, point)
+    exact = [tuple(map(Fraction, corner)) for corner in corners]
+    sides = zip(exact, exact[1:] + exact[:1], strict=True)
+    return [(bx - ax) * (py - ay) - (by - ay) * (px - ax) for (ax, ay), (bx, by) in sides]

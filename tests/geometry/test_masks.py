@@ -95,7 +95,7 @@ def test_masks_are_placed_by_origin_yaw_and_first_row():
     np.testing.assert_array_equal(turned.is_free([(0.75, 2.75), (0.25, 2.75)]), [True, False])
 
 
-@pytest.mark.parametrize("origin", [(0, 0), (1e6, -1e6), (3e5, 5e6, 0.3)])
+@pytest.mark.parametrize("origin", [(0, 0), (3e5, 5e6, 0.3)])
 @pytest.mark.parametrize("resolution", [1e-90, 9e-6, 0.05, 1e90])
 def test_pixels_stay_free_or_blocked_at_any_scale(resolution, origin):
     """A mask is refused, or its pixels are free and blocked as given."""
@@ -113,9 +113,7 @@ def test_pixels_stay_free_or_blocked_at_any_scale(resolution, origin):
     np.testing.assert_array_equal(workspace.is_free(x), free.ravel())
 
 
-@pytest.mark.parametrize(
-    ("resolution", "origin"), [(0.05, (-10.3, 7.7)), (0.1, (0.1, 0.2, 1.0)), (5e-5, (3e5, 5e6, 2))]
-)
+@pytest.mark.parametrize(("resolution", "origin"), [(0.1, (0.1, 0.2, 1.0)), (5e-5, (3e5, 5e6, 2))])
 def test_rounded_vertices_equal_set_precision_of_shapely(resolution, origin):
     """With noise, thin walls and contacts, down to the smallest pixels."""
     for seed in range(2):
@@ -142,14 +140,11 @@ EYE = np.eye(3) > 0
     ("free", "options", "message"),
     [
         (np.ones((3, 3)), {}, r"booleans of shape \(rows, columns\), such as image > 127, got float64"),
-        (np.ones(3, bool), {}, r"got bool of shape \(3,\)"),
         (np.ma.masked_equal(EYE, True), {}, "some masked"),
         (np.zeros((3, 4), bool), {}, "No pixel of 3 x 4 is free"),
         (np.indices((700, 700)).sum(axis=0) % 2 == 0, {}, "at most 262,144 corners"),
-        (EYE, {"drop_specks": 9}, "No pixel"),
         (EYE, {"drop_specks": 0.5}, "drop_specks must be an integer"),
         (EYE, {"resolution": 0}, "resolution must be a positive"),
-        (EYE, {"resolution": 1e-300}, "longer side must be at least 1e-100, .* choose a smaller unit"),
         (EYE, {"resolution": 1e307}, r"up to 1e\+100, got pixels of side 1e\+307 .* choose a larger unit"),
         (EYE, {"origin": (1e300, 0)}, "as far out as .* choose a larger unit"),
         (EYE, {"resolution": 1e-9, "origin": (1e6, 1e6)}, "at least 8e-06 at .*, got 1e-09: choose an or"),
@@ -158,6 +153,7 @@ EYE = np.eye(3) > 0
         (EYE, {"row0": "up"}, "row0 must be 'bottom' or 'top', got 'up'"),
     ],
 )
-def test_invalid_masks_and_options_raise(free, options, message, unchecked_types):
+@pytest.mark.usefixtures("unchecked_types")
+def test_invalid_masks_and_options_raise(free, options, message):
     with pytest.raises(ValueError, match=message):
         Workspace.from_mask(free, **options)

@@ -1,12 +1,10 @@
 """Location of single points and free segments in a triangulation, compared with exact arithmetic."""
 
-from fractions import Fraction
-
 import numpy as np
 from exact_plane import ExactPlane
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from piece_helpers import WORKSPACES, hard_points
+from piece_helpers import WORKSPACES, exact_turns, hard_points
 
 from plr_jax.geometry.single_points import PointLocator
 
@@ -17,21 +15,12 @@ def test_located_triangles_contain_points_exactly():
     num_beside = 0
     for seed, kind in enumerate(WORKSPACES):
         workspace = kind(np.random.default_rng(seed))
-        mesh = workspace.triangulation
-        triangles = [[[Fraction(c) for c in corner] for corner in corners] for corners in mesh.triangles.tolist()]
-        locator, x = PointLocator(mesh), hard_points(workspace, seed)
-        places = [locator.place(*point) for point in x.tolist()]
-        assert sum(place is not None for place in places) > len(x) / 2
-        for place in places[::2]:
-            if place is None:
-                continue
-            p, holders = (Fraction(place.x), Fraction(place.y)), set()
-            for index, corners in enumerate(triangles):
-                if all(
-                    (bx - ax) * (p[1] - ay) >= (by - ay) * (p[0] - ax)
-                    for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True)
-                ):
-                    holders.add(index)
+        mesh, x = workspace.triangulation, hard_points(workspace, seed)
+        places = [place for point in x.tolist() if (place := PointLocator(mesh).place(*point)) is not None]
+        assert len(places) > len(x) / 2
+        for place in places[::3]:
+            turns = [min(exact_turns((place.x, place.y), corners)) for corners in mesh.triangles]
+            holders = {index for index, turn in enumerate(turns) if turn >= 0}
             assert {place.triangle, place.beyond} == holders
             num_beside += len(holders) == 2
     assert num_beside > 10

@@ -1,12 +1,11 @@
 import contextlib
-from fractions import Fraction
 
 import numpy as np
 import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from piece_helpers import TEN, box
+from piece_helpers import TEN, box, exact_turns
 
 from plr_jax.geometry.boundary import Boundary, as_polygon
 from plr_jax.geometry.triangulation import triangulation_of
@@ -76,14 +75,9 @@ def test_points_near_walls_are_placed_inside_a_triangle(seed, turn):
     x = start + share * (end - start) + height * tolerance * workspace.boundary.normal[edge]
     places = mesh.place(x)
     assert (np.linalg.norm(places.x - x, axis=1) <= 1.01 * tolerance).all()
-    for (px, py), corners, on_side in zip(
-        places.x.tolist(), mesh.triangles[places.triangle].tolist(), places.on_side.tolist(), strict=True
-    ):
-        px, py = Fraction(px), Fraction(py)
-        for k in range(3):
-            (ax, ay), (bx, by) = (map(Fraction, corners[i % 3]) for i in (k, k + 1))
-            turns = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
-            assert turns > 0 or (turns == 0 and on_side[k])
+    for point, corners, on_side in zip(places.x, mesh.triangles[places.triangle], places.on_side, strict=True):
+        turns = exact_turns(point, corners)
+        assert min(turns) >= 0 and all(side for turn, side in zip(turns, on_side, strict=True) if turn == 0)
 
 
 def test_points_near_a_contact_snap_to_it():
