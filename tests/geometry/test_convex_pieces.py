@@ -112,34 +112,22 @@ def apexes_beside(rng, pieces):
     return np.array(kinds)[rng.integers(len(kinds), size=n), each]
 
 
-def check_difference(rng, pieces, one, two, offsets):
-    """Check the extremes of the difference of two cones against a search."""
+@settings(max_examples=8)
+@given(SEEDS, st.booleans())
+def test_extremes_of_cone_differences_equal_a_search(seed, is_clipped):
+    """Clipping doubles corners up to rounding, and leaves edges of a hair and apexes at former corners."""
+    rng = np.random.default_rng(seed)
+    pieces = random_pieces(rng, 20)
+    corner, width = pieces[:, 0, 0], np.ptp(pieces[:, 0], axis=1)
+    if is_clipped:
+        lo, hi = corner - width * rng.choice([1e-9, 1.0], 2), corner + width * rng.choice([1e-9, 1.0, 3.0], 2)
+        pieces = clip_to_boxes(pieces, lo[None], hi[None])[0]
+    n = pieces.shape[1]
+    one = np.tile(corner, (n, 1)) if is_clipped else apexes_beside(rng, pieces)
+    two, offsets = apexes_beside(rng, pieces), rng.uniform(0, 5, (2, n))
     first, second = cones(one, offsets[0]), cones(two, offsets[1])
     found = difference_of_cones(pieces, one, offsets[0], two, offsets[1])
     check_extremes(found, pieces, lambda x: first(x) - second(x), (one, two), rng)
-
-
-@settings(max_examples=8)
-@given(SEEDS)
-def test_extremes_of_cone_differences_equal_a_search(seed):
-    rng = np.random.default_rng(seed)
-    pieces = random_pieces(rng, 12)
-    apexes = apexes_beside(rng, pieces), apexes_beside(rng, pieces)
-    check_difference(rng, pieces, *apexes, rng.uniform(0, 5, (2, 12)))
-
-
-@settings(max_examples=8)
-@given(SEEDS)
-def test_extremes_on_nearly_degenerate_pieces_equal_a_search(seed):
-    """Corners doubled up by rounding, edges of a hair, apexes that are corners of what was cut."""
-    rng = np.random.default_rng(seed)
-    whole = random_pieces(rng, 30)
-    corner, width = whole[:, 0, 0], np.ptp(whole[:, 0], axis=1)
-    lo, hi = corner - width * rng.choice([1e-9, 1.0], 2), corner + width * rng.choice([1e-9, 1.0, 3.0], 2)
-    pieces = clip_to_boxes(whole, lo[None], hi[None])[0]
-    n = pieces.shape[1]
-    assert n
-    check_difference(rng, pieces, np.tile(corner, (n, 1)), apexes_beside(rng, pieces), np.zeros((2, n)))
 
 
 @settings(max_examples=8)

@@ -28,8 +28,7 @@ def test_all_points_of_a_cell_have_its_distance():
 
 
 def test_diagonal_steps_do_not_cut_corners():
-    graph = GridGraph(DOOR, (1, 0), connectivity=8)
-    assert at(graph, (2, 1), (3, 0), (0, 1)) == [2, 4, pytest.approx(2**0.5)]
+    assert at(GridGraph(DOOR, (1, 0), connectivity=8), (2, 1), (3, 0), (0, 1)) == [2, 4, pytest.approx(2**0.5)]
     assert at(GridGraph(drawn(".#", "#."), (0, 0), connectivity=8), (1, 1)) == [np.inf]
 
 

@@ -80,20 +80,6 @@ def test_goals_on_walls_and_corners(wall, goal, from_left, from_right):
         np.testing.assert_allclose(wall.with_goal(start)(np.array([goal])), [distance], atol=1e-8)
 
 
-@pytest.mark.parametrize("squeeze", [False, True])
-def test_point_contact_is_passed_only_by_squeezing(squeeze):
-    oracle = VisibilityGraph(Workspace(TEN, [box(3, 3, 5, 5), box(5, 5, 7, 7)], squeeze=squeeze), (1, 1))
-    root2, root5 = math.sqrt(2), math.sqrt(5)
-    for start, goal, expected in [
-        ((4, 6), (5, 5), root2),
-        ((4, 6), (6, 4), 2 * root2 if squeeze else 4 + 2 * root2),
-        ((4, 5), (6, 5), 2 if squeeze else 5 + root5),
-    ]:
-        for a, b in ((start, goal), (goal, start)):
-            assert oracle.with_goal(b)(np.array([a]))[0] == pytest.approx(expected, abs=1e-12)
-            assert length(oracle.with_goal(b).shortest_path(a)) == pytest.approx(expected, abs=1e-12)
-
-
 def test_contact_with_the_bounds_blocks_unless_squeezed():
     tip, start = np.array([[5.0, 0], [3, 10], [7, 10]]), np.array([[1.0, 0.0]])
     assert np.isinf(VisibilityGraph(Workspace(TEN, [tip]), (9, 0))(start)[0])
