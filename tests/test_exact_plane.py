@@ -5,8 +5,6 @@ import pytest
 import shapely
 from exact_plane import ExactPlane
 
-from plr_jax import VisibilityGraph, Workspace
-
 _BOX = ((0, 0), (4, 4))
 
 
@@ -55,17 +53,6 @@ def test_visibility_touches_corners_but_passes_no_contact():
     # On the segment in real numbers, and 2^-60 beside it.
     assert plane.sees((1, 0), (1, 4))
     assert not ExactPlane(_BOX, [[(2, 2), (3, 3 - 2**-50), (3, 2)]]).sees((2, 2), (2.5, 2.5 - 2**-48))
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_distances_equal_visibility_graph(seed):
-    rng = np.random.default_rng(seed)
-    obstacles = [shapely.MultiPoint(at + rng.random((5, 2))).convex_hull for at in 4 * rng.random((8, 2))]
-    workspace = Workspace(((0, 0), (5, 5)), obstacles)
-    goal, *x = workspace.sample_free(15, seed)
-    expected = ExactPlane(((0, 0), (5, 5)), obstacles).distances(goal, x)
-    assert np.isfinite(expected).any()
-    np.testing.assert_allclose(VisibilityGraph(workspace, goal)(x), expected, rtol=1e-9)
 
 
 def test_joins_finds_paths_near_a_segment():

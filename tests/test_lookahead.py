@@ -65,24 +65,6 @@ def test_paths_do_not_depend_on_the_unit_of_costs():
     np.testing.assert_allclose(in_seconds.costs, 3600 * in_hours.costs, rtol=1e-9)
 
 
-def test_thin_strip_between_samples_has_its_cost():
-    goal, start = np.array([1.7, 1.0]), np.array([0.3, 1.0])
-    top = np.array([1.0, 1.8])
-    around = math.dist(start, top) + math.dist(top, goal)
-    across = 1.4 + 9 * 0.02
-
-    def field(x):
-        """The exact times: across the strip, or around its end."""
-        before = x[:, 0] < 1
-        direct = np.hypot(*(x - goal).T)
-        straight = direct + np.where(before, 9 * 0.02 * direct / np.maximum(goal[0] - x[:, 0], 1e-9), 0.0)
-        return np.where(before, np.minimum(straight, np.hypot(*(x - top).T) + math.dist(top, goal)), direct)
-
-    assert across < around
-    descent = descend(field, SQUARE, [start], goal, cost_map=SLOW_STRIP)
-    assert descent.costs[0] == pytest.approx(across, rel=2e-3)
-
-
 def test_uphill_costs_more_than_downhill():
     """On a slope along x, of 1 in 2, where a unit of climbing costs 3."""
     ground = Climb(lambda q: np.tile([0.5, 0.0], (len(q), 1)), rate=3.0, lipschitz=0.0, steepest=0.5)
@@ -96,12 +78,14 @@ def test_uphill_costs_more_than_downhill():
 
 
 def test_costs_equal_integrals_of_the_factor():
+    """A thin strip between samples has its cost, too."""
     space = PlaneSpace(SQUARE)
-    a, b = np.array([[0.0, 0.0], [0.5, 0.5], [1.5, 0.5]]), np.array([[2.0, 2.0], [0.5, 1.5], [1.5, 0.5]])
+    a, b = np.array([[0.0, 0.0], [0.5, 0.5], [0.0, 1.0]]), np.array([[2.0, 2.0], [0.5, 1.5], [2.0, 1.0]])
     for cost_map, expected, rtol in (
-        (SLOW_BEYOND, [math.sqrt(2) * 3, 1.0, 0.0], 1e-3),
-        (LINEAR, [2 * math.sqrt(8), 1.5, 0.0], 1e-9),
-        (None, [math.sqrt(8), 1.0, 0.0], 1e-12),
+        (SLOW_BEYOND, [math.sqrt(2) * 3, 1.0, 3.0], 1e-3),
+        (SLOW_STRIP, [math.sqrt(2) * 2.18, 1.0, 2.18], 1e-3),
+        (LINEAR, [2 * math.sqrt(8), 1.5, 4.0], 1e-9),
+        (None, [math.sqrt(8), 1.0, 2.0], 1e-12),
     ):
         np.testing.assert_allclose(PathCosts(space, cost_map).integrals(a, b, 1e-3), expected, rtol=rtol)
 
@@ -110,40 +94,25 @@ def test_integrals_across_a_seam_stay_in_the_domain():
     space = RigidBodySpace(SQUARE, RectangleRobot(0.2, 0.1), rotation_weight=1.0)
     lo, hi = space.domain.lo, space.domain.hi
 
-    class Inside:
-        """The cost factor 1 + |heading|, which fails outside the domain."""
+    def factor(q):
+        """Return 1 + |heading|; fail outside the domain."""
+        assert ((q >= lo) & (q <= hi)).all()
+        return 1 + np.abs(q[:, 2])
 
-        def __call__(self, q):
-            assert ((q >= lo) & (q <= hi)).all()
-            return 1 + np.abs(q[:, 2])
-
-        def bounds(self, lo_, hi_):
-            assert (lo_ >= lo).all() and (hi_ <= hi).all()
-            ends = np.abs(np.stack([lo_[:, 2], hi_[:, 2]]))
-            least = np.where(lo_[:, 2] * hi_[:, 2] <= 0, 0.0, ends.min(axis=0))
-            return 1 + least, 1 + ends.max(axis=0)
-
-    q0, q1 = np.array([[1.0, 1.0, math.pi - 0.5]]), np.array([[1.0, 1.0, -math.pi + 0.5]])
-    # A turn of 1 over headings whose sizes run from pi - 0.5 up to pi and down again.
-    expected = 1 * (1 + math.pi - 0.25)
-    np.testing.assert_allclose(PathCosts(space, Inside()).integrals(q0, q1, 1e-3), expected, rtol=1e-6)
-    np.testing.assert_allclose(PathCosts(space, Inside()).integrals(q1, q0, 1e-3), expected, rtol=1e-6)
+    costs = PathCosts(space, LipschitzCost(factor, lipschitz=1.0, least=1.0))
+    q = np.array([[1.0, 1.0, math.pi - 0.5], [1.0, 1.0, -math.pi + 0.5]])
+    # A turn of 1 over headings whose sizes grow from pi - 0.5 to pi and shrink again.
+    np.testing.assert_allclose(costs.integrals(q, q[::-1], 1e-3), 1 + math.pi - 0.25, rtol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("motion", "num_axes_alone"),
-    [
-        (MotionCost((((0, 1), 1.0),)), 4),
-        (MotionCost((((0, 1), 1.0), ((2,), 0.3))), 6),
-        (MotionCost((((0,), 2.0),)), 2),
-    ],
-)
-def test_unit_motions_cost_one_and_come_in_opposite_pairs(motion, num_axes_alone):
-    steps = unit_motions(motion)
-    np.testing.assert_allclose(motion.norm(steps), 1.0, rtol=1e-12)
-    rounded = {tuple(step) for step in np.round(steps, 9) + 0.0}
-    assert rounded == {tuple(-np.array(step) + 0.0) for step in rounded}
-    assert sum(np.count_nonzero(step) == 1 for step in rounded) == num_axes_alone
+def test_unit_motions_cost_one_and_come_in_opposite_pairs():
+    for blocks, num_axes_alone in (([((0, 1), 1.0)], 4), ([((0, 1), 1.0), ((2,), 0.3)], 6), ([((0,), 2.0)], 2)):
+        motion = MotionCost(tuple(blocks))
+        steps = unit_motions(motion)
+        np.testing.assert_allclose(motion.norm(steps), 1.0, rtol=1e-12)
+        rounded = {tuple(step) for step in np.round(steps, 9) + 0.0}
+        assert rounded == {tuple(-np.array(step) + 0.0) for step in rounded}
+        assert sum(np.count_nonzero(step) == 1 for step in rounded) == num_axes_alone
 
 
 # --- bodies that turn, and arms --------------------------------------------------------------------------
