@@ -2,33 +2,12 @@ import numpy as np
 import pytest
 import shapely
 
-from plr_jax.geometry.boundary import as_polygon, as_polygons, triangulate
+from plr_jax.geometry.boundary import as_polygons, triangulate
 from plr_jax.geometry.workspace import Workspace
 
 SQUARE = [[0, 0], [1, 0], [1, 1], [0, 1]]
 BOW_TIE = [[1.0, 1], [2, 2], [2, 1], [1, 2]]
 FAR, FARTHER = shapely.box(5, 0, 6, 1), shapely.box(8, 0, 9, 1)
-
-
-@pytest.mark.parametrize(
-    ("read", "shape", "message"),
-    [
-        (as_polygon, np.array(BOW_TIE), "P is not a simple polygon.*Self-intersection"),
-        (as_polygon, shapely.Polygon(BOW_TIE), "P is not a simple polygon"),
-        (as_polygon, 1e155 * np.array(SQUARE), "P must have coordinates up to 1e\\+100"),
-        (as_polygon, np.array([[1.0, 1], [2, 2], [2, 2], [1, 1]]), "P has 2 distinct vertices"),
-        (as_polygon, np.array([[1.0, 1], [2, 2], [3, 3]]), "P has zero area"),
-        (as_polygon, np.array([[1.0, 1], [np.nan, 2], [2, 1]]), "P must have finite coordinates"),
-        (as_polygon, shapely.LineString([[1, 1], [2, 2]]), "P must be a polygon, got a LineString"),
-        (as_polygon, "ring", r"P must be numbers"),
-        (as_polygons, 5, r"Ps must be a list of rings \(n, 2\) or Shapely polygons, got 5"),
-        (as_polygons, shapely.GeometryCollection([FAR, shapely.Point(1, 1)]), "P 1 must be a polygon, got a Point"),
-        (as_polygons, SQUARE, r"P 0 must have shape \(n, 2\), got \(2,\). Put a single ring into a list"),
-    ],
-)
-def test_invalid_polygons_raise(read, shape, message):
-    with pytest.raises(ValueError, match=message):
-        read("P", shape)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -37,47 +36,6 @@ def test_repr_is_exact_and_message_is_rounded():
     box = Box((0.1 + 0.2, -1), (146 * 0.05, 5334012.654321), (False, True))
     assert f"{box}" == "Box([0.3, -1.0], [7.3, 5334012.65432], periodic=(False, True))"
     assert eval(repr(box)) == box
-
-
-@pytest.mark.parametrize(
-    ("corners", "message"),
-    [
-        (((0, 0), (1, 0)), "positive width along every axis.*axis 1"),
-        (((0, 0), (1, 1, 1)), "equal length"),
-        (((0, np.nan), (1, 1)), "Box lo must have finite coordinates"),
-        (((0, 0), (np.inf, 1)), "Box hi must have finite coordinates"),
-        ((0.0, 1.0), r"Box lo must be one point of shape \(dim,\), got shape \(\)"),
-        (("a", "b"), "Box lo must be numbers"),
-        *(((*UNIT, bad), "Box periodic must be") for bad in (True, (True,), "no", ((True, False),), (1, 0))),
-    ],
-)
-def test_invalid_corners_raise(corners, message):
-    with pytest.raises(ValueError, match=message):
-        Box(*corners)
-
-
-@pytest.mark.parametrize(
-    ("ask", "message"),
-    [
-        (lambda: Box.of(((0, 0),)), "The box must be a Box or its corners"),
-        (lambda: Box.of(None), "The box must be a Box or its corners"),
-        (lambda: BOX.contains(np.zeros((1, 3))), r"shape \(n, 2\), got \(1, 3\)"),
-        (lambda: BOX.grid(0), "integer >= 1"),
-        (lambda: SPACE.grid(4), "2 dimensions, got 3"),
-        (lambda: TURN.wrapped(np.zeros((1, 3))), r"must have shape \(\.\.\., 2\), got \(1, 3\)"),
-        (lambda: TURN.difference(np.ma.masked_less([[-1.0, 2.0]], 0), [0.0, 0]), "some are masked"),
-        (lambda: TURN.image_near([0, 0], np.zeros((1, 3))), r"must have shape \(\.\.\., 2\), got \(1, 3\)"),
-        (lambda: Slice.of(SPACE, None), "at must fix 1 of 3 coordinates, got 0"),
-        (lambda: Slice.of(SPACE, {0: 1.0, 1: 0.0}), "must fix 1 of 3 coordinates, got 2"),
-        (lambda: Slice.of(SPACE, {3: 1.0}), "at must map axes to coordinates"),
-        (lambda: Slice.of(SPACE, {-1: 6.0}), "at must map axes to coordinates"),
-        (lambda: Slice.of(SPACE, {0: 9.0}), "at must lie in Box"),
-        (lambda: Slice.of(SPACE, {0: float("nan")}), "must have finite coordinates"),
-    ],
-)
-def test_invalid_arguments_raise(ask, message):
-    with pytest.raises(ValueError, match=message):
-        ask()
 
 
 def test_grid_fills_the_box_with_square_cells():

@@ -8,9 +8,7 @@ import shapely
 from plr_jax import VisibilityGraph, Workspace
 from plr_jax.geometry.masks import (
     CLEARANCE,
-    placed_region,
     region_of_mask,
-    rounded_one_by_one,
     without_specks,
 )
 
@@ -113,47 +111,7 @@ def test_pixels_stay_free_or_blocked_at_any_scale(resolution, origin):
     np.testing.assert_array_equal(workspace.is_free(x), free.ravel())
 
 
-@pytest.mark.parametrize(("resolution", "origin"), [(0.1, (0.1, 0.2, 1.0)), (5e-5, (3e5, 5e6, 2))])
-def test_rounded_vertices_equal_set_precision_of_shapely(resolution, origin):
-    """With noise, thin walls and contacts, down to the smallest pixels."""
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        free = np.kron(rng.random((15, 20)) < 0.7, np.ones((2, 2), bool)) | (rng.random((30, 40)) < 0.1)
-        for tolerance in TOLERANCES:
-            region = placed_region(free, resolution, origin, row0="bottom", tolerance=tolerance, drop_specks=0)
-            grid = 2.0 ** np.floor(np.log2(resolution / 4e3))  # as coarse as a workspace's may be
-            rounded, expected = rounded_one_by_one(region, grid), shapely.set_precision(region, grid)
-            assert rounded.is_valid and not (shapely.get_coordinates(rounded) % grid).any()
-            assert shapely.equals_exact(rounded.normalize(), expected.normalize())
-
-
 def test_diagonal_pixels_are_passed_only_by_squeezing():
     for squeeze in (False, True):
         oracle = VisibilityGraph(Workspace.from_mask(drawn(".#", "#."), squeeze=squeeze), (0.5, 0.5))
         assert np.isfinite(oracle(np.array([[1.5, 1.5]])))[0] == squeeze
-
-
-EYE = np.eye(3) > 0
-
-
-@pytest.mark.parametrize(
-    ("free", "options", "message"),
-    [
-        (np.ones((3, 3)), {}, r"booleans of shape \(rows, columns\), such as image > 127, got float64"),
-        (np.ma.masked_equal(EYE, True), {}, "some masked"),
-        (np.zeros((3, 4), bool), {}, "No pixel of 3 x 4 is free"),
-        (np.indices((700, 700)).sum(axis=0) % 2 == 0, {}, "at most 262,144 corners"),
-        (EYE, {"drop_specks": 0.5}, "drop_specks must be an integer"),
-        (EYE, {"resolution": 0}, "resolution must be a positive"),
-        (EYE, {"resolution": 1e307}, r"up to 1e\+100, got pixels of side 1e\+307 .* choose a larger unit"),
-        (EYE, {"origin": (1e300, 0)}, "as far out as .* choose a larger unit"),
-        (EYE, {"resolution": 1e-9, "origin": (1e6, 1e6)}, "at least 8e-06 at .*, got 1e-09: choose an or"),
-        (EYE, {"tolerance": -1}, "tolerance must be"),
-        (EYE, {"origin": (0, np.nan)}, r"origin must be finite numbers \(x, y\) or \(x, y, yaw\)"),
-        (EYE, {"row0": "up"}, "row0 must be 'bottom' or 'top', got 'up'"),
-    ],
-)
-@pytest.mark.usefixtures("unchecked_types")
-def test_invalid_masks_and_options_raise(free, options, message):
-    with pytest.raises(ValueError, match=message):
-        Workspace.from_mask(free, **options)

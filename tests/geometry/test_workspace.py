@@ -187,41 +187,6 @@ def test_thin_free_space_is_sampled():
     assert thin.is_free(x).all() and x[:, 1].min() >= 10 - 1.1e-7 and np.ptp(x[:, 0]) > 9.9
 
 
-def with_holes(holes):
-    return Workspace.from_polygons([{"outer": box(0, 0, 1, 1), "holes": holes}])
-
-
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: Workspace(TEN, [box(8, 8, 9, 9), "ring"]), "Obstacle 1 must be numbers"),
-        (lambda: Workspace(((0, 0), (1, 1e155))), "coordinates up to 1e"),
-        (lambda: Workspace(((0, 0), (1e-160, 1e-160))), "longer side must be at least 1e-100, .* smaller unit"),
-        (lambda: Workspace(((1e12, 0), (1e12 + 1, 1))), "10 times its tolerance, 1, .* the origin"),
-        (lambda: Workspace(((0, 0, 0), (1, 1, 1))), "2 dimensions"),
-        (lambda: Workspace(TEN, [box(-1, -1, 11, 11)]), "no free space"),
-        (lambda: Workspace.from_polygons([]), "at least one component"),
-        (lambda: Workspace.from_polygons([box(0, 0, 1, 1)]), "Component 0 must be a mapping.*or a Shapely polygon"),
-        (lambda: Workspace.from_polygons([shapely.Point(0, 0)]), "Component 0 must be a polygon, got a Point"),
-        (lambda: Workspace.from_polygons([shapely.box(0, 0, 1, 1)], 3.0), "Bounds must be a Box"),
-        (lambda: with_holes([box(0, 0, 0, 1)]), "Hole 0 of component 0 has 2 distinct"),
-        (lambda: with_holes(None), "Component 0 must be a mapping with an 'outer' ring and a list of 'holes'"),
-        (lambda: with_holes({}), "list of 'holes'"),
-        (lambda: BLOCK.sample_free(-1, 0), "n must be an integer >= 0, got -1"),
-        (lambda: BLOCK.inflate(-1.0), "at least 0"),
-        (lambda: BLOCK.inflate(5.0), "leaves no free space"),
-        (lambda: Workspace(TEN, [box(1, 1, 9, 9)]).inflate(0.6), "leaves no free space"),
-        (lambda: BLOCK.is_free(np.zeros(2)), r"\(n, 2\).*x\[None\]"),
-        (lambda: BLOCK.clearance(np.zeros((4, 3))), r"\(n, 2\), got \(4, 3\)"),
-        (lambda: BLOCK.is_visible(np.zeros((2, 2)), np.zeros((3, 2))), "as many starts as ends"),
-        (lambda: BLOCK.is_visible([(1, 1)], [(2, 2)], -1), "tolerance must be a finite number of at least 0, got -1"),
-    ],
-)
-def test_invalid_arguments_raise(build, message):
-    with pytest.raises(ValueError, match=message):
-        build()
-
-
 def test_visibility_tolerance_ignores_shallow_crossings():
     workspace = Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.6, 0), (0.6, 0.5), (0.4, 0.5)]])
     a, b = np.array([[0.1, 0.5 - 1e-6]]), np.array([[0.9, 0.5 - 1e-6]])

@@ -127,8 +127,6 @@ def test_headings_are_periodic_and_every_pose_is_reachable(car):
 def test_distances_far_away_are_nearly_euclidean(car):
     oracle = car(GOAL, RADIUS)
     np.testing.assert_allclose(oracle([(1e9, 0, 1), (3e200, 4e200, 1)]), [1e9, 5e200], rtol=1e-7)
-    with pytest.raises(ValueError, match="nearer to the goal"):
-        oracle.shortest_path((3e200, 4e200, 1))
 
 
 def test_batches_of_any_size_give_equal_distances():
@@ -136,31 +134,6 @@ def test_batches_of_any_size_give_equal_distances():
     together = oracle(poses)
     np.testing.assert_array_equal(together, np.concatenate([oracle(part) for part in np.array_split(poses, 7)]))
     assert together.dtype == np.float64 and oracle(np.zeros((0, 3))).shape == (0,)
-
-
-@both
-@pytest.mark.parametrize(
-    ("goal", "radius", "x", "message"),
-    [
-        ((0, 0), 1, None, r"goal pose must be one point of shape \(3,\)"),
-        ((0, 0, np.inf), 1, None, "goal pose must have finite"),
-        ((0, 0, 0), 0, None, "radius must be a positive finite number, got 0"),
-        ((0, 0, 0), "wide", None, "radius must be a positive finite number, got 'wide'"),
-        ((0, 0, 0), 1, np.zeros((2, 2)), r"x must have shape \(n, 3\), got \(2, 2\)"),
-        ((0, 0, 0), 1, np.ma.masked_less([[0.0, 1.0, 2.0]], 1), "some are masked"),
-    ],
-)
-@pytest.mark.usefixtures("unchecked_types")
-def test_invalid_arguments_raise(car, goal, radius, x, message):
-    with pytest.raises(ValueError, match=message):
-        car(goal, radius)(x)
-
-
-@both
-def test_path_from_invalid_start_raises(car):
-    with pytest.raises(ValueError, match="start pose must have finite"):
-        car(GOAL, RADIUS).shortest_path((0, np.nan, 0))
-    assert car((1, 2, 0.5), 3).shortest_path((1, 2, 0.5)) == []
 
 
 @pytest.mark.parametrize(

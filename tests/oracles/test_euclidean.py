@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 
 from plr_jax.oracles import Euclidean
 
@@ -14,17 +13,3 @@ def test_distance_in_several_dimensions():
 def test_points_that_are_not_finite_are_unreachable():
     x = np.array([[np.nan, 0.0], [0.0, np.inf], [np.inf, np.nan], [-np.inf, np.inf]])
     np.testing.assert_array_equal(Euclidean((0, 0))(x), [np.inf] * 4)
-
-
-@pytest.mark.parametrize(
-    ("goal", "x", "message"),
-    [
-        ((0, np.nan), None, "finite coordinates"),
-        (3.0, None, r"shape \(dim,\)"),
-        ((0, 0), np.zeros((2, 3)), r"shape \(n, 2\), got \(2, 3\)"),
-        ((0, 0), np.zeros(2), r"x\[None\]"),
-    ],
-)
-def test_invalid_arguments_raise(goal, x, message):
-    with pytest.raises(ValueError, match=message):
-        Euclidean(goal)(x)

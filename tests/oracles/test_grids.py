@@ -164,16 +164,6 @@ def test_field_equals_interpolation_of_scipy(dim, seed):
     np.testing.assert_allclose(GridField(values.T, (lo, lo + width))(x), expected, atol=1e-12)
 
 
-def test_field_of_scikit_fmm_goes_around_obstacle():
-    skfmm = pytest.importorskip("skfmm")
-    x, y = np.moveaxis(Box((0, 0), (3, 2)).grid(300), -1, 0)
-    phi = np.ma.masked_array(np.hypot(x - 0.5, y - 0.5) - 0.05, (x > 1) & (x < 1.2) & (y < 1.5))
-    field = GridField(np.maximum(skfmm.distance(phi, dx=0.01), 0), WIDE)
-    around = np.hypot(0.5, 1.0) + 0.2 + np.hypot(0.8, 1.0)  # (0.5, 0.5), (1, 1.5), (1.2, 1.5), (2, 0.5)
-    assert field([(2.0, 0.5)])[0] == pytest.approx(around - 0.05, rel=0.01)
-    assert at(field, (1.1, 0.5)) == [np.inf]
-
-
 def test_field_is_interpolated_across_a_seam():
     field = GridField([[0.0], [1], [2], [3]], Box((0, 0), (1, 4), periodic=(False, True)))
     at_y = [(0.5, y) for y in (0, 4, 0.25, 3.75, -1.5, 8.5)]
@@ -194,33 +184,3 @@ def test_grids_are_copied_and_read_only():
     for array in (graph.free, field.values, VoxelGraph(CUBE, (0, 0, 0)).free):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 1
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: GridGraph(DOOR.astype(int)), "booleans of shape .*got int64 of shape"),
-        (lambda: GridGraph(DOOR[:0]), "at least one"),
-        (lambda: GridGraph(DOOR, connectivity=6), "connectivity must be 4 or 8, got 6"),
-        (lambda: GridGraph(DOOR, (2, 0)), "The goal must be in a free cell"),
-        (lambda: GridGraph(DOOR)(np.zeros((1, 2))), "must have a goal: use"),
-        (lambda: GridGraph(DOOR, (0, 0))(np.zeros((1, 3))), r"x must have shape \(n, 2\)"),
-        (lambda: GridGraph(DOOR).between(np.zeros((1, 2)), np.zeros((2, 2))), "equally many points, got 1 and 2"),
-        (lambda: VoxelGraph(CUBE.astype(int), (0, 0, 0)), "booleans of 3 axes.*got int64"),
-        (lambda: VoxelGraph(CUBE[:0], (0, 0, 0)), "at least one free"),
-        (lambda: VoxelGraph(CUBE, (0, 0, 0), 8), "moves must be 6, 18 or 26, got 8"),
-        (lambda: VoxelGraph(CUBE, (0, 0, 4)), "The goal must be in a free cell"),
-        (lambda: VoxelGraph(CUBE, (0, 0, 0), bounds=((0, 0), (1, 1))), "bounds must have 3 axes"),
-        (lambda: VoxelGraph(CUBE, (0, 0, 0))(np.zeros((1, 2))), r"x must have shape \(n, 3\)"),
-        (lambda: GridField(ROWS - 1, WIDE), r"at least 0, got -1 at \(0, 0\); mask"),
-        (lambda: GridField(np.where(ROWS > 1, ROWS, -np.inf), WIDE), "at least 0, got -inf"),
-        (lambda: GridField(ROWS[0], WIDE), r"grid of 2 axes.*got shape \(3,\)"),
-        (lambda: GridField(np.zeros((0, 3)), WIDE), "at least one cell, got shape"),
-        (lambda: GridField(ROWS * 1j, WIDE), "values must be distances on a grid of 2 axes"),
-        (lambda: GridField(ROWS, WIDE)(np.zeros((2, 3))), r"x must have shape \(n, 2\)"),
-    ],
-)
-def test_invalid_arguments_raise(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()

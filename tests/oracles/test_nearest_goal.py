@@ -29,13 +29,6 @@ def test_distance_index_and_path_to_the_nearest_goal():
     assert NearestGoal([FIRST, FIRST]).which(x[:1]).tolist() == [0], "of equals the first"
 
 
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize("fns", [[], FIRST, [FIRST, lambda x: x[:, 0]], None])
-def test_invalid_lists_of_functions_raise(fns):
-    with pytest.raises(ValueError, match="NearestGoal needs a list of distance functions"):
-        NearestGoal(fns)
-
-
 def test_masked_and_nan_distances_are_unreachable():
     class Masked:
         dim = 1

@@ -5,7 +5,6 @@ import pickle
 
 import numpy as np
 import pytest
-from exact_plane import ExactPlane
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle_helpers import WALL
@@ -50,17 +49,6 @@ def test_batches_of_any_size_give_equal_distances(monkeypatch, most):
     whole = VisibilityGraph(MAZE, x[0]).between(x, y)
     monkeypatch.setattr(_pair_distances, most, 40)
     np.testing.assert_array_equal(VisibilityGraph(MAZE, x[0]).between(x, y), whole)
-
-
-@pytest.mark.parametrize("kind", WORKSPACES)
-def test_pair_distances_equal_exact_arithmetic(kind):
-    workspace = kind(np.random.default_rng(4))
-    x = np.random.default_rng(4).permutation(hard_points(workspace, 4))[:12]
-    oracle, plane = VisibilityGraph(workspace, x[0]), ExactPlane(workspace.boundary.segments)
-    for a in x[:3]:
-        found = [oracle.between(a[None], b[None])[0] for b in x]
-        on_grid = workspace.triangulation.place(np.vstack([a, x])).x
-        np.testing.assert_allclose(found, plane.distances(on_grid[0], on_grid[1:]), atol=1e-7)
 
 
 def test_pair_tables_are_shared_and_not_pickled():

@@ -7,7 +7,6 @@ import networkx as nx
 import numpy as np
 import pytest
 import shapely
-from jaxtyping import TypeCheckError
 from oracle_helpers import CUT, GAP, NOTHING, UNIT, Boxes, free_points, length, roadmap
 
 from plr_jax import Box, Roadmap, Workspace
@@ -224,31 +223,3 @@ def test_roadmap_can_be_pickled():
     for tests in ({"is_visible": NOTHING.is_visible}, {"resolution": 0.1}):
         oracle, x = Roadmap(UNIT, NOTHING.is_free, (0.1, 0.1), 50, **tests), free_points(NOTHING, 40)
         np.testing.assert_array_equal(pickle.loads(pickle.dumps(oracle))(x), oracle(x))
-
-
-SAMPLED = {"is_visible": None, "resolution": 0.1}
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"goal": (0.5, 0.5)}, "not free; move it"),
-        ({"goal": (1.5, 0.5)}, "outside the domain.*move it inside"),
-        ({"goal": (np.nan, 0.5)}, "finite coordinates"),
-        ({"domain": 3.0}, "The domain must be a Box"),
-        ({"num_samples": 0}, "num_samples"),
-        ({"is_visible": None}, "Give is_visible"),
-        ({"is_visible": None, "resolution": 0.0}, "resolution must be a positive finite number"),
-        ({"is_visible": lambda a, b: np.ones((len(a), 1), bool)}, "is_visible must give one boolean"),
-        ({"is_visible": lambda a, b: np.ma.masked_equal(a[:, 0] < 2, True)}, "is_visible .* some masked"),
-        ({"is_free": lambda x: np.all(x < 1e-3, axis=1), "goal": (0, 0), **SAMPLED}, "shrink the domain"),
-        ({"is_free": lambda x: np.ones(len(x)), **SAMPLED}, "is_free must give one boolean"),
-        ({"weights": (1.0, 0.0)}, r"weights must be positive, one per axis, got \[1.0, 0.0\]"),
-        ({"weights": (1.0,)}, r"weights must be one point of shape \(2,\)"),
-    ],
-)
-def test_invalid_arguments_raise(change, message):
-    good = {"domain": UNIT, "is_free": CUT.is_free, "goal": (0.1, 0.1), "num_samples": 10}
-    good["is_visible"] = CUT.is_visible
-    with pytest.raises((ValueError, TypeCheckError), match=message):
-        Roadmap(**good | change)

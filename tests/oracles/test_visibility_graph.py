@@ -102,26 +102,6 @@ def test_pickle_omits_derived_tables():
         np.testing.assert_array_equal(found, known)
 
 
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda wall: wall.with_goal((5, 4)), r"goal \[5.0, 4.0\] lies in an obstacle \(clearance -1\)"),
-        (lambda wall: VisibilityGraph(WALL, (11, 4)), "outside the bounds"),
-        (lambda wall: VisibilityGraph(WALL, (1, np.nan)), "finite"),
-        (lambda wall: VisibilityGraph(WALL, (1, 2, 3)), r"goal must be one point of shape \(2,\), got shape \(3,\)"),
-        (lambda wall: wall.directions(np.zeros(2)), r"x must have shape \(n, 2\)"),
-        (lambda wall: wall.between(np.zeros((2, 2)), np.zeros((3, 2))), "equally many points, got 2 and 3"),
-        (lambda wall: wall.between(np.zeros((1, 2)), np.zeros((1, 3))), r"y must .*\(n, 2\)"),
-        (lambda wall: VisibilityGraph(WALL, [(1, 1), (2, 2), (3, 3)]), r"one point .* shape \(3, 2\).*NearestGoal"),
-        (lambda wall: wall.shortest_path(np.zeros((1, 2))), r"The start must be one point of shape \(2,\)"),
-    ],
-)
-def test_invalid_arguments_raise(wall, call, message):
-    with pytest.raises(ValueError, match=message):
-        call(wall)
-
-
 SEEDS, LATTICE = st.integers(0, 100_000), np.argwhere(np.ones((7, 7))).astype(float)
 
 
