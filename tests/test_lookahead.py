@@ -11,7 +11,6 @@ from space_helpers import rectangle as box
 from plr_jax import (
     LipschitzCost,
     MotionCost,
-    PlanarArm,
     PlaneSpace,
     RectangleRobot,
     RigidBodySpace,
@@ -146,19 +145,3 @@ def test_body_turns_to_fit_through_a_door():
     # From the other start, the body turns by half a turn in all.
     assert descent.costs[1] >= 2.0 + 0.3 * math.pi - 1e-6
     assert (descent.costs >= np.asarray(plr.lower(starts))).all()
-
-
-@pytest.mark.full
-def test_arm_moves_around_an_obstacle_and_through_seams():
-    arm = PlanarArm(Workspace(((-2, -2), (2, 2)), [box(0.5, 0.5, 1.0, 1.0)]), [0.8, 0.6], (0, 0))
-    goal, rng = np.array([1.8, 0.0]), np.random.default_rng(0)
-    q = rng.uniform(-math.pi, math.pi, (60, 2))
-    starts = q[arm.is_free(q)][:10]
-    plr = solve_eikonal(arm, goal, max_leaves=700)
-    descent = descended(plr, arm, starts, goal)
-    lower = plr.lower(starts)
-    assert (descent.costs >= np.asarray(lower)).all()
-    assert np.median(descent.costs / np.asarray(lower)) < 1.05
-    assert any(np.abs(np.diff(path, axis=0)).max() > math.pi for path in descent.paths)
-    wrapped = descended(plr, arm, starts + np.array([2 * math.pi, -4 * math.pi]), goal)
-    np.testing.assert_allclose(wrapped.costs, descent.costs, rtol=1e-3)

@@ -4,7 +4,6 @@ from piece_helpers import TEN
 
 from plr_jax.geometry.corners import corner_visibility, find_corners
 from plr_jax.geometry.workspace import Workspace
-from plr_jax.oracles import VisibilityGraph
 
 BLOCK = Workspace(TEN, [[(4, 0), (6, 0), (6, 8), (4, 8)]])  # stands on the bottom, its corners (4, 8) and (6, 8)
 
@@ -30,12 +29,3 @@ def test_edges_join_visible_corners_where_paths_turn():
     inner = [((3, 4), (5, 6)), ((3, 6), (5, 4))]
     assert pairs >= {frozenset(pair) for pair in sides + along + inner} and len(pairs) == len(seen.edges)
     assert frozenset([(1, 4), (7, 6)]) not in pairs
-
-
-def test_regions_list_the_corners_where_paths_turn():
-    """Left of a wall on the floor, paths turn at its upper left corner; above the wall, at the right one."""
-    regions, triangulation = VisibilityGraph(BLOCK, (8.0, 4.0)).regions, BLOCK.triangulation
-    triangle, _ = triangulation.locator.find(np.array([[1.0, 2.0], [5.0, 9.0]]))
-    at = [regions.turns.points[regions.turn[regions.first[t] : regions.first[t + 1]]].tolist() for t in triangle]
-    assert [4.0, 8.0] in at[0] and [6.0, 8.0] in at[1]
-    assert len(regions.first) == len(triangulation.triangles) + 1

@@ -11,7 +11,6 @@ from plr_jax.geometry.graph import (
     Graph,
     dijkstra,
     first_visible,
-    first_visible_in_parts,
     first_visible_ragged,
     path_to_root,
 )
@@ -84,14 +83,6 @@ def test_shortest_ways_are_tested_first_and_once():
     way, shortest = first_visible(np.arange(100.0)[None], sees)
     assert (way[0, 0], shortest[0, 0]) == (12, 12.0)
     assert tested == [[0, 1], [*range(2, 10)], [*range(10, 42)]]
-
-
-def test_search_in_parts_equals_search_at_once(monkeypatch):
-    rng = np.random.default_rng(0)
-    lengths, visible = rng.permutation(np.arange(350.0)).reshape(50, 7), rng.random((50, 7)) < 0.3
-    monkeypatch.setattr("plr_jax.geometry.graph._CHUNK", 21)
-    parts = first_visible_in_parts(lambda rows: lengths[rows].copy(), 50, 7, lambda p, w: visible[p, w], 2)
-    np.testing.assert_array_equal(parts, first_visible(lengths, lambda p, w: visible[p, w], 2))
 
 
 @given(st.integers(0, 10_000))

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from piece_helpers import TEN, box, general_workspace
 
-from plr_jax.geometry import boundary as boundaries
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 
@@ -146,14 +145,6 @@ def test_inflated_free_space_is_bounded_by_clearance(seed, radius):
 def test_inflate_keeps_squeeze():
     assert Workspace(TEN, DIAGONAL, squeeze=True).inflate(0.1).squeeze
     assert BLOCK.inflate(0.0) is BLOCK
-
-
-def test_inflate_in_parts_equals_inflate_at_once(monkeypatch):
-    workspace = general_workspace(np.random.default_rng(0))
-    whole = workspace.inflate(0.3).free_space
-    monkeypatch.setattr(boundaries, "_COLLARS", 3)
-    monkeypatch.setattr(boundaries, "_REGIONS", 2)
-    assert workspace.inflate(0.3).free_space.symmetric_difference(whole).area < 1e-9
 
 
 @settings(max_examples=10)

@@ -11,7 +11,6 @@ from oracle_helpers import WALL
 from piece_helpers import WORKSPACES, box, hard_points
 
 from plr_jax import VisibilityGraph, Workspace, scenes
-from plr_jax.oracles import _pair_distances
 
 MAZE = scenes.maze().workspace
 
@@ -41,14 +40,6 @@ def test_pair_distances_equal_oracles_of_each_goal(kind, seed, squeeze):
     np.testing.assert_array_equal(distance, oracle.between(y, x))
     np.testing.assert_array_equal(oracle.between(x, x), np.where(workspace.is_free(x), 0, np.inf))
     assert np.isinf(oracle.between([[np.nan, 1], x[0]], [x[0], [1, np.inf]])).all()
-
-
-@pytest.mark.parametrize("most", ["_CANDIDATES", "_WAYS", "_DISTANCES"])
-def test_batches_of_any_size_give_equal_distances(monkeypatch, most):
-    x, y = MAZE.sample_free(200, 1), MAZE.sample_free(200, 2)
-    whole = VisibilityGraph(MAZE, x[0]).between(x, y)
-    monkeypatch.setattr(_pair_distances, most, 40)
-    np.testing.assert_array_equal(VisibilityGraph(MAZE, x[0]).between(x, y), whole)
 
 
 def test_pair_tables_are_shared_and_not_pickled():

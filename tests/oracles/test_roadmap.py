@@ -143,14 +143,6 @@ def test_points_without_near_vertices_search_farther():
     assert length(path) == pytest.approx(found[0]) and oracle.shortest_path(x[1]).shape == (0, 2)
 
 
-@pytest.mark.parametrize("options", [{}, {"is_visible": None, "resolution": 0.01}])
-def test_queries_in_batches_equal_queries_at_once(monkeypatch, options):
-    x = free_points(GAP, 100)
-    expected = roadmap(GAP, num_samples=100, **options)(x)
-    monkeypatch.setattr("plr_jax.oracles._roadmap._BATCH", 64)
-    np.testing.assert_array_equal(roadmap(GAP, num_samples=100, **options)(x), expected)
-
-
 def test_samples_depend_on_the_seed_only():
     sizes_and_seeds = (50, 1), (50, 1), (50, 2), (300, 1)
     first, again, other, more = (roadmap(GAP, num_samples=n, seed=seed) for n, seed in sizes_and_seeds)

@@ -2,7 +2,6 @@
 
 import csv
 import itertools
-import json
 import math
 import pickle
 
@@ -52,32 +51,27 @@ def test_distances_paths_and_directions_around_a_wall(wall, x, distance, path, d
 def test_views_along_a_wall_end_with_the_wall():
     """The goal is hidden by a contact or a thin obstacle, which the view along the wall barely meets."""
     contact = Workspace(((0, 0), (1, 1)), [[(0.5161, 1.0), (0.0496, 0.1129), (0.3428, 0.0154)]])
-    thin = Workspace(
-        ((0, 0), (1, 1)), [box(0.2, 0.3, 0.6, 0.5), [(0.6, 0.5), (0.6001, 0.5), (0.6001, 0.9), (0.6, 0.9)]]
-    )
-    for workspace, x, y in (
-        (contact, (0.516, 1.0), (0.66, 0.999999)),
-        (thin, (0.3, 0.5 + 1e-9), (0.8, 0.5 + 1e-9)),
-    ):
+    post = [(0.6, 0.5), (0.6001, 0.5), (0.6001, 0.9), (0.6, 0.9)]
+    thin = Workspace(((0, 0), (1, 1)), [box(0.2, 0.3, 0.6, 0.5), post])
+    ends = ((0.516, 1.0), (0.66, 0.999999)), ((0.3, 0.5 + 1e-9), (0.8, 0.5 + 1e-9))
+    for workspace, (x, y) in zip((contact, thin), ends, strict=True):
         there, back = (VisibilityGraph(workspace, goal)([start])[0] for start, goal in ((x, y), (y, x)))
         assert there == pytest.approx(back, abs=1e-7) and there > 1.5 * math.dist(x, y)
 
 
-@pytest.mark.parametrize(
-    ("goal", "from_left", "from_right"),
-    [
-        ((5, 8), UP + 1, math.hypot(3, 6) + 1),
-        ((6 + 1e-10, 4), UP + 2 + 4, math.hypot(3, 2)),
-        ((6 - 1e-10, 4), UP + 2 + 4, math.hypot(3, 2)),
-        ((6, 8 - 1e-10), UP + 2, math.hypot(3, 6)),
-        ((4, 0), math.hypot(2, 4), math.hypot(3, 6) + 2 + 8),
-    ],
-)
-def test_goals_on_walls_and_corners(wall, goal, from_left, from_right):
-    x = np.array([[2.0, 4.0], [9.0, 2.0]])
-    np.testing.assert_allclose(wall.with_goal(goal)(x), [from_left, from_right], atol=1e-8)
-    for start, distance in zip(x, (from_left, from_right), strict=True):
-        np.testing.assert_allclose(wall.with_goal(start)(np.array([goal])), [distance], atol=1e-8)
+def test_goals_on_walls_and_corners(wall):
+    distances = {
+        (5, 8): (UP + 1, math.hypot(3, 6) + 1),
+        (6 + 1e-10, 4): (UP + 2 + 4, math.hypot(3, 2)),
+        (6 - 1e-10, 4): (UP + 2 + 4, math.hypot(3, 2)),
+        (6, 8 - 1e-10): (UP + 2, math.hypot(3, 6)),
+        (4, 0): (math.hypot(2, 4), math.hypot(3, 6) + 2 + 8),
+    }
+    starts = np.array([(2.0, 4.0), (9.0, 2.0)])
+    for goal, expected in distances.items():
+        np.testing.assert_allclose(wall.with_goal(goal)(starts), expected, atol=1e-8)
+        for start, distance in zip(starts, expected, strict=True):
+            np.testing.assert_allclose(wall.with_goal(start)(np.array([goal])), [distance], atol=1e-8)
 
 
 def test_contact_with_the_bounds_blocks_unless_squeezed():
@@ -246,24 +240,3 @@ def test_polyanya_arena_lengths(data_dir):
     oracle = VisibilityGraph(scenes.read_polygons(folder / "arena_polygons.json"), rows[0, 2:4])
     found = [oracle.with_goal(row[2:4])(row[None, :2])[0] for row in rows]
     np.testing.assert_allclose(found, rows[:, 4], rtol=0, atol=1e-4)
-
-
-@pytest.mark.parametrize("file", ["cases_2.7.2.json", "cases_2021.json"])
-@pytest.mark.parametrize("name", ["grid_env", "poly_env", "overlap_poly_env", "separated_env"])
-def test_extremitypathfinder_lengths_and_paths(data_dir, file, name):
-    data = json.loads((data_dir / "extremitypathfinder" / file).read_text())[name]
-    if name == "grid_env":
-        cells = [box(x, y, x + 1, y + 1) for x, y in data["blocked_cells"]]
-        workspace = Workspace(((0, 0), (data["size_x"], data["size_y"])), cells, squeeze=True)
-    else:
-        workspace = Workspace.from_polygons([{"outer": data["boundary"], "holes": data["holes"]}], squeeze=True)
-    assert data["cases"]
-    for case in data["cases"]:
-        oracle = VisibilityGraph(workspace, case["goal"])
-        distance, path = oracle(np.array([case["start"]]))[0], oracle.shortest_path(case["start"])
-        if case["length"] is None:
-            assert np.isinf(distance) and len(path) == 0
-            continue
-        assert distance == pytest.approx(case["length"], abs=1e-6)
-        lines = (shapely.LineString([*each, each[-1]]) for each in (path.tolist(), case["path"]))
-        assert shapely.hausdorff_distance(*lines) < 1e-9
