@@ -100,16 +100,6 @@ def test_goals_on_corners_and_walls():
         np.testing.assert_allclose(descended(exact, DOOR, starts, goal).lengths, exact(starts), atol=1e-8)
 
 
-@pytest.mark.parametrize("squeeze", [True, False])
-def test_paths_pass_a_contact_only_by_squeezing(squeeze):
-    workspace = Workspace(TEN, [box(0, 4, 5, 5), box(5, 5, 9, 6)], squeeze=squeeze)
-    goal, starts = (4, 8), np.array([[7.0, 2.0], [5.5, 4.5], [1.0, 1.0]])
-    exact = VisibilityGraph(workspace, goal)
-    descent = descended(exact, workspace, starts, goal)
-    np.testing.assert_allclose(descent.lengths, exact(starts), rtol=1e-9)
-    assert ((5.0, 5.0) in set(map(tuple, descent.paths[0].tolist()))) == squeeze
-
-
 def overwriting_its_input(x):
     x -= (8, 2)
     return np.hypot(*x.T)

@@ -105,17 +105,7 @@ def test_cells_without_walls_are_one_piece(seed):
     area = np.bincount(found.cell, areas(found.pieces), 30)
     exact = shapely.area(shapely.intersection(workspace.free_space, shapely.box(*lo.T, *hi.T)))
     np.testing.assert_allclose(area, exact, atol=1e-9)
-    # Each cell lists the corners that some point of it sees along a line with both walls there on one side.
-    x = lo[:, None] + rng.random((30, 8, 2)) * (hi - lo)[:, None]
-    corner, points = np.arange(len(visibility.corners.points)), x.reshape(-1, 2)
-    pairs = np.repeat(points, len(corner), axis=0), np.tile(visibility.corners.points, (len(points), 1))
-    is_seen = workspace.is_visible(*pairs).reshape(len(points), -1) & (workspace.clearance(points) > 1e-6)[:, None]
-    point, seen = np.nonzero(visibility.corners.is_tangent_to(corner, points[:, None]) & is_seen)
-    contacts = workspace.boundary.vertices[workspace.boundary.contacts]
-    usual = ~(visibility.corners.points[seen][:, None] == contacts).all(axis=2).any(axis=1)
     cell, listed, by_all = corners_of_cells(found)
-    expected = zip((point // 8)[usual].tolist(), seen[usual].tolist(), strict=True)
-    assert set(expected) <= set(zip(cell.tolist(), listed.tolist(), strict=True))
     for k in np.flatnonzero(by_all)[:20]:
         inside = points_of(rng, found.pieces[:, found.cell == cell[k]], 5).reshape(-1, 2)
         assert visibility.table.sees(np.full(len(inside), listed[k]), inside).all()

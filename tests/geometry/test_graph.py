@@ -36,14 +36,13 @@ def test_dijkstra_equals_networkx(graph):
     distances, parents = dijkstra(graph, 0)
     np.testing.assert_allclose(distances, [expected.get(i, np.inf) for i in range(len(distances))], atol=1e-12)
     assert parents[0] < 0 and (parents[np.isinf(distances)] < 0).all()
-    start = np.array([-1.0, -1.0])
+    places = {frozenset(map(tuple, graph.vertices[[a, b]].tolist())) for a, b in edges}
     for vertex in expected:
-        path = path_to_root(graph, parents, start, vertex)
+        path = path_to_root(graph, parents, np.array([-1.0, -1.0]), vertex)
         assert path[0].tolist() == [-1, -1] and path[-1].tolist() == graph.vertices[0].tolist()
-        places = {frozenset(map(tuple, graph.vertices[[a, b]].tolist())) for a, b in edges}
         assert all(frozenset(map(tuple, step)) in places for step in itertools.pairwise(path[1:].tolist()))
-        length = np.linalg.norm(np.diff(path[1:], axis=0), axis=1)
-        assert length.sum() == pytest.approx(expected[vertex], abs=1e-12) and (length > 0).all()
+        legs = np.linalg.norm(np.diff(path[1:], axis=0), axis=1)
+        assert legs.sum() == pytest.approx(expected[vertex], abs=1e-12) and (legs > 0).all()
 
 
 LENGTHS = st.sampled_from([np.nan, np.inf, *np.arange(20.0)])

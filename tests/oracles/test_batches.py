@@ -24,11 +24,7 @@ def corner_table():
 
 
 def inflated_clearance():
-    return (
-        general_workspace(np.random.default_rng(0))
-        .inflate(0.3)
-        .clearance(10 * np.random.default_rng(0).random((99, 2)))
-    )
+    return general_workspace(np.random.default_rng(0)).inflate(0.3).clearance(X * 10)
 
 
 @pytest.mark.parametrize(

@@ -42,14 +42,17 @@ def test_pair_distances_equal_oracles_of_each_goal(kind, seed, squeeze):
     assert np.isinf(oracle.between([[np.nan, 1], x[0]], [x[0], [1, np.inf]])).all()
 
 
-def test_pair_tables_are_shared_and_not_pickled():
+def test_derived_tables_are_shared_and_not_pickled():
     oracle, x = VisibilityGraph(MAZE, (0.06, 0.07)), MAZE.sample_free(100, 3)
     y = np.tile(oracle.goal, (100, 1))
     np.testing.assert_allclose(oracle.between(x, y), oracle(x), atol=1e-12)
     assert oracle.with_goal(x[1])._pairs is oracle._pairs
     again = pickle.loads(pickle.dumps(oracle))
-    assert vars(again._pairs).keys() < vars(oracle._pairs).keys()
+    assert vars(again).keys() < vars(oracle).keys() and vars(again._pairs).keys() < vars(oracle._pairs).keys()
+    for found, expected in ((again, oracle), (again.directions, oracle.directions)):
+        np.testing.assert_array_equal(found(x), expected(x))
     np.testing.assert_array_equal(again.between(x, y), oracle.between(x, y))
+    np.testing.assert_array_equal(again.sources.points, oracle.sources.points)
 
 
 def test_pairs_in_separate_rooms_are_unreachable():

@@ -181,13 +181,6 @@ def test_motions_are_sampled_evenly_at_the_resolution(length, num_inner):
     np.testing.assert_allclose(np.sort(inner), np.linspace(3.0, 3.0 + length, num_inner + 2)[1:-1])
 
 
-def test_blocked_motions_need_few_samples():
-    oracle, tested = motion_tests(0.01, lambda x: (x[:, 0] <= 4.0) | (x[:, 0] >= 5.0))
-    starts = np.linspace(1.0, 4.0, 100)[:, None]
-    assert not oracle.is_visible(starts, 9.0 - starts).any()  # 100 to 700 steps each
-    assert sum(map(len, tested)) <= 400
-
-
 def test_motions_across_the_seam_take_weighted_steps():
     oracle, tested = motion_tests(0.5, domain=Box([0.0], [10.0], [True]), weights=[0.5])
     assert oracle.is_visible(np.array([[9.0], [1.5]]), np.array([[2.0], [19.5]])).all()

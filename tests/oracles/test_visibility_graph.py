@@ -3,7 +3,6 @@
 import csv
 import itertools
 import math
-import pickle
 
 import numpy as np
 import pytest
@@ -85,15 +84,6 @@ def test_graph_joins_visible_corners(wall):
     left, right = (wall.graph.vertices.tolist().index(corner) for corner in ([4, 8], [6, 8]))
     assert {frozenset(e) for e in wall.graph.edges.tolist()} == {frozenset({0, right}), frozenset({left, right})}
     np.testing.assert_allclose(wall.distances[[0, right, left]], [0, UP, UP + 2])
-
-
-def test_pickle_omits_derived_tables():
-    oracle, x = VisibilityGraph(WALL, (8, 4)), WALL.sample_free(50, 0)
-    expected = oracle(x), oracle.directions(x), oracle.sources.points
-    again = pickle.loads(pickle.dumps(oracle))
-    assert vars(again).keys() < vars(oracle).keys()
-    for found, known in zip((again(x), again.directions(x), again.sources.points), expected, strict=True):
-        np.testing.assert_array_equal(found, known)
 
 
 SEEDS, LATTICE = st.integers(0, 100_000), np.argwhere(np.ones((7, 7))).astype(float)
@@ -180,16 +170,11 @@ def test_single_points_equal_batches_bit_for_bit(kind, seed, squeeze):
     assert oracle(np.empty((0, 2))).shape == (0,)
 
 
-def test_directions_follow_the_path_and_the_gradient():
+def test_directions_follow_the_shortest_path():
     problem = scenes.thin_maze()
     oracle, x = VisibilityGraph(problem.workspace, problem.goals[0]), problem.workspace.sample_free(60, 0)
-    directions, step = oracle.directions(x), 1e-6
-    for point, direction in zip(x, directions, strict=True):
-        path = oracle.shortest_path(point)
-        np.testing.assert_allclose(direction, (path[1] - point) / np.linalg.norm(path[1] - point), atol=1e-9)
-    inner = problem.workspace.is_visible(x, x + step * directions)
-    np.testing.assert_allclose((oracle(x) - oracle(x + step * directions))[inner] / step, 1, atol=1e-6)
-    assert inner.mean() > 0.9
+    legs = np.array([oracle.shortest_path(point)[1] for point in x]) - x
+    np.testing.assert_allclose(oracle.directions(x), legs / np.linalg.norm(legs, axis=1)[:, None], atol=1e-9)
 
 
 @pytest.mark.parametrize("thickness", [0.001, 0.04])
