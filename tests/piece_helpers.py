@@ -3,6 +3,7 @@
 from fractions import Fraction
 
 import numpy as np
+import pytest
 import shapely
 
 from plr_jax.geometry.convex_pieces import ROOM
@@ -90,6 +91,12 @@ def fan_workspace(rng, squeeze=False):
 
 
 WORKSPACES = (general_workspace, lattice_workspace, fan_workspace)
+SEEDS = [*range(6), *(pytest.param(seed, marks=pytest.mark.full) for seed in range(6, 18))]
+
+
+def random_workspace(seed):
+    """Return a workspace of one of three kinds; in every other triple of seeds, squeezing is allowed."""
+    return WORKSPACES[seed % 3](np.random.default_rng(seed), squeeze=seed // 3 % 2 == 1)
 
 
 def random_obstacle(rng, kind):

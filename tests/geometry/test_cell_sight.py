@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
-from piece_helpers import TEN, WORKSPACES, as_pieces, box, points_of
+from piece_helpers import SEEDS, TEN, as_pieces, box, points_of, random_workspace
 
 from plr_jax import VisibilityGraph
 from plr_jax.geometry.cell_sight import CellSources, Shadows, corner_sight, corners_of_cells, turns_by_triangle
@@ -36,8 +34,7 @@ def free_pieces(triangles, rng, n):
     return pieces[:, rng.permutation(pieces.shape[1])[:n]]
 
 
-@settings(max_examples=5)
-@given(st.floats(0.1, 1.4), st.floats(0, 1e-3, allow_subnormal=False))
+@pytest.mark.parametrize(("turn", "gap"), [(0.1, 0.0), (0.7, 0.0), (1.4, 1e-3), (1.0, 1e-6)])
 def test_wholly_seen_pieces_are_seen_beside_their_corners(turn, gap):
     """Sights along walls that are collinear but for rounding, to a sharp gap between the first one and the bounds."""
     along = 0.2 * np.array([np.cos(turn), -np.sin(turn)])
@@ -54,14 +51,9 @@ def test_wholly_seen_pieces_are_seen_beside_their_corners(turn, gap):
         assert shadows.table.sees(view, x).all()
 
 
-@pytest.mark.parametrize("kind", WORKSPACES)
-@example(902, False)
-@example(2216, False)
-@settings(max_examples=3)
-@given(st.integers(0, 100_000), st.booleans())
-def test_seen_pieces_equal_visibility_of_point_pairs(kind, seed, squeeze):
-    rng = np.random.default_rng(seed)
-    workspace = kind(rng, squeeze)
+@pytest.mark.parametrize("seed", [*SEEDS, 902, 2216])
+def test_seen_pieces_equal_visibility_of_point_pairs(seed):
+    workspace, rng = random_workspace(seed), np.random.default_rng(seed)
     shadows = shadows_around(workspace, *workspace.sample_free(2, seed))
     pieces = free_pieces(workspace.triangulation.triangles, rng, 25)
     # Viewpoints in contacts of obstacles look into one side of them only, which Shapely does not.
@@ -87,10 +79,9 @@ def test_seen_pieces_equal_visibility_of_point_pairs(kind, seed, squeeze):
     assert alike.mean() > 0.5
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_cells_without_walls_are_one_piece(seed):
-    rng = np.random.default_rng(seed)
-    workspace = WORKSPACES[seed % 3](rng)
+    workspace, rng = random_workspace(seed), np.random.default_rng(seed)
     visibility, triangulation = corner_visibility(workspace), workspace.triangulation
     lo, hi = np.sort(rng.uniform(-1, 11, (2, 30, 2)), axis=0)
     lists = turns_by_triangle(visibility, triangulation)

@@ -1,8 +1,7 @@
 import numpy as np
+import pytest
 import shapely
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from piece_helpers import as_pieces, points_of, polygons, random_pieces
+from piece_helpers import SEEDS, as_pieces, points_of, polygons, random_pieces
 
 from plr_jax.geometry.convex_pieces import (
     ROOM,
@@ -14,7 +13,6 @@ from plr_jax.geometry.convex_pieces import (
     difference_of_cones,
 )
 
-SEEDS = st.integers(0, 100_000)
 DENSE = np.linspace(0, 1, 129)
 
 
@@ -38,7 +36,7 @@ def test_repeated_cuts_through_corners_keep_the_area():
             np.testing.assert_allclose(areas(pieces), shapely.area(exact), atol=1e-13)
 
 
-@given(SEEDS)
+@pytest.mark.parametrize("seed", SEEDS)
 def test_contained_points_equal_those_of_shapely(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 15)
@@ -51,7 +49,7 @@ def test_contained_points_equal_those_of_shapely(seed):
     assert contain(pieces, x, 0.1)[depth > -0.1 + 1e-9].all()
 
 
-@given(SEEDS)
+@pytest.mark.parametrize("seed", SEEDS)
 def test_clipped_pieces_equal_intersections_of_shapely(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 15)
@@ -112,8 +110,8 @@ def apexes_beside(rng, pieces):
     return np.array(kinds)[rng.integers(len(kinds), size=n), each]
 
 
-@settings(max_examples=8)
-@given(SEEDS, st.booleans())
+@pytest.mark.parametrize("is_clipped", [False, True])
+@pytest.mark.parametrize("seed", SEEDS)
 def test_extremes_of_cone_differences_equal_a_search(seed, is_clipped):
     """Clipping doubles corners up to rounding, and leaves edges of a hair and apexes at former corners."""
     rng = np.random.default_rng(seed)
@@ -130,8 +128,7 @@ def test_extremes_of_cone_differences_equal_a_search(seed, is_clipped):
     check_extremes(found, pieces, lambda x: first(x) - second(x), (one, two), rng)
 
 
-@settings(max_examples=8)
-@given(SEEDS)
+@pytest.mark.parametrize("seed", SEEDS)
 def test_extremes_of_cone_above_plane_equal_a_search(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 12)

@@ -1,14 +1,11 @@
 """Location of single points and free segments in a triangulation, compared with exact arithmetic."""
 
 import numpy as np
+import pytest
 from exact_plane import ExactPlane
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from piece_helpers import WORKSPACES, exact_turns, hard_points
+from piece_helpers import SEEDS, WORKSPACES, exact_turns, hard_points, random_workspace
 
 from plr_jax.geometry.single_points import PointLocator
-
-SEEDS = st.integers(0, 100_000)
 
 
 def test_located_triangles_contain_points_exactly():
@@ -35,10 +32,9 @@ def test_points_outside_free_space_are_not_located():
     assert len(outside) > 50 and all(locator.place(*point) is None for point in hostile)
 
 
-@settings(max_examples=3)
-@given(SEEDS, st.sampled_from(WORKSPACES))
-def test_free_segments_equal_exact_visibility(seed, kind):
-    workspace = kind(np.random.default_rng(seed))
+@pytest.mark.parametrize("seed", SEEDS)
+def test_free_segments_equal_exact_visibility(seed):
+    workspace = random_workspace(seed)
     locator, plane = PointLocator(workspace.triangulation), ExactPlane(workspace.boundary.segments)
     x = np.random.default_rng(seed).permutation(hard_points(workspace, seed)).tolist()
     places = [place for point in x if (place := locator.place(*point)) is not None][:20]

@@ -3,24 +3,20 @@
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from oracle_helpers import MIDDLE
-from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
+from piece_helpers import SEEDS, TEN, box, points_of, polygons, random_workspace
 
 from plr_jax import Box, NearestGoal, VisibilityGraph, Workspace
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.tree import Cells
 
-SEEDS = st.integers(0, 100_000)
 # The workspaces go from 0 to 10 along both axes.
 DOMAINS = (Box(*TEN), Box((-3, -1), (12, 14)), Box((2.3, 1.9), (7.1, 6)), Box((5, 5), (5.5, 7.5)))
 
 
-def random_oracle(kind, seed, squeeze=False):
-    rng = np.random.default_rng(seed)
-    workspace = kind(rng, squeeze)
-    return VisibilityGraph(workspace, workspace.sample_free(1, seed)[0]), rng
+def random_oracle(seed):
+    workspace = random_workspace(seed)
+    return VisibilityGraph(workspace, workspace.sample_free(1, seed)[0]), np.random.default_rng(seed)
 
 
 def halved(cells, lo, hi, rng, times=1, share=0.8):
@@ -91,13 +87,12 @@ def check_area(oracle, workspace, cells, lo, hi):
     assert (cells.pieces <= hi[cells.cell].T[:, :, None] + 1e-9).all()
 
 
-@pytest.mark.parametrize("kind", WORKSPACES)
-@settings(max_examples=4)
-@given(SEEDS, st.booleans(), st.integers(0, 3), st.sampled_from(DOMAINS))
-def test_sources_of_pieces_bound_the_distance(kind, seed, squeeze, num_others, domain):
+@pytest.mark.parametrize("num_others", range(4))
+@pytest.mark.parametrize("seed", SEEDS[::2])
+def test_sources_of_pieces_bound_the_distance(seed, num_others):
     """The goal is a corner, or goals are anywhere, at a corner, and one of them twice."""
-    oracle, rng = random_oracle(kind, seed, squeeze)
-    workspace = oracle.workspace
+    oracle, rng = random_oracle(seed)
+    workspace, domain = oracle.workspace, DOMAINS[(seed + num_others) % 4]
     if num_others == 0:
         oracle = oracle.with_goal(rng.permutation(workspace.boundary.vertices)[0])
     else:
@@ -149,10 +144,9 @@ def test_cells_that_do_not_reach_the_goal_are_empty():
     assert both.num_cells == 4 and set(both.cell.tolist()) == {1}
 
 
-@settings(max_examples=4)
-@given(SEEDS)
+@pytest.mark.parametrize("seed", SEEDS)
 def test_hold_and_see_equal_shapely(seed):
-    oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
+    oracle, rng = random_oracle(seed)
     cells, _, _ = halved(oracle.cell_sources(DOMAINS[0]), *np.array(TEN)[:, None].astype(float), rng, 3)
     piece = rng.integers(len(cells.cell), size=20)
     x = np.concatenate([points_of(rng, cells.pieces[:, piece], 5), rng.uniform(0, 10, (20, 5, 2))], axis=1)
@@ -169,7 +163,7 @@ def test_hold_and_see_equal_shapely(seed):
 
 
 def test_sources_and_parents_form_shortest_paths():
-    oracle, _ = random_oracle(WORKSPACES[0], 11)
+    oracle, _ = random_oracle(1)
     sources = oracle.sources
     np.testing.assert_allclose(sources.distances, oracle(sources.points), atol=1e-9)
     onward = sources.parents
@@ -185,11 +179,9 @@ def test_sources_and_parents_form_shortest_paths():
 GRID = Cells(np.full((64, 2), 3), np.stack(np.divmod(np.arange(64), 8), axis=1))
 
 
-@pytest.mark.parametrize("squeeze", [False, True])
-@settings(max_examples=4)
-@given(seed=SEEDS)
-def test_first_turns_at_shared_samples_equal_oracles(seed, squeeze):
-    workspace = WORKSPACES[seed % 3](np.random.default_rng(seed), squeeze)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_first_turns_at_shared_samples_equal_oracles(seed):
+    workspace = random_workspace(seed)
     goals = workspace.sample_free(3, seed)
     first = VisibilityGraph(workspace, goals[0])
     lo, hi = GRID.boxes(workspace.bounds)
@@ -211,13 +203,10 @@ def test_first_turns_at_shared_samples_equal_oracles(seed, squeeze):
         assert workspace.is_visible(at, oracle.sources.points[turn]).all()
 
 
-@pytest.mark.parametrize("squeeze", [False, True])
-@settings(max_examples=3)
-@given(seed=SEEDS)
-def test_cells_of_several_goals_bound_each_distance(seed, squeeze):
+@pytest.mark.parametrize("seed", SEEDS)
+def test_cells_of_several_goals_bound_each_distance(seed):
     """The bounds hold whatever source is given as the nearest one."""
-    rng = np.random.default_rng(seed)
-    workspace = WORKSPACES[seed % 3](rng, squeeze)
+    workspace, rng = random_workspace(seed), np.random.default_rng(seed)
     goals = workspace.sample_free(3, seed)
     oracles = list(map(VisibilityGraph(workspace, goals[0]).with_goal, goals))
     coarse = Cells(np.full((16, 2), 2), np.stack(np.divmod(np.arange(16), 4), axis=1))

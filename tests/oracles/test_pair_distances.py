@@ -5,10 +5,8 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from oracle_helpers import WALL
-from piece_helpers import WORKSPACES, box, hard_points
+from piece_helpers import SEEDS, box, hard_points, random_workspace
 
 from plr_jax import VisibilityGraph, Workspace, scenes
 
@@ -24,16 +22,14 @@ def test_distances_of_pairs_around_a_wall():
     assert oracle.between(x, y).dtype == np.float64 and oracle.between(x[:0], y[:0]).shape == (0,)
 
 
-@pytest.mark.parametrize("kind", WORKSPACES)
-@settings(max_examples=3)
-@given(st.integers(0, 100_000), st.booleans())
-def test_pair_distances_equal_oracles_of_each_goal(kind, seed, squeeze):
+@pytest.mark.parametrize("seed", SEEDS)
+def test_pair_distances_equal_oracles_of_each_goal(seed):
     """Points are on walls, at corners, outside, or not finite; batches and single pairs agree to the bit."""
-    workspace, rng = kind(np.random.default_rng(seed), squeeze), np.random.default_rng(seed)
+    workspace, rng = random_workspace(seed), np.random.default_rng(seed)
     x = np.concatenate([hard_points(workspace, seed), rng.uniform(-1, 11, (10, 2))])
-    oracle, x = VisibilityGraph(workspace, workspace.sample_free(1, seed)[0]), rng.permutation(x)[:40]
+    oracle, x = VisibilityGraph(workspace, workspace.sample_free(1, seed)[0]), rng.permutation(x)[:30]
     y, distance = x[::-1], oracle.between(x, x[::-1])
-    for i in np.flatnonzero(workspace.is_free(y))[:4]:
+    for i in np.flatnonzero(workspace.is_free(y))[:3]:
         assert oracle.with_goal(y[i])(x[i : i + 1])[0] == pytest.approx(distance[i], rel=0, abs=1e-7)
     singly = [oracle.between(a[None], b[None])[0] for a, b in zip(x, y, strict=True)]
     np.testing.assert_array_equal(distance, singly)

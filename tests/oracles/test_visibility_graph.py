@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 import shapely
 from exact_plane import ExactPlane
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from oracle_helpers import WALL, length
-from piece_helpers import TEN, WORKSPACES, box, general_workspace, hard_points
+from piece_helpers import SEEDS, TEN, box, general_workspace, hard_points, random_workspace
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -86,7 +84,7 @@ def test_graph_joins_visible_corners(wall):
     np.testing.assert_allclose(wall.distances[[0, right, left]], [0, UP, UP + 2])
 
 
-SEEDS, LATTICE = st.integers(0, 100_000), np.argwhere(np.ones((7, 7))).astype(float)
+LATTICE = np.argwhere(np.ones((7, 7))).astype(float)
 
 
 def unit_lattice_workspace(rng, squeeze=False):
@@ -107,14 +105,13 @@ def plain_distances(workspace, x, goal):
 
 
 @pytest.mark.parametrize("kind", [general_workspace, unit_lattice_workspace])
-@settings(max_examples=5)
-@given(SEEDS, st.booleans(), st.booleans())
-def test_distances_equal_a_complete_visibility_graph(kind, seed, squeeze, last):
+@pytest.mark.parametrize("seed", SEEDS)
+def test_distances_equal_a_complete_visibility_graph(kind, seed):
     """The oracle leaves out edges that no shortest path can use, and only those."""
-    rng = np.random.default_rng(seed)
+    rng, squeeze = np.random.default_rng(seed), seed % 2 == 1
     workspace = kind(rng, squeeze)
     x = rng.permutation(np.vstack([LATTICE[workspace.is_free(LATTICE)], workspace.boundary.vertices]))
-    goal, *x = np.vstack([x[:10], workspace.sample_free(6, seed)])[:: -1 if last else 1]
+    goal, *x = np.vstack([x[:10], workspace.sample_free(6, seed)])[:: -1 if seed // 2 % 2 else 1]
     oracle, x = VisibilityGraph(workspace, goal), np.array(x)
     found = oracle(x)
     np.testing.assert_allclose(found, plain_distances(workspace, x, goal), atol=1e-7)
@@ -153,20 +150,18 @@ def test_distances_survive_turning_scaling_and_shifting(seed, squeeze, turn, sca
         np.testing.assert_allclose(VisibilityGraph(other, moved(goal))(moved(x)) / scale, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("kind", WORKSPACES)
-@settings(max_examples=3)
-@given(SEEDS, st.booleans())
-def test_single_points_equal_batches_bit_for_bit(kind, seed, squeeze):
+@pytest.mark.parametrize("seed", SEEDS)
+def test_single_points_equal_batches_bit_for_bit(seed):
     """Points on walls, sides of triangles and vertices, beside them, outside and not finite."""
-    workspace, rng = kind(np.random.default_rng(seed), squeeze), np.random.default_rng(seed)
+    workspace, rng = random_workspace(seed), np.random.default_rng(seed)
     x = np.concatenate([hard_points(workspace, seed), rng.uniform(-1, 11, (10, 2)), [[np.nan, 1], [1, np.inf]]])
     oracle, x = VisibilityGraph(workspace, hard_points(workspace, seed + 1)[0]), rng.permutation(x)
     whole = oracle(x)
     assert not np.isfinite(whole[~workspace.is_free(x)]).any()
     np.testing.assert_array_equal([oracle(point[None])[0] for point in x[:60]], whole[:60])
-    np.testing.assert_array_equal(np.concatenate([oracle(part) for part in np.array_split(x, 20)]), whole)
-    many = np.tile(x, (3000 // len(x), 1))
-    np.testing.assert_array_equal(oracle(many), np.tile(whole, 3000 // len(x)))
+    np.testing.assert_array_equal(np.concatenate([oracle(part) for part in np.array_split(x, 9)]), whole)
+    many = np.tile(x, (1500 // len(x), 1))
+    np.testing.assert_array_equal(oracle(many), np.tile(whole, 1500 // len(x)))
     assert oracle(np.empty((0, 2))).shape == (0,)
 
 
