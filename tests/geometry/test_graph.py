@@ -7,13 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from plr_jax.geometry.graph import (
-    Graph,
-    dijkstra,
-    first_visible,
-    first_visible_ragged,
-    path_to_root,
-)
+from plr_jax.geometry.graph import Graph, dijkstra, first_visible, first_visible_ragged, path_to_root
 
 
 @st.composite

@@ -6,11 +6,7 @@ import scipy.ndimage
 import shapely
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.geometry.masks import (
-    CLEARANCE,
-    region_of_mask,
-    without_specks,
-)
+from plr_jax.geometry.masks import CLEARANCE, region_of_mask, without_specks
 
 TOLERANCES = (0.25, 0.5, 0.8, 1.5)
 

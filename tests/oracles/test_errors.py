@@ -4,19 +4,10 @@ import numpy as np
 import pytest
 from grid_helpers import drawn
 from oracle_helpers import CUT, UNIT, WALL
+from piece_helpers import box
 
-from plr_jax import (
-    Dubins,
-    Euclidean,
-    GridField,
-    GridGraph,
-    NearestGoal,
-    ReedsShepp,
-    Roadmap,
-    VisibilityGraph,
-    VoxelGraph,
-    Workspace,
-)
+from plr_jax import Dubins, Euclidean, NearestGoal, ReedsShepp, Roadmap, VisibilityGraph
+from plr_jax.oracles import GridField, GridGraph, VoxelGraph
 
 AROUND = VisibilityGraph(WALL, (8, 4))
 DOOR, CUBE = drawn("..#..", ".....", "..#.."), np.ones((3, 3, 3), bool)
@@ -44,7 +35,7 @@ def roadmap(**changes):
         (lambda: Dubins((0, 0, 0), 1).shortest_path((0, np.nan, 0)), "start pose must have finite"),
         (lambda: ReedsShepp((0, 0, 0), 1).shortest_path((3e200, 4e200, 1)), "nearer to the goal"),
         (lambda: AROUND.with_goal((5, 4)), r"goal \[5.0, 4.0\] lies in an obstacle \(clearance -1\)"),
-        (lambda: AROUND.with_workspace(Workspace(((0, 0), (3, 3)))), "outside the bounds"),
+        (lambda: AROUND.with_workspace(WALL.with_obstacles([box(7, 3, 9, 5)])), "lies in an obstacle"),
         (lambda: VisibilityGraph(WALL, (11, 4)), "outside the bounds"),
         (lambda: VisibilityGraph(WALL, (1, np.nan)), "finite"),
         (lambda: VisibilityGraph(WALL, (1, 2, 3)), r"goal must be one point of shape \(2,\), got shape \(3,\)"),
