@@ -26,7 +26,7 @@ def test_rings_and_shapely_geometries_are_read(shapes, expected):
 
 
 def check_triangles_fill_lattice(seed):
-    """Free space among unit squares that touch one another."""
+    """Check the triangles of the free space among unit squares that touch one another."""
     blocked = np.argwhere(np.random.default_rng(seed).random((10, 10)) < 0.3)
     region = Workspace(((0, 0), (10, 10)), list(shapely.box(*blocked.T, *blocked.T + 1))).free_space
     triangles = shapely.polygons(triangulate(region))

@@ -68,7 +68,7 @@ def test_removed_obstacles_keep_their_numbers():
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_polygons_that_may_not_be_seen_are_hidden(seed):
+def test_polygons_ruled_out_of_sight_are_hidden(seed):
     rng = np.random.default_rng(seed)
     workspace = Workspace(BOUNDS, [random_obstacle(rng, "polygon") for _ in range(6)], squeeze=bool(seed % 2))
     table = corner_visibility(workspace).table

@@ -93,7 +93,7 @@ def check_extremes(found, pieces, function, apexes, rng, scale=1.0, beyond=1e-11
 
 
 def apexes_beside(rng, pieces):
-    """Apexes of all kinds: at a corner, on an edge, inside, on an edge's line, near and far."""
+    """Return apexes at a corner, on an edge, inside, on the line of an edge, near or far."""
     n = pieces.shape[1]
     each, corner = np.arange(n), rng.integers(pieces.shape[2], size=n)
     a, b = pieces[:, each, corner].T, pieces[:, each, (corner + 1) % pieces.shape[2]].T

@@ -12,7 +12,7 @@ from plr_jax.geometry.graph import Graph, dijkstra, first_visible, first_visible
 
 @st.composite
 def lattice_graphs(draw):
-    """Vertices on a small lattice, so that many coincide, and any set of edges."""
+    """Draw graphs with vertices on a small lattice, so that many coincide, and any set of edges."""
     points = draw(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), min_size=2, max_size=12))
     ends = st.tuples(st.integers(0, len(points) - 1), st.integers(0, len(points) - 1))
     pairs = draw(st.lists(ends.filter(lambda e: e[0] != e[1]), unique_by=frozenset, max_size=30))
@@ -44,7 +44,7 @@ LENGTHS = st.sampled_from([np.nan, np.inf, *np.arange(20.0)])
 
 @st.composite
 def searches(draw):
-    """Lengths of the ways from some points, and which of them are visible."""
+    """Draw the lengths of ways from several points, and which ways are visible."""
     shape = draw(st.tuples(st.integers(0, 6), st.integers(0, 50)))
     return draw(arrays(float, shape, elements=LENGTHS)), draw(arrays(bool, shape))
 

@@ -12,7 +12,7 @@ TOLERANCES = (0.25, 0.5, 0.8, 1.5)
 
 
 def drawn(*rows):
-    """A mask, its first row the lowest, '.' where free."""
+    """Return a mask from text: its first row is the lowest, and a dot is a free pixel."""
     return np.array([list(row) for row in rows]) == "."
 
 

@@ -12,7 +12,7 @@ from plr_jax.geometry.workspace import Workspace
 
 
 def lattice_workspace(seed, turn=0.0):
-    """Unit cells blocked at random, turned: collinear corners and point contacts everywhere."""
+    """Return a turned grid of cells blocked at random: collinear corners and point contacts everywhere."""
     blocked = np.argwhere(np.random.default_rng(seed).random((10, 10)) < 0.3)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     holes = [box(x, y, x + 1, y + 1) @ rotation.T for x, y in blocked]
@@ -82,7 +82,7 @@ def test_points_near_a_contact_snap_to_it():
 
 
 def nearly_degenerate(seed):
-    """Walls and gaps of 1e-13 to 1e-7 widths that share corners and sides, at any scale, near the origin and far."""
+    """Return walls and gaps 1e-13 to 1e-7 wide that share corners and sides, at any scale and distance."""
     rng = np.random.default_rng(seed)
     obstacles = []
 

@@ -1,4 +1,4 @@
-"""The nearest of several goals: distances, indices, paths and errors."""
+"""The nearest of several goals: distances, indices and paths."""
 
 import pickle
 

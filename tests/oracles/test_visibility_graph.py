@@ -17,11 +17,7 @@ from plr_jax import VisibilityGraph, Workspace, scenes
 
 UP, AROUND = math.hypot(2, 4), 2 + 2 * math.hypot(2, 4)  # from (2, 4) to the corner (4, 8) of the wall, and to (8, 4)
 DIAGONAL = math.sqrt(0.5)
-
-
-@pytest.fixture(scope="module")
-def wall():
-    return VisibilityGraph(WALL, (8, 4))
+ORACLE = VisibilityGraph(WALL, (8, 4))
 
 
 @pytest.mark.parametrize(
@@ -39,10 +35,10 @@ def wall():
         *((x, math.inf, np.empty((0, 2)), (np.nan, np.nan)) for x in ((5, 4), (-1, 4), (np.nan, 1), (1e308, 1))),
     ],
 )
-def test_distances_paths_and_directions_around_a_wall(wall, x, distance, path, direction):
-    np.testing.assert_allclose(wall(np.array([x])), [distance], atol=1e-12)
-    np.testing.assert_array_equal(wall.shortest_path(x), path)
-    np.testing.assert_allclose(wall.directions([x]), [direction], atol=1e-12)
+def test_distances_paths_and_directions_around_a_wall(x, distance, path, direction):
+    np.testing.assert_allclose(ORACLE(np.array([x])), [distance], atol=1e-12)
+    np.testing.assert_array_equal(ORACLE.shortest_path(x), path)
+    np.testing.assert_allclose(ORACLE.directions([x]), [direction], atol=1e-12)
 
 
 def test_views_along_a_wall_end_with_the_wall():
@@ -56,7 +52,7 @@ def test_views_along_a_wall_end_with_the_wall():
         assert there == pytest.approx(back, abs=1e-7) and there > 1.5 * math.dist(x, y)
 
 
-def test_goals_on_walls_and_corners(wall):
+def test_goals_on_walls_and_corners():
     distances = {
         (5, 8): (UP + 1, math.hypot(3, 6) + 1),
         (6 + 1e-10, 4): (UP + 2 + 4, math.hypot(3, 2)),
@@ -66,9 +62,9 @@ def test_goals_on_walls_and_corners(wall):
     }
     starts = np.array([(2.0, 4.0), (9.0, 2.0)])
     for goal, expected in distances.items():
-        np.testing.assert_allclose(wall.with_goal(goal)(starts), expected, atol=1e-8)
+        np.testing.assert_allclose(ORACLE.with_goal(goal)(starts), expected, atol=1e-8)
         for start, distance in zip(starts, expected, strict=True):
-            np.testing.assert_allclose(wall.with_goal(start)(np.array([goal])), [distance], atol=1e-8)
+            np.testing.assert_allclose(ORACLE.with_goal(start)(np.array([goal])), [distance], atol=1e-8)
 
 
 def test_contact_with_the_bounds_blocks_unless_squeezed():
@@ -77,11 +73,11 @@ def test_contact_with_the_bounds_blocks_unless_squeezed():
     assert VisibilityGraph(Workspace(TEN, [tip], squeeze=True), (9, 0))(start)[0] == pytest.approx(8)
 
 
-def test_graph_joins_visible_corners(wall):
-    assert wall.graph.vertices[0].tolist() == [8, 4]
-    left, right = (wall.graph.vertices.tolist().index(corner) for corner in ([4, 8], [6, 8]))
-    assert {frozenset(e) for e in wall.graph.edges.tolist()} == {frozenset({0, right}), frozenset({left, right})}
-    np.testing.assert_allclose(wall.distances[[0, right, left]], [0, UP, UP + 2])
+def test_graph_joins_visible_corners():
+    assert ORACLE.graph.vertices[0].tolist() == [8, 4]
+    left, right = (ORACLE.graph.vertices.tolist().index(corner) for corner in ([4, 8], [6, 8]))
+    assert {frozenset(e) for e in ORACLE.graph.edges.tolist()} == {frozenset({0, right}), frozenset({left, right})}
+    np.testing.assert_allclose(ORACLE.distances[[0, right, left]], [0, UP, UP + 2])
 
 
 LATTICE = np.argwhere(np.ones((7, 7))).astype(float)
@@ -185,7 +181,7 @@ def test_goal_just_above_a_wall_sees_through_no_wall(thickness, height):
 
 
 @pytest.mark.parametrize("corner", box(0.754, 0.051, 0.783, 0.197))
-def test_goals_beside_a_corner_are_as_far_as_it(corner):
+def test_goals_beside_a_corner_are_as_far_as_the_corner(corner):
     """A goal lies a few tolerances outside of a corner; points are asked that see the corner."""
     outward = np.sign(corner - [0.7685, 0.124])
     workspace = Workspace(((0, 0), (1, 1)), [box(0.754, 0.051, 0.783, 0.197)])
