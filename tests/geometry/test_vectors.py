@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.geometry.vectors import arc, orientation, pseudo_angle, turn_between
+from plr_jax.geometry.vectors import arc, distance_to_segment, orientation, pseudo_angle, turn_between
 
 
 @given(st.integers(0, 100_000))
@@ -39,3 +39,8 @@ def test_turns_are_measured_counterclockwise():
     east, north = np.array([2.0, 0.0]), np.array([0.0, 3.0])
     turns = turn_between(np.array([east, north, east, east]), np.array([north, east, -north, east]))
     np.testing.assert_allclose(turns, [math.pi / 2, 3 * math.pi / 2, 3 * math.pi / 2, 0])
+
+
+def test_distances_from_the_origin_to_segments():
+    segments = np.array([[1.0, 3, 2, -6], [0, 2, 2, -2], [3, 4, 1, 1], [-5, 0, 2, 0], [3, 4, 0, 0]])
+    np.testing.assert_allclose(distance_to_segment(*segments.T), [6 / math.sqrt(10), math.sqrt(2), 5, 3, 5])
