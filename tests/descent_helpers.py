@@ -1,4 +1,4 @@
-"""Descents, checked."""
+"""A helper that computes descents and checks them."""
 
 import math
 
@@ -11,7 +11,7 @@ from plr_jax._descend import DescentStatus
 
 
 def descended(field, space, starts, goal, **options):
-    """Paths with exact ends, every leg free, lengths, costs and statuses those of the paths."""
+    """Return a descent after checking that paths are free and have exact ends, and that lengths and statuses fit."""
     starts, goal = np.asarray(starts, float), np.asarray(goal, float)
     descent = descend(field, space, starts, goal, **options)
     in_plane = isinstance(space, Workspace)

@@ -126,12 +126,8 @@ class ExactPlane:
         rays = [ray for i, ray in enumerate(rays) if i == 0 or _compare(rays[i - 1], ray) != 0]
         if not rays:
             return [] if self._is_solid(x) else [None]
-        free: list[tuple[Vector, Vector]] = []
-        for u, v in zip(rays, rays[1:] + rays[:1], strict=True):
-            middle = _middle(u, v)
-            if not self._is_solid(self._just_beside(x, middle)):
-                free.append((u, v))
-        return list(free)
+        turns = zip(rays, rays[1:] + rays[:1], strict=True)
+        return [(u, v) for u, v in turns if not self._is_solid(self._just_beside(x, _middle(u, v)))]
 
     def _just_beside(self, x: Point, d: Any) -> Point:
         """Return a point in a direction from ``x``, before the first edge there."""
@@ -162,15 +158,12 @@ class ExactPlane:
         pairs = [(p, q) for p in sources for q in targets if p != q and self.sectors[p] and self.sectors[q]]
         ends, (a, b), links = as_floats(end for pair in pairs for end in pair), self._ends.transpose(1, 0, 2), []
         first, last = ends[::2, None], ends[1::2, None]
-        sides = [
-            self._sides(first, last, c, lambda i, e, k=k: (*pairs[i], self.edges[e][k])) for k, c in enumerate((a, b))
-        ]
-        for (p, q), x, y, of_a, of_b in zip(pairs, ends[::2], ends[1::2], *sides, strict=True):
+        side_a = self._sides(first, last, a, lambda i, e: (*pairs[i], self.edges[e][0]))
+        side_b = self._sides(first, last, b, lambda i, e: (*pairs[i], self.edges[e][1]))
+        for (p, q), x, y, of_a, of_b in zip(pairs, ends[::2], ends[1::2], side_a, side_b, strict=True):
             some = np.flatnonzero(of_a * of_b < 0)
-            of_p, of_q = (
-                self._sides(a[some], b[some], at, lambda k, r=r, some=some: (*self.edges[some[k]], r))
-                for at, r in ((x, p), (y, q))
-            )
+            of_p = self._sides(a[some], b[some], x, lambda k, r=p, some=some: (*self.edges[some[k]], r))
+            of_q = self._sides(a[some], b[some], y, lambda k, r=q, some=some: (*self.edges[some[k]], r))
             if (of_p * of_q < 0).any():
                 continue  # an edge that is crossed is solid on one side
             on_line = {self.edges[e][0] for e in np.flatnonzero(of_a == 0)} - {p, q}
@@ -213,10 +206,9 @@ class ExactPlane:
         graph = np.full((len(number), len(number)), np.inf)
         for one, other, length in links:
             graph[number[one], number[other]] = length
-        graph = csgraph_from_dense(graph, null_value=np.inf)
-        length = (
-            dijkstra(graph, directed=False, indices=number[None]) if None in number else np.full(len(number), np.inf)
-        )
+        if None not in number:
+            return np.full(len(ends), np.inf)
+        length = dijkstra(csgraph_from_dense(graph, null_value=np.inf), directed=False, indices=number[None])
         reached = [[length[number[x, i]] for i in range(len(self.sectors[x])) if (x, i) in number] for x in ends]
         return np.array([min(each, default=np.inf) for each in reached])
 
@@ -236,9 +228,7 @@ class ExactPlane:
                 found += [tuple(p + s * (q - p) for p, q in zip(*ends, strict=True)) for s in shares]
         for at in {as_exact(each) for each in found if in_sectors}:
             sectors = self.sectors_at(at)
-            for sector in sectors:
-                if sector is None or len(sectors) == 1:
-                    continue
+            for sector in sectors if len(sectors) > 1 else ():
                 middle = _middle(*sector)
                 scale = Fraction(radius / 2 / float(np.hypot(float(middle[0]), float(middle[1]))))
                 inside = self._just_beside(at, (middle[0] * scale, middle[1] * scale))

@@ -1,6 +1,9 @@
 """Helpers for tests of convex pieces: random pieces, workspaces, and conversion to Shapely polygons."""
 
+from fractions import Fraction
+
 import numpy as np
+import pytest
 import shapely
 
 from plr_jax.geometry.convex_pieces import ROOM
@@ -88,6 +91,12 @@ def fan_workspace(rng, squeeze=False):
 
 
 WORKSPACES = (general_workspace, lattice_workspace, fan_workspace)
+SEEDS = [*range(6), *(pytest.param(seed, marks=pytest.mark.full) for seed in range(6, 24))]
+
+
+def random_workspace(seed):
+    """Return a workspace of one of three kinds; in every other triple of seeds, squeezing is allowed."""
+    return WORKSPACES[seed % 3](np.random.default_rng(seed), squeeze=seed // 3 % 2 == 1)
 
 
 def random_obstacle(rng, kind):
@@ -112,3 +121,11 @@ def hard_points(workspace, seed):
     x = np.concatenate([*x, workspace.boundary.vertices + beside[0] * rng.normal(size=2)])
     x = np.concatenate([rng.permutation(x)[:150], workspace.sample_free(50, seed)])
     return x[workspace.is_free(x)]
+
+
+def exact_turns(point, corners):
+    """Return in exact arithmetic how far left of each side of a polygon a point is, as cross products."""
+    px, py = map(Fraction, point)
+    exact = [tuple(map(Fraction, corner)) for corner in corners]
+    sides = zip(exact, exact[1:] + exact[:1], strict=True)
+    return [(bx - ax) * (py - ay) - (by - ay) * (px - ax) for (ax, ay), (bx, by) in sides]

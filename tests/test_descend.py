@@ -1,33 +1,22 @@
-"""Paths by descent along a field in a workspace; ``test_lookahead.py`` has other spaces and costs."""
+"""Paths by descent along a field in a workspace; ``test_lookahead.py`` tests other spaces and costs."""
 
-import itertools
 import math
 
-import networkx as nx
 import numpy as np
 import pytest
 import shapely
 from descent_helpers import descended
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from piece_helpers import SEEDS
 from space_helpers import far_from, nothing_known
 from space_helpers import rectangle as box
 
-from plr_jax import (
-    LipschitzCost,
-    NearestGoal,
-    PlaneSpace,
-    VisibilityGraph,
-    Workspace,
-    construct,
-    descend,
-    scenes,
-)
+from plr_jax import LipschitzCost, NearestGoal, PlaneSpace, VisibilityGraph, Workspace, construct, descend, scenes
 from plr_jax._descend import DescentStatus
 from plr_jax.geometry.corners import find_corners
 from plr_jax.spaces import CheckedSpace
 
 REACHED, STUCK, NOT_FREE = DescentStatus
+UNDEFINED_COST = LipschitzCost(lambda q: q[:, 0] * math.nan, lipschitz=1.0, least=1.0)
 TEN = ((0, 0), (10, 10))
 ROOM, SQUARE = Workspace(TEN), Workspace(((0, 0), (2, 2)))
 DOOR = Workspace(TEN, [box(4, 0, 6, 7), box(4, 8, 6, 10)])
@@ -38,50 +27,40 @@ POCKET = Workspace(TEN, [box(1, 1, 4, 2), box(1, 3, 4, 4), box(1, 1, 2, 4), box(
 # --- drawn by hand ---------------------------------------------------------------------------------------
 
 
-def test_through_the_door_by_its_corners():
+def test_paths_through_a_door_turn_at_its_corners():
     goal = (8, 2)
-    expected = [
-        [(2, 2), (4, 7), (6, 7), (8, 2)],
-        [(2, 9.5), (4, 8), (6, 7), (8, 2)],
-        [(8, 9), (8, 2)],
-        [(4, 7), (6, 7), (8, 2)],
-        [(6, 7), (8, 2)],
-        [(5, 7), (6, 7), (8, 2)],
-    ]
+    expected = [[(2, 2), (4, 7), (6, 7), goal], [(2, 9.5), (4, 8), (6, 7), goal], [(8, 9), goal]]
+    expected += [[(4, 7), (6, 7), goal], [(6, 7), goal], [(5, 7), (6, 7), goal]]
     descent = descended(VisibilityGraph(DOOR, goal), DOOR, [path[0] for path in expected], goal)
     for path, vertices in zip(descent.paths, expected, strict=True):
         np.testing.assert_array_equal(path, vertices)
-    # Shorter paths repeat the goal up to the length of the longest, which lengthens nothing.
+    # Vertices of shorter paths are padded with the goal.
     assert descent.vertices.shape == (6, 4, 2)
     np.testing.assert_array_equal(descent.vertices[2, 1:], [goal] * 3)
 
 
-def test_a_trap_is_left():
-    goal, starts = (9, 5), np.array([[5.0, 5.0], [5.9, 5.0], [5.9, 3.1], [1.0, 5.0], [8.0, 8.0]])
+def test_paths_leave_a_trap():
+    goal, starts = (9, 5), np.array([[5.0, 5.0], [5.9, 5.0], [5.9, 3.1], [1.0, 5.0]])
     exact = VisibilityGraph(TRAP, goal)(starts)
     np.testing.assert_allclose(descended(far_from(goal), TRAP, starts, goal).lengths, exact, rtol=1e-12)
     in_space = descended(far_from(goal), PlaneSpace(TRAP), starts, goal)
     assert (in_space.costs >= exact - 1e-9).all() and (in_space.costs <= 1.05 * exact).all()
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_bumps_do_not_trap(seed):
-    """Corners closer than the field's error: it would lead in circles around the ends of the walls."""
+def test_errors_of_the_field_do_not_trap_paths():
+    """Corners are closer together than the error of the field, which leads in circles around them."""
     problem = scenes.thin_maze()
     workspace, goal = problem.workspace, problem.goals[0]
-    exact, rng = VisibilityGraph(workspace, goal), np.random.default_rng(seed)
-    starts = workspace.sample_free(100, seed)
+    exact, rng, starts = VisibilityGraph(workspace, goal), np.random.default_rng(0), workspace.sample_free(80, 0)
     descent = descended(lambda x: exact(x) + rng.uniform(-0.2, 0.2, len(x)), workspace, starts, goal)
-    assert descent.reached.all()
-    assert (descent.lengths <= exact(starts) + 2 * 0.2 * 8).all()
+    assert descent.reached.all() and (descent.lengths <= exact(starts) + 2 * 0.2 * 8).all()
 
 
-@pytest.mark.parametrize("scene", [scenes.maze, scenes.floor_plan])
 @pytest.mark.parametrize("is_exact", [True, False])
-def test_paths_end_at_the_nearest_of_several_goals(scene, is_exact):
-    workspace = scene().workspace
+def test_paths_end_at_the_nearest_of_several_goals(is_exact):
+    workspace = scenes.maze().workspace
     goals = [*workspace.sample_free(3, 7), find_corners(workspace)[0].points[0]]
-    goals, starts = np.array([*goals, goals[0]]), workspace.sample_free(300, 1)
+    goals, starts = np.array([*goals, goals[0]]), workspace.sample_free(60, 1)
     starts[:5] = goals
     nearest = NearestGoal([VisibilityGraph(workspace, goal) for goal in goals])
     descent = descended(nearest if is_exact else nothing_known, workspace, starts, goals)
@@ -92,65 +71,45 @@ def test_paths_end_at_the_nearest_of_several_goals(scene, is_exact):
         np.testing.assert_array_equal(ends, goals[nearest.which(starts)])
 
 
-def test_statuses():
-    starts = [(5, 5), (2.5, 2.5), (1.5, 1.5), (-1, 5), (np.nan, 5), (8, 8), (2, 2)]
-    descent = descended(VisibilityGraph(POCKET, (8, 8)), POCKET, starts, (8, 8))
-    assert descent.status.tolist() == [REACHED, STUCK, NOT_FREE, NOT_FREE, NOT_FREE, REACHED, STUCK]
-    assert "goal" in descent.status[0].value and "2 of 7" in repr(descent)
-    np.testing.assert_array_equal(descent.paths[5], [(8, 8)])
-    assert descent.lengths[5] == 0 and np.isnan(descent.vertices[1]).all()
+def test_statuses_of_starts():
+    starts = [(5, 5), (2.5, 2.5), (1.5, 1.5), (-1, 5), (np.nan, 5), (8, 8)]
+    for space in (POCKET, PlaneSpace(POCKET)):
+        descent = descended(VisibilityGraph(POCKET, (8, 8)), space, starts, (8, 8))
+        assert descent.status.tolist() == [REACHED, STUCK, NOT_FREE, NOT_FREE, NOT_FREE, REACHED]
+        assert "goal" in descent.status[0].value and "2 of 6" in repr(descent)
+        np.testing.assert_array_equal(descent.counts, [2, 0, 0, 0, 0, 1])
+        np.testing.assert_array_equal(descent.costs[1:], [math.inf] * 4 + [0.0])
+        assert np.isnan(descent.vertices[1]).all()
     within = descended(nothing_known, POCKET, [(2.2, 2.2), (5, 5)], (2.5, 2.5))
     assert within.status.tolist() == [REACHED, STUCK]
-    space = PlaneSpace(Workspace(((0, 0), (4, 2)), [box(2, 0, 2.2, 2)]))
-    starts = [(0.5, 0.5), (3, 1), (2.1, 1), (math.nan, 1), (9, 9), (1, 1)]
-    descent = descended(lambda x: np.where(x[:, 0] < 2, far_from((1, 1))(x), np.inf), space, starts, (1, 1))
-    assert descent.status.tolist() == [REACHED, STUCK, NOT_FREE, NOT_FREE, NOT_FREE, REACHED]
-    np.testing.assert_array_equal(descent.paths[5], [(1, 1)])
-    np.testing.assert_array_equal(descent.counts, [2, 0, 0, 0, 0, 1])
-    np.testing.assert_array_equal(descent.costs[1:], [math.inf] * 4 + [0.0])
 
 
-@pytest.mark.parametrize("goal", [(4, 7), (6, 7), (5, 7), (6, 3), (10, 10), (6, 8), (4 + 1e-10, 7)])
-def test_goals_on_corners_and_walls(goal):
-    starts = np.concatenate([DOOR.sample_free(100, 1), [(4, 7), (6, 8), (0, 0), (10, 10), (4, 3)]])
-    exact = VisibilityGraph(DOOR, goal)
-    np.testing.assert_allclose(descended(exact, DOOR, starts, goal).lengths, exact(starts), atol=1e-8)
+def test_goals_on_corners_and_walls():
+    starts = np.concatenate([DOOR.sample_free(10, 1), [(4, 7), (6, 8), (0, 0), (10, 10), (4, 3)]])
+    for goal in ((4, 7), (5, 7), (6, 3), (10, 10), (6, 8), (4 + 1e-10, 7)):
+        exact = VisibilityGraph(DOOR, goal)
+        np.testing.assert_allclose(descended(exact, DOOR, starts, goal).lengths, exact(starts), atol=1e-8)
 
 
-@pytest.mark.parametrize("squeeze", [True, False])
-def test_between_obstacles_that_touch(squeeze):
-    workspace = Workspace(TEN, [box(0, 4, 5, 5), box(5, 5, 9, 6)], squeeze=squeeze)
-    goal, starts = (4, 8), np.array([[7.0, 2.0], [5.5, 4.5], [1.0, 1.0]])
-    exact = VisibilityGraph(workspace, goal)
-    descent = descended(exact, workspace, starts, goal)
-    np.testing.assert_allclose(descent.lengths, exact(starts), rtol=1e-9)
-    assert (5.0, 5.0) in set(map(tuple, descent.paths[0].tolist())) or not squeeze
-
-
-def without_answer(x):
-    return np.full(len(x), np.inf)
-
-
-def masked(x):
-    return np.ma.masked_invalid(np.full(len(x), np.nan))
-
-
-def in_place(x):
+def overwriting_its_input(x):
     x -= (8, 2)
     return np.hypot(*x.T)
 
 
-@pytest.mark.parametrize("field", [without_answer, masked, in_place])
-def test_a_field_without_answers_or_that_computes_in_place_does_no_harm(field):
-    starts = DOOR.sample_free(50, 0)
+def test_useless_fields_still_give_shortest_paths():
+    starts = DOOR.sample_free(20, 0)
     exact = VisibilityGraph(DOOR, (8, 2))(starts)
-    np.testing.assert_allclose(descended(field, DOOR, starts, (8, 2)).lengths, exact, rtol=1e-12)
+    for field in (lambda x: np.full(len(x), np.inf), lambda x: np.ma.masked_all(len(x)), overwriting_its_input):
+        np.testing.assert_allclose(descended(field, DOOR, starts, (8, 2)).lengths, exact, rtol=1e-12)
 
 
-@pytest.mark.parametrize("space", [DOOR, ROOM, PlaneSpace(DOOR)])
-def test_no_starts_and_no_corners(space):
+@pytest.mark.parametrize("space", [ROOM, PlaneSpace(DOOR)])
+def test_no_starts_give_no_paths(space):
     assert descended(nothing_known, space, np.empty((0, 2)), (8, 2)).vertices.shape[0] == 0
-    straight = descended(nothing_known, ROOM, ROOM.sample_free(50, 0), (2, 3))
+
+
+def test_paths_in_an_empty_room_are_straight():
+    straight = descended(nothing_known, ROOM, ROOM.sample_free(20, 0), (2, 3))
     assert straight.reached.all() and (straight.counts == 2).all()
 
 
@@ -158,26 +117,23 @@ def test_no_starts_and_no_corners(space):
     ("field", "space", "starts", "goal", "cost_map", "message"),
     [
         (nothing_known, DOOR, np.zeros(2), (8, 2), None, r"starts must have shape \(n, 2\).*starts\[None\]"),
-        (nothing_known, DOOR, np.zeros((1, 3)), (8, 2), None, "starts must have shape"),
         (nothing_known, DOOR, [(1, 1)], (8, 2, 0), None, "The goal must be one point"),
         (nothing_known, DOOR, [(1, 1)], (5, 2), None, "The goal must be in free space"),
         (nothing_known, DOOR, [(1, 1)], [(1, 1), (5, 2)], None, r"must be in free space, got \[5.0, 2.0\]"),
         (nothing_known, DOOR, [(1, 1)], np.empty((0, 2)), None, "one point .* or several .* got none"),
         (lambda x: x, DOOR, [(1, 1)], (8, 2), None, "one number per point"),
         (lambda x: np.full(len(x), -np.inf), DOOR, [(1, 1)], (8, 2), None, "-inf at .*use inf"),
-        (lambda x: np.full(len(x), np.nan), DOOR, [(1, 1)], (8, 2), None, "NaN at .*use inf"),
         (lambda x: np.full(len(x), np.nan), PlaneSpace(DOOR), [(1, 1)], (8, 2), None, "NaN at .*use inf"),
         (nothing_known, 3, [(1, 1)], (1, 1), None, "space must be a configuration space"),
         (nothing_known, CheckedSpace(PlaneSpace(SQUARE)), [(1, 1)], (1, 1), None, "must have classify and are_free"),
         (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (3, 1), None, "The goal must be a free configuration"),
         (nothing_known, PlaneSpace(SQUARE), [(1, 1)], (1, 1, 1), None, "The goal must be one point"),
         (nothing_known, SQUARE, [(1, 1)], (1, 1), 2.0, "cost_map must be a CostMap"),
-        (nothing_known, SQUARE, [(0.5, 0.5)], (1, 1), LipschitzCost(lambda q: q[:, 0] * math.nan, 1.0, 1.0),
-         "finite numbers of at least 1"),
+        (nothing_known, SQUARE, [(0.5, 0.5)], (1, 1), UNDEFINED_COST, "finite numbers of at least 1"),
     ],
-)  # fmt: skip
+)
 @pytest.mark.usefixtures("unchecked_types")
-def test_a_callers_mistakes(field, space, starts, goal, cost_map, message):
+def test_invalid_arguments_raise(field, space, starts, goal, cost_map, message):
     with pytest.raises(ValueError, match=message):
         descend(field, space, starts, goal, cost_map=cost_map)
 
@@ -185,87 +141,53 @@ def test_a_callers_mistakes(field, space, starts, goal, cost_map, message):
 # --- PLRs ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("problem", [scenes.maze(), scenes.thin_maze()])
-def test_with_a_plr_as_short_as_can_be(problem):
+def test_paths_along_a_plr_are_shortest():
+    problem = scenes.thin_maze()
     workspace, goal = problem.workspace, problem.goals[0]
-    exact = VisibilityGraph(workspace, goal)
-    starts = workspace.sample_free(500, 3)
+    exact, starts = VisibilityGraph(workspace, goal), workspace.sample_free(100, 3)
     plr = construct(exact, workspace.bounds, max_bytes=1024)
     descent = descended(plr, workspace, starts, goal)
     np.testing.assert_allclose(descent.lengths, exact(starts), rtol=1e-9)
-    again = descend(plr, workspace, starts, goal)
-    np.testing.assert_array_equal(again.vertices, descent.vertices)
-    # One start alone goes the same way as in a batch.
+    np.testing.assert_array_equal(descend(plr, workspace, starts, goal).vertices, descent.vertices)
+    # The path of a start does not depend on other starts.
     np.testing.assert_array_equal(descend(plr, workspace, starts[7:8], goal).paths[0], descent.paths[7])
 
 
-def test_a_good_field_saves_tests(monkeypatch, data_dir):
-    workspace = scenes.read_polygons(data_dir / "polyanya_arena" / "arena_polygons.json")
-    goal, tests, is_visible = np.array([1.0, 11.0]), [], Workspace.is_visible
-    exact = VisibilityGraph(workspace, goal)
+def test_accurate_field_saves_visibility_tests(monkeypatch):
+    problem, is_visible, tests = scenes.floor_plan(), Workspace.is_visible, []
+    workspace, goal = problem.workspace, problem.goals[0]
 
     def counted(self, a, b):
-        tests.append(len(a))
+        tests[-1] += len(a)
         return is_visible(self, a, b)
 
     monkeypatch.setattr(Workspace, "is_visible", counted)
-    descend(nothing_known, workspace, np.empty((0, 2)), goal)
-    blind = sum(tests)
-    tests.clear()
-    descend(exact, workspace, np.empty((0, 2)), goal)
-    assert sum(tests) < blind
-    monkeypatch.undo()
-    starts = workspace.sample_free(100, 0)
-    np.testing.assert_allclose(descended(exact, workspace, starts, goal).lengths, exact(starts), rtol=1e-9)
+    for field in (VisibilityGraph(workspace, goal), nothing_known):
+        tests.append(0)
+        descend(field, workspace, np.empty((0, 2)), goal)
+    assert 0 < 2 * tests[0] < tests[1]
 
 
 # --- any obstacles ---------------------------------------------------------------------------------------
 
-HALL = ((-1, -1), (12, 12))
-COORDINATE = st.integers(0, 40).map(lambda i: i / 4)
+
+def hall(seed):
+    """Return a workspace of up to five convex obstacles on a lattice, which may touch, and a goal on the lattice."""
+    rng, lattice = np.random.default_rng(seed), np.argwhere(np.ones((41, 41))) / 4
+    corners = rng.integers(0, 33, (seed % 6, 1, 2))
+    hulls = [shapely.MultiPoint((corner + rng.integers(0, 13, (5, 2))) / 4).convex_hull for corner in corners]
+    workspace = Workspace(((-1, -1), (12, 12)), hulls)
+    return workspace, rng.permutation(lattice[workspace.is_free(lattice)])[0]
 
 
-@st.composite
-def halls(draw):
-    """Up to five convex obstacles, and a goal in free space."""
-    hulls, goal = [], np.array(draw(st.tuples(COORDINATE, COORDINATE)))
-    for _ in range(draw(st.integers(0, 5))):
-        x, y = draw(st.integers(0, 32)) / 4, draw(st.integers(0, 32)) / 4
-        offsets = draw(st.lists(st.tuples(st.integers(0, 12), st.integers(0, 12)), min_size=3, max_size=6))
-        hull = shapely.convex_hull(shapely.multipoints(np.array(offsets) / 4 + (x, y)))
-        if hull.geom_type == "Polygon":
-            hulls.append(hull)
-    workspace = Workspace(HALL, hulls)
-    assume(workspace.is_free(goal[None])[0])
-    return workspace, goal
-
-
-@settings(max_examples=30, deadline=None)
-@given(halls(), st.integers(0, 2**16), st.floats(0, 3))
-def test_every_start_with_a_way_reaches_the_goal(hall, seed, error):
-    workspace, goal = hall
+@pytest.mark.parametrize("seed", [*SEEDS, *range(24, 30)])
+def test_every_start_with_a_path_reaches_the_goal(seed):
+    (workspace, goal), error = hall(seed), seed / 8
     exact, rng = VisibilityGraph(workspace, goal), np.random.default_rng(seed)
-    starts = np.concatenate([workspace.sample_free(20, seed), rng.uniform(-1.5, 12.5, (5, 2))])
+    starts = np.concatenate([workspace.sample_free(10, seed), rng.uniform(-1.5, 12.5, (5, 2))])
     distance = exact(starts)
-    descent = descended(exact, workspace, starts, goal)
-    np.testing.assert_allclose(descent.lengths, distance, rtol=1e-7, atol=1e-7)
-    bumpy = descended(lambda x: exact(x) + rng.uniform(-error, error, len(x)), workspace, starts, goal)
-    np.testing.assert_array_equal(bumpy.reached, np.isfinite(distance))
-    assert (bumpy.lengths >= distance - 1e-7).all()
-
-
-@settings(max_examples=25, deadline=None)
-@given(halls(), st.integers(0, 2**16))
-def test_without_a_field_as_short_as_a_complete_visibility_graph_or_longer(hall, seed):
-    workspace, goal = hall
-    starts = workspace.sample_free(3, seed)
-    points = np.concatenate([find_corners(workspace)[0].without(goal).with_goal(goal).points, starts])
-    pairs = np.array(list(itertools.combinations(range(len(points)), 2)))
-    pairs = pairs[workspace.is_visible(points[pairs[:, 0]], points[pairs[:, 1]])]
-    graph = nx.Graph()
-    graph.add_weighted_edges_from((a, b, math.dist(points[a], points[b])) for a, b in pairs.tolist())
-    distance = nx.single_source_dijkstra_path_length(graph, 0) if 0 in graph else {0: 0.0}
-    shortest = np.array([distance.get(len(points) - 3 + i, math.inf) for i in range(3)])
-    descent = descended(nothing_known, workspace, starts, goal)
-    np.testing.assert_array_equal(descent.reached, np.isfinite(shortest))
-    assert (descent.lengths >= shortest - 1e-9).all()
+    np.testing.assert_allclose(descended(exact, workspace, starts, goal).lengths, distance, rtol=1e-7, atol=1e-7)
+    for field in (lambda x: exact(x) + rng.uniform(-error, error, len(x)), nothing_known):
+        descent = descended(field, workspace, starts, goal)
+        np.testing.assert_array_equal(descent.reached, np.isfinite(distance))
+        assert (descent.lengths >= distance - 1e-7).all()

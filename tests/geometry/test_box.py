@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -8,33 +7,30 @@ from plr_jax.geometry.box import Box, Slice
 UNIT = (0, 0), (1, 1)
 BOX = Box((0, 1), (2, 5))
 TURN = Box((0, -np.pi), (2, np.pi), periodic=(False, True))
-SPACE = (0, -1, 5), (4, 1, 7)
+SPACE = Box((0, -1, 5), (4, 1, 7))
 
 
-def test_box_keeps_its_corners():
-    assert BOX.dim == 2
+def test_box_contains_points_between_its_corners():
     np.testing.assert_array_equal(BOX.width, [2.0, 4.0])
-    np.testing.assert_array_equal(
-        BOX.contains(np.array([[0.0, 1.0], [2.0, 5.0], [2.1, 3.0], [np.nan, 3.0]])),
-        [True, True, False, False],
-    )
+    x = np.array([[0.0, 1.0], [2.0, 5.0], [2.1, 3.0], [np.nan, 3.0]])
+    np.testing.assert_array_equal(BOX.contains(x), [True, True, False, False])
     # Along a periodic axis every finite coordinate is inside.
     x = np.array([[1, 100.0], [1, -100.0], [2.1, 0], [1, np.inf], [1, np.nan], [2, np.pi]])
     np.testing.assert_array_equal(TURN.contains(x), [True, True, False, False, False, True])
-    assert Box.of(BOX) is BOX
-    assert Box.of(((0, 1), (2, 5))) == Box.of(np.array([[0, 1], [2, 5]])) == BOX
 
 
 def test_boxes_of_equal_corners_and_periodic_axes_are_equal():
+    assert BOX.dim == 2 and Box.of(BOX) is BOX and Box.of(TURN) is TURN
+    assert Box.of(((0, 1), (2, 5))) == Box.of(np.array([[0, 1], [2, 5]])) == BOX
     assert Box(*UNIT) == Box([0.0, 0.0], [1.0, 1.0]) != Box((0, 0), (1, 2))
     assert Box(*UNIT, (np.True_, False)) == Box(*UNIT, [True, False]) != Box(*UNIT)
-    assert TURN.periodic == (False, True) and TURN.is_periodic and Box.of(TURN) is TURN
-    assert Box(*UNIT).periodic == (False, False) and not Box(*UNIT).is_periodic
+    assert TURN.periodic == (False, True) and TURN.is_periodic
+    assert BOX.periodic == (False, False) and not BOX.is_periodic
     boxes = Box(*UNIT), Box([0.0, 0.0], [1.0, 1.0]), Box(*UNIT, (True, False)), Box(*UNIT, (False, True))
     assert len(set(boxes)) == 3
 
 
-def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
+def test_repr_is_exact_and_message_is_rounded():
     assert repr(Box(*UNIT, (True, False))) == "Box([0.0, 0.0], [1.0, 1.0], periodic=(True, False))"
     assert repr(Box((0,), (1,))) == "Box([0.0], [1.0])"
     box = Box((0.1 + 0.2, -1), (146 * 0.05, 5334012.654321), (False, True))
@@ -42,51 +38,7 @@ def test_messages_tell_ends_without_what_arithmetic_made_of_their_last_digits():
     assert eval(repr(box)) == box
 
 
-@pytest.mark.parametrize(
-    ("ask", "message"),
-    [
-        (lambda: Box((0, 0), (1, 0)), "positive width along every axis.*axis 1"),
-        (lambda: Box((0, 0), (1, 1, 1)), "equal length"),
-        (lambda: Box((0, np.nan), (1, 1)), "Box lo must have finite coordinates"),
-        (lambda: Box((0, 0), (np.inf, 1)), "Box hi must have finite coordinates"),
-        (lambda: Box(0.0, 1.0), r"Box lo must be one point of shape \(dim,\), got shape \(\)"),
-        (lambda: Box("a", "b"), "Box lo must be numbers"),
-        (lambda: Box.of(((0, 0),)), "The box must be a Box or its corners"),
-        (lambda: Box.of(None), "The box must be a Box or its corners"),
-        *(
-            (lambda periodic=periodic: Box(*UNIT, periodic=periodic), "Box periodic must be")
-            for periodic in (True, (True,), (True, False, True), "no", ((True, False),), (1, 0), (True, None))
-        ),
-        (lambda: Box(*UNIT).contains(np.zeros((1, 3))), r"shape \(n, 2\), got \(1, 3\)"),
-        (lambda: Box(*UNIT).grid(0), "integer >= 1"),
-        (lambda: Box(*SPACE).grid(4), "2 dimensions, got 3"),
-        *(
-            (lambda ask=ask, x=x: ask(x), message)
-            for ask in (TURN.wrapped, lambda x: TURN.difference(x, [0.0, 0]), lambda x: TURN.image_near([0, 0], x))
-            for x, message in (
-                (np.zeros((1, 3)), r"must have shape \(\.\.\., 2\), got \(1, 3\)"),
-                (np.ma.masked_less([[-1.0, 2.0]], 0), "some are masked"),
-            )
-        ),
-        *(
-            (lambda at=at: Slice.of(Box(*SPACE), at), message)
-            for at, message in (
-                (None, "at must fix 1 of 3 coordinates, got 0"),
-                ({0: 1.0, 1: 0.0}, "must fix 1 of 3 coordinates, got 2"),
-                ({3: 1.0}, "at must map axes to coordinates"),
-                ({-1: 6.0}, "at must map axes to coordinates"),
-                ({0: 9.0}, "at must lie in Box"),
-                ({0: float("nan")}, "must have finite coordinates"),
-            )
-        ),
-    ],
-)
-def test_what_is_no_box_or_not_in_it_is_refused(ask, message):
-    with pytest.raises(ValueError, match=message):
-        ask()
-
-
-def test_a_grid_fills_the_box_with_square_cells():
+def test_grid_fills_the_box_with_square_cells():
     centers = Box((1, 2), (5, 4)).grid(4)
     np.testing.assert_allclose(centers[0], [[1.5, 2.5], [2.5, 2.5], [3.5, 2.5], [4.5, 2.5]])
     np.testing.assert_allclose(centers[1, 0], [1.5, 3.5])
@@ -99,12 +51,11 @@ def test_points_are_wrapped_by_whole_periods():
     x = [[-1.0, 5], [2.5, 5], [3, 5], [4.5, 5], [-1.25, 5], [12, 11.5], [np.inf, 5], [np.nan, np.nan]]
     expected = [[-1.0, 5], [2.5, 5], [-1, 5], [0.5, 5], [2.75, 5], [0, 11.5], [np.inf, 5], [np.nan, np.nan]]
     np.testing.assert_array_equal(box.wrapped(x), expected)
-    np.testing.assert_array_equal(box.wrapped(np.array(x)[None, 3]), [[0.5, 5]])
     np.testing.assert_array_equal(box.wrapped([3.0, 5.0]), [-1, 5])
 
 
 @given(lo=st.floats(-1e3, 1e3), width=st.floats(1e-3, 1e3), turns=st.integers(-1000, 1000), share=st.floats(0, 1))
-def test_wrapped_points_are_below_the_upper_end_and_the_seam_is_at_the_lower_one(lo, width, turns, share):
+def test_wrapped_points_lie_in_the_half_open_period(lo, width, turns, share):
     box = Box([lo], [lo + width], [True])
     (lo,), (hi,), (width,) = box.lo, box.hi, box.width
     x = lo + (turns + share) * width
@@ -119,7 +70,7 @@ def test_wrapped_points_are_below_the_upper_end_and_the_seam_is_at_the_lower_one
         assert lo <= box.wrapped([just_outside])[0] < hi
 
 
-def test_differences_go_the_short_way_around():
+def test_differences_take_the_short_way_around():
     a, b = np.array([[0.5, 3.0], [0.5, -3.0], [1.5, 0.5]]), np.array([[0.0, -3.0], [2.0, 3.0], [0.5, 7.0]])
     short = 2 * np.pi - 6
     np.testing.assert_allclose(TURN.difference(a, b), [[0.5, -short], [-1.5, short], [1, 0.5 - (7 - 2 * np.pi)]])
@@ -131,8 +82,8 @@ def test_differences_go_the_short_way_around():
     np.testing.assert_array_equal(TURN.difference(near, [[0.2, -3.0]]), [near - [0.2, -3.0]])
 
 
-def test_a_slice_holds_the_coordinates_that_are_given():
-    box = Box(*SPACE, periodic=(False, True, False))
+def test_slice_fixes_given_coordinates():
+    box = Box(SPACE.lo, SPACE.hi, periodic=(False, True, False))
     shown = Slice.of(box, {1: 2.5})  # around the seam: 0.5
     assert shown.axes == (0, 2) and shown.box == Box((0, 5), (4, 7))
     points = shown.grid(4)

@@ -10,32 +10,32 @@ from plr_jax.geometry.corners import corner_visibility
 BOUNDS = ((0, 0), (8, 8))
 
 
-@pytest.mark.parametrize("seed", range(16))
-def test_an_oracle_after_changes_is_the_one_made_anew(seed):
+@pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.full) for seed in range(4, 16))])
+def test_changed_oracle_equals_rebuilt_oracle(seed):
     rng = np.random.default_rng(seed)
     kinds = ["grid"] if seed % 4 == 0 else ["grid", "thin", "polygon", "box"]
     workspace = Workspace(BOUNDS, squeeze=bool(seed % 2))
     goal = rng.uniform(4.1, 4.9, 2)
     oracle = VisibilityGraph(workspace, goal)
-    for _ in range(8):
+    for _ in range(6):
         present = [i for i, each in enumerate(workspace.obstacles) if not each.is_empty]
         add = [random_obstacle(rng, rng.choice(kinds)) for _ in range(rng.integers(0, 3))]
         remove = rng.choice(present, rng.integers(0, 3)).tolist() if present else []
         try:
-            anew = Workspace(BOUNDS, workspace.with_obstacles(add, remove).obstacles, squeeze=workspace.squeeze)
-            truth = VisibilityGraph(anew, goal)
-        except ValueError:  # a goal that is covered, or walls that are too thin, at both alike
+            changed = workspace.with_obstacles(add, remove)
+            rebuilt = Workspace(BOUNDS, changed.obstacles, squeeze=workspace.squeeze)
+            truth = VisibilityGraph(rebuilt, goal)
+        except ValueError:  # a goal that is covered, or walls that are too thin
             continue
-        workspace = workspace.with_obstacles(add, remove)
-        oracle = oracle.with_workspace(workspace)
-        assert abs(workspace.free_space.area - anew.free_space.area) < 64 * workspace.tolerance
+        workspace, oracle = changed, oracle.with_workspace(changed)
+        assert abs(workspace.free_space.area - rebuilt.free_space.area) < 64 * workspace.tolerance
         x = np.concatenate([rng.uniform(0, 8, (100, 2)), rng.integers(0, 9, (20, 2))])
-        x = x[np.abs(anew.clearance(x)) > 1e-7]
+        x = x[np.abs(rebuilt.clearance(x)) > 1e-7]
         # Slivers as thin as the tolerance may be kept or lost.
         np.testing.assert_allclose(oracle(x), truth(x), rtol=0, atol=1e-12 * 8 if kinds == ["grid"] else 1e-8)
 
 
-def test_what_the_change_does_not_meet_is_shared():
+def test_distances_beyond_a_change_are_reused():
     posts = [shapely.box(x, y, x + 0.3, y + 0.3) for x in range(8) for y in range(8)]
     before = VisibilityGraph(Workspace(BOUNDS, posts), (0.7, 0.7))
     after = before.with_workspace(before.workspace.with_obstacles([shapely.box(7.5, 7.5, 7.6, 7.6)]))
@@ -43,20 +43,13 @@ def test_what_the_change_does_not_meet_is_shared():
     assert after.workspace.boundary.edges.shape[0] == 4 + before.workspace.boundary.edges.shape[0]
     shared = (after.distances[1:, None] == before.distances[1:]).any(axis=1)
     assert shared.sum() == len(before.distances) - 1
-    # Of the other bounds nothing can be shared.
+    # With other bounds, nothing can be reused.
     other = Workspace(((0, 0), (9, 9)), posts)
-    np.testing.assert_array_equal(
-        before.with_workspace(other).distances, VisibilityGraph(other, (0.7, 0.7)).distances
-    )
+    rebuilt = VisibilityGraph(other, (0.7, 0.7))
+    np.testing.assert_array_equal(before.with_workspace(other).distances, rebuilt.distances)
 
 
-def test_a_goal_that_is_covered_is_refused():
-    oracle = VisibilityGraph(Workspace(BOUNDS), (4, 4))
-    with pytest.raises(ValueError, match="lies in an obstacle"):
-        oracle.with_workspace(oracle.workspace.with_obstacles([shapely.box(3, 3, 5, 5)]))
-
-
-def test_obstacles_keep_their_numbers_and_come_back():
+def test_removed_obstacles_keep_their_numbers():
     posts = [shapely.box(x, 3, x + 1, 5) for x in (1, 3, 5)]
     workspace = Workspace(BOUNDS, posts)
     without = workspace.with_obstacles(remove=[1])
@@ -68,35 +61,14 @@ def test_obstacles_keep_their_numbers_and_come_back():
     assert [i for i, each in enumerate(last.obstacles) if not each.is_empty] == [0]
     ring = np.array(posts[0].exterior.coords)[-2::-1]  # the same vertices, the other way round, not closed
     assert [each.is_empty for each in workspace.with_obstacles(remove=[ring]).obstacles] == [True, False, False]
-    # What another one covers stays blocked, within the bounds.
+    # A region that another obstacle covers stays blocked.
     over = workspace.with_obstacles([shapely.box(0, 4, 9, 9)], remove=posts[:1])
     assert over.free_space.area == pytest.approx(32 - 2)
     assert over.with_obstacles(remove=[3]).free_space.area == pytest.approx(60)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"remove": [3]}, "remove must be numbers of obstacles, below 1"),
-        ({"remove": [-1]}, "integer >= 0"),
-        ({"remove": [0.5]}, "integer"),
-        ({"remove": [shapely.box(0, 0, 1, 2)]}, "or polygons that equal one"),
-        ({"remove": [[(0, 0), (1, 0), (1, 2)]]}, "or polygons that equal one"),
-        ({"remove": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "Removed obstacle .* Put a single ring into a list"),
-        ({"add": [[(0, 0), (1, 1)]]}, "Added obstacle 0 has 2 distinct vertices"),
-        ({"add": [shapely.box(-1, -1, 9, 9)]}, "no free space"),
-    ],
-)
-def test_changes_that_cannot_be_are_refused(change, message):
-    workspace = Workspace(BOUNDS, [shapely.box(0, 0, 1, 1)])
-    with pytest.raises(ValueError, match=message):
-        workspace.with_obstacles(**change)
-    with pytest.raises(ValueError, match="not removed already"):
-        workspace.with_obstacles(remove=[0]).with_obstacles(remove=[0])
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_no_point_is_seen_of_polygons_that_may_not_be_seen(seed):
+@pytest.mark.parametrize("seed", range(2))
+def test_polygons_ruled_out_of_sight_are_hidden(seed):
     rng = np.random.default_rng(seed)
     workspace = Workspace(BOUNDS, [random_obstacle(rng, "polygon") for _ in range(6)], squeeze=bool(seed % 2))
     table = corner_visibility(workspace).table

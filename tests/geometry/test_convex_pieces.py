@@ -1,8 +1,7 @@
 import numpy as np
+import pytest
 import shapely
-from hypothesis import given
-from hypothesis import strategies as st
-from piece_helpers import as_pieces, points_of, polygons, random_pieces
+from piece_helpers import SEEDS, as_pieces, points_of, polygons, random_pieces
 
 from plr_jax.geometry.convex_pieces import (
     ROOM,
@@ -14,21 +13,13 @@ from plr_jax.geometry.convex_pieces import (
     difference_of_cones,
 )
 
-SEEDS = st.integers(0, 100_000)
 DENSE = np.linspace(0, 1, 129)
 
 
-def check_left(kept, exact):
-    """Fails unless pieces are these polygons."""
-    for piece, polygon in zip(polygons(kept), exact, strict=True):
-        assert piece.symmetric_difference(polygon).area <= 1e-9
-        np.testing.assert_allclose(piece.area, polygon.area, rtol=1e-6, atol=1e-11)
-
-
-def test_cutting_a_piece_over_and_over_through_its_own_corners_keeps_room():
-    """Where lines meet corners up to rounding, corners double up, yet never beyond the room there is."""
+def test_repeated_cuts_through_corners_keep_the_area():
+    """Lines meet corners up to rounding, so corners double up, yet their number stays below the limit."""
     rng = np.random.default_rng(0)
-    for _ in range(60):
+    for _ in range(20):
         step = rng.choice([0.1, 1 / 3, 0.7])
         pieces = as_pieces([step * rng.permutation(np.argwhere(np.ones((6, 6))))[:3] for _ in range(40)])
         pieces = pieces[:, areas(pieces) > 0]
@@ -45,8 +36,8 @@ def test_cutting_a_piece_over_and_over_through_its_own_corners_keeps_room():
             np.testing.assert_allclose(areas(pieces), shapely.area(exact), atol=1e-13)
 
 
-@given(SEEDS)
-def test_pieces_contain_what_shapely_says_to_the_tolerance(seed):
+@pytest.mark.parametrize("seed", SEEDS)
+def test_contained_points_equal_those_of_shapely(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 15)
     x = np.concatenate([points_of(rng, pieces, 2), rng.uniform(0, 10, (15, 2, 2))], axis=1)
@@ -58,30 +49,29 @@ def test_pieces_contain_what_shapely_says_to_the_tolerance(seed):
     assert contain(pieces, x, 0.1)[depth > -0.1 + 1e-9].all()
 
 
-@given(SEEDS)
-def test_what_a_box_leaves_is_what_shapely_leaves(seed):
+@pytest.mark.parametrize("seed", SEEDS)
+def test_clipped_pieces_equal_intersections_of_shapely(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 15)
     lo, hi = np.sort(rng.uniform(0, 10, (2, 2)), axis=0)
     cut = clip_to_boxes(pieces, lo[None], hi[None])[0]
     exact = shapely.intersection(polygons(pieces), shapely.box(*lo, *hi))
     assert (areas(cut) > 0).all()
-    check_left(cut[:, areas(cut) > 1e-9], exact[shapely.area(exact) > 1e-9])
+    kept, exact = polygons(cut[:, areas(cut) > 1e-9]), exact[shapely.area(exact) > 1e-9]
+    assert (shapely.area(shapely.symmetric_difference(kept, exact)) <= 1e-9).all() and len(kept) == len(exact)
+    np.testing.assert_allclose(shapely.area(kept), shapely.area(exact), rtol=1e-6, atol=1e-11)
 
 
 # --- cones -----------------------------------------------------------------------------------------------
 
 
 def cones(apex, offset):
-    """The function of points ``(pieces, k, 2)`` that a cone a piece is."""
+    """Return one cone per piece, as a function of points ``(pieces, k, 2)``."""
     return lambda x: offset[:, None] + np.linalg.norm(x - apex[:, None], axis=2)
 
 
 def check_extremes(found, pieces, function, apexes, rng, scale=1.0, beyond=1e-11):
-    """Fails unless extremes are those that a search finds.
-
-    By dense samples of every edge, finer around the best, points inside, and apexes.
-    """
+    """Check extremes against a search: dense samples of every edge, finer around the best, points inside, apexes."""
     start = pieces.transpose(1, 2, 0)
     way = np.roll(start, -1, axis=1) - start
     n, corners, _ = start.shape
@@ -103,7 +93,7 @@ def check_extremes(found, pieces, function, apexes, rng, scale=1.0, beyond=1e-11
 
 
 def apexes_beside(rng, pieces):
-    """Apexes of all kinds: at a corner, on an edge, inside, on an edge's line, near and far."""
+    """Return apexes at a corner, on an edge, inside, on the line of an edge, near or far."""
     n = pieces.shape[1]
     each, corner = np.arange(n), rng.integers(pieces.shape[2], size=n)
     a, b = pieces[:, each, corner].T, pieces[:, each, (corner + 1) % pieces.shape[2]].T
@@ -120,36 +110,26 @@ def apexes_beside(rng, pieces):
     return np.array(kinds)[rng.integers(len(kinds), size=n), each]
 
 
-def check_difference(rng, pieces, one, two, offsets):
-    """Fails unless extremes of the difference of two cones are those that a search finds."""
+@pytest.mark.parametrize("is_clipped", [False, True])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_extremes_of_cone_differences_equal_a_search(seed, is_clipped):
+    """Clipping doubles corners up to rounding, and leaves edges of a hair and apexes at former corners."""
+    rng = np.random.default_rng(seed)
+    pieces = random_pieces(rng, 20)
+    corner, width = pieces[:, 0, 0], np.ptp(pieces[:, 0], axis=1)
+    if is_clipped:
+        lo, hi = corner - width * rng.choice([1e-9, 1.0], 2), corner + width * rng.choice([1e-9, 1.0, 3.0], 2)
+        pieces = clip_to_boxes(pieces, lo[None], hi[None])[0]
+    n = pieces.shape[1]
+    one = np.tile(corner, (n, 1)) if is_clipped else apexes_beside(rng, pieces)
+    two, offsets = apexes_beside(rng, pieces), rng.uniform(0, 5, (2, n))
     first, second = cones(one, offsets[0]), cones(two, offsets[1])
     found = difference_of_cones(pieces, one, offsets[0], two, offsets[1])
     check_extremes(found, pieces, lambda x: first(x) - second(x), (one, two), rng)
 
 
-@given(SEEDS)
-def test_extremes_of_the_difference_are_those_a_search_finds(seed):
-    rng = np.random.default_rng(seed)
-    pieces = random_pieces(rng, 12)
-    apexes = apexes_beside(rng, pieces), apexes_beside(rng, pieces)
-    check_difference(rng, pieces, *apexes, rng.uniform(0, 5, (2, 12)))
-
-
-@given(SEEDS)
-def test_extremes_hold_for_pieces_as_clipping_leaves_them(seed):
-    """Corners doubled up by rounding, edges of a hair, apexes that are corners of what was cut."""
-    rng = np.random.default_rng(seed)
-    whole = random_pieces(rng, 30)
-    corner, width = whole[:, 0, 0], np.ptp(whole[:, 0], axis=1)
-    lo, hi = corner - width * rng.choice([1e-9, 1.0], 2), corner + width * rng.choice([1e-9, 1.0, 3.0], 2)
-    pieces = clip_to_boxes(whole, lo[None], hi[None])[0]
-    n = pieces.shape[1]
-    assert n
-    check_difference(rng, pieces, np.tile(corner, (n, 1)), apexes_beside(rng, pieces), np.zeros((2, n)))
-
-
-@given(SEEDS)
-def test_extremes_above_a_plane_are_those_a_search_finds(seed):
+@pytest.mark.parametrize("seed", SEEDS)
+def test_extremes_of_cone_above_plane_equal_a_search(seed):
     rng = np.random.default_rng(seed)
     pieces = random_pieces(rng, 12)
     apex, offset = apexes_beside(rng, pieces), rng.uniform(0, 5, 12)

@@ -7,19 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from plr_jax.geometry.graph import (
-    Graph,
-    dijkstra,
-    first_visible,
-    first_visible_in_parts,
-    first_visible_ragged,
-    path_to_root,
-)
+from plr_jax.geometry.graph import Graph, dijkstra, first_visible, first_visible_ragged, path_to_root
 
 
 @st.composite
 def lattice_graphs(draw):
-    """Vertices on a small lattice, so that many coincide, and any set of edges."""
+    """Draw graphs with vertices on a small lattice, so that many coincide, and any set of edges."""
     points = draw(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), min_size=2, max_size=12))
     ends = st.tuples(st.integers(0, len(points) - 1), st.integers(0, len(points) - 1))
     pairs = draw(st.lists(ends.filter(lambda e: e[0] != e[1]), unique_by=frozenset, max_size=30))
@@ -27,7 +20,7 @@ def lattice_graphs(draw):
 
 
 @given(lattice_graphs())
-def test_dijkstra_agrees_with_networkx(graph):
+def test_dijkstra_equals_networkx(graph):
     exported, edges = graph.to_networkx(), {frozenset(edge) for edge in graph.edges.tolist()}
     assert {frozenset(edge) for edge in exported.edges} == edges
     np.testing.assert_array_equal([place for _, place in exported.nodes(data="pos")], graph.vertices)
@@ -37,14 +30,13 @@ def test_dijkstra_agrees_with_networkx(graph):
     distances, parents = dijkstra(graph, 0)
     np.testing.assert_allclose(distances, [expected.get(i, np.inf) for i in range(len(distances))], atol=1e-12)
     assert parents[0] < 0 and (parents[np.isinf(distances)] < 0).all()
-    start = np.array([-1.0, -1.0])
+    places = {frozenset(map(tuple, graph.vertices[[a, b]].tolist())) for a, b in edges}
     for vertex in expected:
-        path = path_to_root(graph, parents, start, vertex)
+        path = path_to_root(graph, parents, np.array([-1.0, -1.0]), vertex)
         assert path[0].tolist() == [-1, -1] and path[-1].tolist() == graph.vertices[0].tolist()
-        places = {frozenset(map(tuple, graph.vertices[[a, b]].tolist())) for a, b in edges}
         assert all(frozenset(map(tuple, step)) in places for step in itertools.pairwise(path[1:].tolist()))
-        length = np.linalg.norm(np.diff(path[1:], axis=0), axis=1)
-        assert length.sum() == pytest.approx(expected[vertex], abs=1e-12) and (length > 0).all()
+        legs = np.linalg.norm(np.diff(path[1:], axis=0), axis=1)
+        assert legs.sum() == pytest.approx(expected[vertex], abs=1e-12) and (legs > 0).all()
 
 
 LENGTHS = st.sampled_from([np.nan, np.inf, *np.arange(20.0)])
@@ -52,13 +44,13 @@ LENGTHS = st.sampled_from([np.nan, np.inf, *np.arange(20.0)])
 
 @st.composite
 def searches(draw):
-    """Lengths of the ways from some points, and which of them are visible."""
+    """Draw the lengths of ways from several points, and which ways are visible."""
     shape = draw(st.tuples(st.integers(0, 6), st.integers(0, 50)))
     return draw(arrays(float, shape, elements=LENGTHS)), draw(arrays(bool, shape))
 
 
 @given(searches(), st.integers(1, 5))
-def test_it_finds_what_testing_every_pair_finds(search, count):
+def test_first_visible_equals_brute_force(search, count):
     lengths, visible = search
     before = lengths.copy()
     ways, shortest = first_visible(lengths, lambda point, way: visible[point, way], count)
@@ -74,7 +66,7 @@ def test_it_finds_what_testing_every_pair_finds(search, count):
     np.testing.assert_array_equal(lengths, before)
 
 
-def test_the_shortest_are_tested_first_and_none_twice():
+def test_shortest_ways_are_tested_first_and_once():
     tested = []
 
     def sees(point, way):
@@ -86,16 +78,8 @@ def test_the_shortest_are_tested_first_and_none_twice():
     assert tested == [[0, 1], [*range(2, 10)], [*range(10, 42)]]
 
 
-def test_many_points_are_searched_in_parts(monkeypatch):
-    rng = np.random.default_rng(0)
-    lengths, visible = rng.permutation(np.arange(350.0)).reshape(50, 7), rng.random((50, 7)) < 0.3
-    monkeypatch.setattr("plr_jax.geometry.graph._CHUNK", 21)
-    parts = first_visible_in_parts(lambda rows: lengths[rows].copy(), 50, 7, lambda p, w: visible[p, w], 2)
-    np.testing.assert_array_equal(parts, first_visible(lengths, lambda p, w: visible[p, w], 2))
-
-
 @given(st.integers(0, 10_000))
-def test_ways_that_differ_from_point_to_point(seed):
+def test_ragged_search_equals_brute_force(seed):
     rng = np.random.default_rng(seed)
     counts = rng.integers(0, 6, 12)
     lengths, visible = rng.integers(0, 9, counts.sum()).astype(float), rng.random(counts.sum()) < 0.4

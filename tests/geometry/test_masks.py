@@ -1,4 +1,4 @@
-"""Polygons of pixels, beside those that Shapely unites of squares, and the graphs of pixels that they must keep."""
+"""Polygons of masks, compared with unions of squares by Shapely and with connected components of pixels."""
 
 import numpy as np
 import pytest
@@ -6,38 +6,25 @@ import scipy.ndimage
 import shapely
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.geometry.masks import (
-    CLEARANCE,
-    placed_region,
-    region_of_mask,
-    rounded_one_by_one,
-    without_specks,
-)
+from plr_jax.geometry.masks import CLEARANCE, region_of_mask, without_specks
 
 TOLERANCES = (0.25, 0.5, 0.8, 1.5)
 
 
 def drawn(*rows):
-    """A mask, its first row the lowest, '.' where free."""
+    """Return a mask from text: its first row is the lowest, and a dot is a free pixel."""
     return np.array([list(row) for row in rows]) == "."
 
 
-def united(free):
-    row, column = np.nonzero(free)
-    return shapely.union_all(shapely.box(column, row, column + 1, row + 1))
-
-
-def random_mask(seed):
+@pytest.mark.parametrize("seed", range(9))
+def test_simplified_outlines_keep_distance_and_components(seed):
     rng = np.random.default_rng(seed)
     free = rng.random(rng.integers(1, 13, 2)) < rng.choice([0.3, 0.5, 0.7, 0.9])
     free.flat[0] = True
-    return np.kron(free, np.ones((2, 2), bool)) if seed % 3 == 0 else free
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_outlines_are_near_those_of_the_pixels_and_part_and_join_nothing(seed):
-    free = random_mask(seed)
-    (label, count), exact, pixels = scipy.ndimage.label(free), region_of_mask(free, 0), united(free)
+    free = np.kron(free, np.ones((2, 2), bool)) if seed % 3 == 0 else free
+    row, column = np.nonzero(free)
+    pixels = shapely.union_all(shapely.box(column, row, column + 1, row + 1))
+    (label, count), exact = scipy.ndimage.label(free), region_of_mask(free, 0)
     assert exact.is_valid and shapely.symmetric_difference(exact, pixels).area == 0 and len(exact.geoms) == count
     middles = shapely.points(np.argwhere(free)[:, ::-1] + 0.5)
     for tolerance in TOLERANCES:
@@ -48,14 +35,14 @@ def test_outlines_are_near_those_of_the_pixels_and_part_and_join_nothing(seed):
         holes, exact_holes = (sorted(len(part.interiors) for part in each.geoms) for each in (region, exact))
         assert holes == exact_holes and min(part.area for part in region.geoms) > CLEARANCE**2
         assert shapely.get_num_coordinates(region) <= shapely.get_num_coordinates(exact)
-        if tolerance == 0.5:  # each part is that of one component of pixels, most of whose middles it holds
+        if tolerance == 0.5:  # each part belongs to one component of pixels and contains most of their middles
             held = shapely.intersects(shapely.get_parts(region)[:, None], middles)
             for component in range(1, count + 1):
                 assert held[:, label[free] == component].any(axis=1).sum() == 1
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_no_passage_of_two_pixels_is_closed(seed):
+@pytest.mark.parametrize("seed", range(8))
+def test_passages_two_pixels_wide_stay_open(seed):
     """A square of two by two pixels slides wherever it fits: its middle stays free on the way."""
     rng = np.random.default_rng(seed)
     free = np.kron(rng.random((9, 11)) < 0.6, np.ones((2, 2), bool)) | (rng.random((18, 22)) < 0.05)
@@ -68,14 +55,14 @@ def test_no_passage_of_two_pixels_is_closed(seed):
         assert workspace.is_visible(begin, begin + np.array([dx, dy])).all()
 
 
-def test_inclined_walls_become_straight():
+def test_simplification_straightens_inclined_walls():
     y, x = np.indices((80, 100)) + 0.5
     free = np.abs(x * np.sin(0.37) - (y - 10) * np.cos(0.37)) < 9
     exact, half = (Workspace.from_mask(free, tolerance=tolerance) for tolerance in (0, 0.5))
     assert len(half.boundary.vertices) < 0.5 * len(exact.boundary.vertices)
 
 
-def test_a_rectangle_keeps_its_corners():
+def test_rectangle_keeps_its_corners():
     free = np.ones((30, 40), bool)
     free[10:20, 5:9] = False
     workspace = Workspace.from_mask(free)
@@ -83,7 +70,7 @@ def test_a_rectangle_keeps_its_corners():
     assert obstacle.equals(shapely.box(5, 10, 9, 20))
 
 
-def test_specks_are_dropped_by_their_pixels_obstacles_first():
+def test_small_obstacles_and_free_specks_are_dropped():
     free = drawn("......", ".#..#.", "..#...", "......", "######", "#.##..")
     dropped, count = without_specks(free, 2)
     np.testing.assert_array_equal(dropped, drawn("......", "......", "......", "......", "######", "######"))
@@ -92,7 +79,7 @@ def test_specks_are_dropped_by_their_pixels_obstacles_first():
     np.testing.assert_array_equal(without_specks(free, 1)[0][:4], drawn("......", ".#....", "..#...", "......"))
 
 
-def test_masks_are_placed_turned_and_read_from_the_top():
+def test_masks_are_placed_by_origin_yaw_and_first_row():
     free = drawn("..", ".#", ".#")
     np.testing.assert_array_equal(Workspace.from_mask(free, 0.5, (1, 2)).bounds.hi, [2, 3.5])
     top = Workspace.from_mask(free, 0.5, (1, 2), row0="top", tolerance=0)
@@ -102,10 +89,10 @@ def test_masks_are_placed_turned_and_read_from_the_top():
     np.testing.assert_array_equal(turned.is_free([(0.75, 2.75), (0.25, 2.75)]), [True, False])
 
 
-@pytest.mark.parametrize("origin", [(0, 0), (1e6, -1e6), (3e5, 5e6, 0.3)])
+@pytest.mark.parametrize("origin", [(0, 0), (3e5, 5e6, 0.3)])
 @pytest.mark.parametrize("resolution", [1e-90, 9e-6, 0.05, 1e90])
-def test_pixels_are_read_as_small_as_they_are_told_apart(resolution, origin):
-    """At whatever scale: a mask is refused, or its pixels are free and blocked as given."""
+def test_pixels_stay_free_or_blocked_at_any_scale(resolution, origin):
+    """A mask is refused, or its pixels are free and blocked as given."""
     free = np.kron(np.random.default_rng(0).random((6, 7)) < 0.7, np.ones((2, 2), bool))
     if resolution < 8e-12 * np.abs(origin).max():
         with pytest.raises(ValueError, match="resolution must be at least"):
@@ -120,53 +107,7 @@ def test_pixels_are_read_as_small_as_they_are_told_apart(resolution, origin):
     np.testing.assert_array_equal(workspace.is_free(x), free.ravel())
 
 
-@pytest.mark.parametrize(
-    ("resolution", "origin"), [(0.05, (-10.3, 7.7)), (0.1, (0.1, 0.2, 1.0)), (5e-5, (3e5, 5e6, 2))]
-)
-def test_vertices_rounded_one_by_one_make_the_region_that_shapely_makes(resolution, origin):
-    """With noise, thin walls and contacts, down to the smallest pixels."""
-    for seed in range(5):
-        rng = np.random.default_rng(seed)
-        free = np.kron(rng.random((15, 20)) < 0.7, np.ones((2, 2), bool)) | (rng.random((30, 40)) < 0.1)
-        for tolerance in TOLERANCES:
-            region = placed_region(free, resolution, origin, row0="bottom", tolerance=tolerance, drop_specks=0)
-            grid = 2.0 ** np.floor(np.log2(resolution / 4e3))  # as coarse as a workspace's may be
-            rounded, expected = rounded_one_by_one(region, grid), shapely.set_precision(region, grid)
-            assert rounded.is_valid and not (shapely.get_coordinates(rounded) % grid).any()
-            assert shapely.equals_exact(rounded.normalize(), expected.normalize())
-
-
-def test_contacts_are_for_squeezing():
+def test_diagonal_pixels_are_passed_only_by_squeezing():
     for squeeze in (False, True):
         oracle = VisibilityGraph(Workspace.from_mask(drawn(".#", "#."), squeeze=squeeze), (0.5, 0.5))
         assert np.isfinite(oracle(np.array([[1.5, 1.5]])))[0] == squeeze
-
-
-EYE = np.eye(3) > 0
-
-
-@pytest.mark.parametrize(
-    ("free", "options", "message"),
-    [
-        (np.ones((3, 3)), {}, r"booleans of shape \(rows, columns\), such as image > 127, got float64"),
-        (np.ones(3, bool), {}, r"got bool of shape \(3,\)"),
-        (np.ma.masked_equal(np.eye(3) > 0, True), {}, "some masked"),
-        (np.zeros((3, 4), bool), {}, "No pixel of 3 x 4 is free"),
-        (np.zeros((0, 4), bool), {}, "No pixel of 0 x 4 is free"),
-        (np.indices((700, 700)).sum(axis=0) % 2 == 0, {}, "at most 262,144 corners"),
-        (EYE, {"drop_specks": 9}, "No pixel"),
-        (EYE, {"drop_specks": 0.5}, "drop_specks must be an integer"),
-        (EYE, {"resolution": 0}, "resolution must be a positive"),
-        (EYE, {"resolution": 1e-300}, "longer side must be at least 1e-100, .* choose a smaller unit"),
-        (EYE, {"resolution": 1e307}, r"up to 1e\+100, got pixels of side 1e\+307 .* choose a larger unit"),
-        (EYE, {"origin": (1e300, 0)}, "as far out as .* choose a larger unit"),
-        (EYE, {"resolution": 1e-9, "origin": (1e6, 1e6)}, "at least 8e-06 at .*, got 1e-09: choose an or"),
-        (EYE, {"tolerance": -1}, "tolerance must be"),
-        (EYE, {"origin": (0, np.nan)}, r"origin must be finite numbers \(x, y\) or \(x, y, yaw\)"),
-        (EYE, {"origin": 3}, "origin must be"),
-        (EYE, {"row0": "up"}, "row0 must be 'bottom' or 'top', got 'up'"),
-    ],
-)
-def test_what_is_no_mask_and_bad_options_are_refused(free, options, message, unchecked_types):
-    with pytest.raises(ValueError, match=message):
-        Workspace.from_mask(free, **options)

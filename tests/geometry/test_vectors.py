@@ -1,18 +1,46 @@
+import math
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plr_jax.geometry.vectors import orientation
+from plr_jax.geometry.vectors import arc, distance_to_segment, orientation, pseudo_angle, turn_between
 
 
 @given(st.integers(0, 100_000))
-def test_orientations_of_all_but_parallel_vectors_have_the_sign_of_integers(seed):
+def test_orientation_signs_equal_those_of_integers(seed):
+    """Nearly parallel vectors, whose rounded cross product may have the wrong sign."""
     rng = np.random.default_rng(seed)
     u = rng.integers(-(2**40), 2**40, (200, 2))
-    v = np.rint(u * rng.choice([-1, 0.5, 1, 1.0 - 2.0**-30], (200, 1))).astype(np.int64) + rng.integers(
-        -1, 2, (200, 2)
-    )
+    v = np.rint(u * rng.choice([-1, 0.5, 1, 1.0 - 2.0**-30], (200, 1))).astype(np.int64)
+    v += rng.integers(-1, 2, (200, 2))
     right = [a * d - b * c for (a, b), (c, d) in zip(u.tolist(), v.tolist(), strict=True)]
     unit = 2.0 ** rng.integers(-60, 60)
     found = orientation(*(unit * u.T), *(unit * v.T))
     np.testing.assert_array_equal(np.sign(found), np.sign(np.array(right, float)))
+
+
+def test_pseudo_angles_of_the_axes():
+    dx, dy = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1], [0, 0]]).T
+    np.testing.assert_array_equal(pseudo_angle(dx, dy), [0, 1, 2, 3, 0])
+
+
+def test_arc_points_lie_on_the_circle():
+    center, start, end = np.array([1.0, 2.0]), np.array([0.5, 0.0]), np.array([0.0, -0.5])
+    points = arc(center, start, end, 12)
+    assert len(points) == 1 + 12
+    np.testing.assert_array_equal(points[[0, -1]], [center + start, center + end])
+    np.testing.assert_allclose(np.linalg.norm(points - center, axis=1), 0.5)
+    chord = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    np.testing.assert_allclose(chord, 2 * 0.5 * math.sin(math.pi / 16))
+
+
+def test_turns_are_measured_counterclockwise():
+    east, north = np.array([2.0, 0.0]), np.array([0.0, 3.0])
+    turns = turn_between(np.array([east, north, east, east]), np.array([north, east, -north, east]))
+    np.testing.assert_allclose(turns, [math.pi / 2, 3 * math.pi / 2, 3 * math.pi / 2, 0])
+
+
+def test_distances_from_the_origin_to_segments():
+    segments = np.array([[1.0, 3, 2, -6], [0, 2, 2, -2], [3, 4, 1, 1], [-5, 0, 2, 0], [3, 4, 0, 0]])
+    np.testing.assert_allclose(distance_to_segment(*segments.T), [6 / math.sqrt(10), math.sqrt(2), 5, 3, 5])

@@ -4,112 +4,71 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
-from hypothesis import strategies as st
-from piece_helpers import TEN, box, general_workspace
+from piece_helpers import SEEDS, TEN, box, general_workspace
 
-from plr_jax.geometry import boundary as boundaries
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.workspace import Workspace
 
 BLOCK = Workspace(TEN, [box(3, 3, 7, 6)])
 # Two blocks that touch in (5, 5), and one that touches the lower bound with its tip.
 DIAGONAL = [box(3, 3, 5, 5), box(5, 5, 7, 7), np.array([[2.0, 0], [1, 1], [3, 1]])]
-SEEDS = st.integers(0, 10_000)
 
 
-def random_workspace(seed):
-    return general_workspace(np.random.default_rng(seed))
-
-
-def check_visible(workspace, cases, rotation=((1, 0), (0, 1))):
-    """Fails unless segments, in either direction, are as visible as given by their ends."""
-    a, b = np.array(list(cases), float).transpose(1, 0, 2) @ np.transpose(rotation)
+def check_visible(workspace, seen, hidden, rotation=((1, 0), (0, 1))):
+    """Check which segments, given by their ends, are visible, in either direction."""
+    a, b = np.array([*seen, *hidden], float).transpose(1, 0, 2) @ np.transpose(rotation)
     for ends in ((a, b), (b, a)):
-        np.testing.assert_array_equal(workspace.is_visible(*ends), list(cases.values()))
+        np.testing.assert_array_equal(workspace.is_visible(*ends), np.arange(len(a)) < len(seen))
 
 
 def test_free_space_is_closed():
-    x = [[0, 0], [10, 10], [3, 3], [5, 3], [3, 4], [5, 5], [3 + 1e-10, 4], [3 + 1e-6, 4], [10.001, 5], [np.nan, 1]]
+    x = [[0, 0], [10, 10], [3, 3], [5, 3], [3, 4], [5, 5], [3 + 1e-10, 4], [3 + 1e-6, 4], [10.001, 5], [np.inf, 1]]
     expected = [True, True, True, True, True, False, True, False, False, False]
     np.testing.assert_array_equal(BLOCK.is_free(np.array(x)), expected)
-    assert not BLOCK.is_free(np.array([[np.inf, 1.0]]))[0]
     np.testing.assert_allclose(BLOCK.clearance([[3, 4], [0, 5], [np.nan, 0]]), [0, 0, np.nan], atol=1e-12)
 
 
-def test_segments_slide_along_walls_and_through_corners():
-    cases = {
-        ((0, 3), (10, 3)): True,  # along a side and beyond
-        ((3, 0), (3, 10)): True,
-        ((2, 4), (4, 2)): True,  # grazes the corner (3, 3)
-        ((2, 4.01), (4.01, 2)): False,
-        ((2, 4), (4.5, 2)): False,
-        ((3, 3), (7, 6)): False,  # a diagonal of the obstacle, touching it only in corners
-        ((3, 4), (7, 4)): False,  # from side to side
-        ((3, 4), (3, 4)): True,
-        ((5, 4), (5, 4)): False,
-        ((1, 1), (11, 1)): False,  # out of the bounds
-        ((0, 0), (10, 0)): True,
-        ((1, 1), (np.nan, 1)): False,
-    }
-    check_visible(BLOCK, cases)
+def test_segments_may_touch_walls_and_corners():
+    along_sides = [((0, 3), (10, 3)), ((3, 0), (3, 10)), ((0, 0), (10, 0)), ((3, 4), (3, 4))]
+    grazing_a_corner = [((2, 4), (4, 2))]
+    through = [((2, 4.01), (4.01, 2)), ((2, 4), (4.5, 2)), ((3, 3), (7, 6)), ((3, 4), (7, 4)), ((5, 4), (5, 4))]
+    leaving_the_bounds = [((1, 1), (11, 1)), ((1, 1), (np.nan, 1))]
+    check_visible(BLOCK, along_sides + grazing_a_corner, through + leaving_the_bounds)
 
 
 @pytest.mark.parametrize("squeeze", [False, True])
-def test_a_point_contact_is_passed_only_by_squeezing(squeeze):
+def test_point_contact_is_passed_only_by_squeezing(squeeze):
     workspace = Workspace(TEN, DIAGONAL, squeeze=squeeze)
-    through = {
-        ((4, 6), (6, 4)): squeeze,
-        ((4, 5), (6, 5)): squeeze,  # along the top of one block, then the bottom of the other
-        ((1, 0), (3, 0)): squeeze,  # along the bound, under the tip
-        ((4, 6), (5, 5)): True,  # the contact itself is reached from both sides
-        ((6, 4), (5, 5)): True,
-        ((4, 5), (5, 5)): True,
-        ((3, 5), (5, 7)): True,  # past the contact without touching it
-        ((5, 3), (5, 5)): True,
-        ((5, 3), (5, 6)): squeeze,  # up the side of one block, then of the other
-        ((4, 6), (6.1, 4)): False,
-    }
-    check_visible(workspace, through)
+    seen = [((4, 6), (5, 5)), ((6, 4), (5, 5)), ((4, 5), (5, 5)), ((5, 3), (5, 5)), ((3, 5), (5, 7))]
+    # Between the blocks, along the walls of both of them, and along the bound under the tip.
+    through = [((4, 6), (6, 4)), ((4, 5), (6, 5)), ((5, 3), (5, 6)), ((1, 0), (3, 0))]
+    hidden = [((4, 6), (6.1, 4))]
+    check_visible(workspace, *((seen + through, hidden) if squeeze else (seen, through + hidden)))
     assert workspace.is_free(np.array([[5.0, 5.0], [2.0, 0.0]])).all()
 
 
-@pytest.mark.parametrize("width", [3e-10, 1e-9, 1e-8, 1e-6])
-@pytest.mark.parametrize("turn", [0.0, 0.3])
+@pytest.mark.parametrize(("width", "turn"), [(3e-10, 0), (3e-10, 0.3), (1e-9, 0.3), (1e-8, 0), (1e-6, 0.3)])
 def test_walls_thinner_than_the_tolerance_are_not_crossed(width, turn):
-    # A wall, one that hangs from a block, bent ones of two pieces, and a needle.
-    walls = [
-        box(4, 2, 4 + width, 8),
-        box(6, 5, 6 + width, 8),
-        box(5.5, 8, 6.5, 9),
-        np.array([[2, 2], [2.5, 5], [2, 8], [2 + width, 8], [2.5 + width, 5], [2 + width, 2]]),
-        np.array([[8, 1], [8 + 1e3 * width, 1], [8, 7.5]]),
-    ]
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    workspace = Workspace(((-5, -5), (15, 15)), [wall @ rotation.T for wall in walls])
-    cases = {
-        ((3, 3), (5, 3)): False,
-        ((1, 5), (3, 5)): False,  # where the bent one bends
-        ((1, 4), (3, 4)): False,
-        ((5.5, 6), (6.5, 6.5)): False,
-        ((7, 4), (9, 4)): False,
-        ((3, 2), (5, 2)): True,  # past the end
-        ((4 + width, 3), (5, 3)): True,  # from the wall itself
-        ((4, 1), (4, 9)): True,  # along it
-        ((3.999, 3), (3.999, 7)): True,
-        ((2.5 + width, 5), (3, 2)): True,
-    }
-    check_visible(workspace, cases, rotation)
+    hanging = [box(6, 5, 6 + width, 8), box(5.5, 8, 6.5, 9)]
+    bent = np.array([[2, 2], [2.5, 5], [2, 8], [2 + width, 8], [2.5 + width, 5], [2 + width, 2]])
+    needle = np.array([[8, 1], [8 + 1e3 * width, 1], [8, 7.5]])
+    walls = [wall @ rotation.T for wall in (box(4, 2, 4 + width, 8), *hanging, bent, needle)]
+    hidden = [((3, 3), (5, 3)), ((1, 5), (3, 5)), ((1, 4), (3, 4)), ((5.5, 6), (6.5, 6.5)), ((7, 4), (9, 4))]
+    # Past the end of a wall, along it, and from the wall itself.
+    seen = [((3, 2), (5, 2)), ((4, 1), (4, 9)), ((3.999, 3), (3.999, 7))]
+    seen += [((4 + width, 3), (5, 3)), ((2.5 + width, 5), (3, 2))]
+    check_visible(Workspace(((-5, -5), (15, 15)), walls), seen, hidden, rotation)
 
 
-def test_touching_a_contact_within_one_sector_is_no_squeeze():
+def test_touching_a_contact_from_one_side_is_free():
     # The tip (5, 5) of a wedge touches a block's side; both are seen along the other side of the block.
     workspace = Workspace(TEN, [box(5, 4, 6, 8), np.array([[5.0, 5], [2, 6], [2, 5.5]])])
-    check_visible(workspace, {((5, 3), (5, 5)): True, ((5, 3), (5, 6)): False, ((5, 3), (5, 4)): True})
+    check_visible(workspace, [((5, 3), (5, 5)), ((5, 3), (5, 4))], [((5, 3), (5, 6))])
     # Over the touching tips of two wedges, along the upper side of one of them or of both.
     for left, right in ((5, 5), (4.9, 5), (5, 4.9)):
         wedges = [np.array([[5.0, 5], [2, left], [2, 3]]), np.array([[5.0, 5], [8, 3], [8, right]])]
-        check_visible(Workspace(TEN, wedges), {((3, 5), (7, 5)): True, ((5, 6), (5, 3)): False})
+        check_visible(Workspace(TEN, wedges), [((3, 5), (7, 5))], [((5, 6), (5, 3))])
 
 
 def test_obstacles_may_overlap_touch_and_leave_the_bounds():
@@ -123,7 +82,7 @@ def test_obstacles_may_overlap_touch_and_leave_the_bounds():
     assert len(workspace.boundary.vertices) == 4 + 2 + 2 + 4
 
 
-def test_from_polygons_takes_shapely_polygons_and_bounds_that_cut_them_or_are_wider():
+def test_from_polygons_intersects_components_with_bounds():
     ring, far = shapely.Polygon(box(0, 0, 4, 4), [box(1, 1, 2, 2)]), shapely.box(6, 0, 8, 4)
     holes = box(4.5, 3, 5, 3.5), box(4.75, 3.25, 5.5, 4.5)  # which overlap, and leave the outer ring
     parts = [shapely.MultiPolygon([ring, far]), {"outer": box(4, 3, 6, 4), "holes": holes}]
@@ -138,21 +97,19 @@ def test_from_polygons_takes_shapely_polygons_and_bounds_that_cut_them_or_are_wi
         assert shapely.union_all(workspace.obstacles).equals(region - whole)
 
 
-def test_from_polygons_takes_one_geometry_and_collections_and_drops_altitudes():
+def test_from_polygons_reads_collections_and_drops_altitudes():
     room = shapely.Polygon([(0, 0, 5), (4, 0, 5), (4, 3, 5), (0, 3, 5)], [[(1, 1, 5), (2, 1, 5), (2, 2, 5)]])
-    hallway = shapely.box(4, 1, 6, 2)
-    area = 12 - 0.5 + 2
-    for parts in (shapely.MultiPolygon([room, hallway]), shapely.GeometryCollection([room, hallway])):
-        nested = shapely.GeometryCollection([parts])
-        for components in (parts, [parts], nested, [nested, shapely.Polygon()]):
-            workspace = Workspace.from_polygons(components)
-            assert workspace.free_space.area == area and not workspace.free_space.has_z
-            assert workspace.bounds == Box((0, 0), (6, 3))
+    rooms = shapely.GeometryCollection([room, shapely.box(4, 1, 6, 2)])
+    nested = shapely.GeometryCollection([rooms])
+    for components in (shapely.MultiPolygon(list(rooms.geoms)), rooms, [rooms], nested, [nested, shapely.Polygon()]):
+        workspace = Workspace.from_polygons(components)
+        assert workspace.free_space.area == 12 - 0.5 + 2 and not workspace.free_space.has_z
+        assert workspace.bounds == Box((0, 0), (6, 3))
     assert Workspace.from_polygons(room).free_space.area == 11.5
 
 
-def test_free_polygons_that_differ_by_rounding_are_joined():
-    """With vertices beside one another, and with one along a side alone."""
+def test_components_apart_by_rounding_are_joined():
+    """The components touch at vertices, or along a part of a side."""
     for y0, y1 in ((0, 1), (-1, 2)):
         right = shapely.box(1 + 1e-13, y0, 2, y1)
         workspace = Workspace.from_polygons([shapely.box(0, 0, 1, 1), right])
@@ -160,8 +117,8 @@ def test_free_polygons_that_differ_by_rounding_are_joined():
         assert isinstance(workspace.free_space, shapely.Polygon)
 
 
-def test_what_rounding_closes_is_no_obstacle():
-    """A sliver between free polygons, too thin to be an obstacle of another workspace, which files make of it."""
+def test_gap_closed_by_rounding_is_no_obstacle():
+    """A gap between components that is too thin to be stored as an obstacle."""
     parts = [shapely.box(0, 0, 1, 1), shapely.box(1 + 1e-13, -1, 2, 2)]
     parts += [shapely.box(0, y, 1.5, y + 1) for y in (-1, 1)]
     workspace = Workspace.from_polygons([*parts, shapely.box(3, -1, 4, 2)])
@@ -170,10 +127,9 @@ def test_what_rounding_closes_is_no_obstacle():
     assert Workspace(workspace.bounds, workspace.obstacles).free_space.equals(workspace.free_space)
 
 
-@pytest.mark.full
-@given(SEEDS, st.floats(0.05, 1.2))
-def test_inflated_free_space_lies_between_the_true_one_and_its_chords(seed, radius):
-    workspace = random_workspace(seed)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_inflated_free_space_is_bounded_by_clearance(seed):
+    radius, workspace = 0.05 + 0.2 * (seed % 6), general_workspace(np.random.default_rng(seed))
     inflated = workspace.inflate(radius)
     assert inflated.bounds == Box((radius, radius), 10 - np.array([radius, radius]))
     y = workspace.sample_free(300, seed)
@@ -182,23 +138,14 @@ def test_inflated_free_space_lies_between_the_true_one_and_its_chords(seed, radi
     assert not free[clearance < radius * math.cos(math.pi / 32) - 1e-9].any()
 
 
-def test_inflating_keeps_the_choice_of_squeezing():
+def test_inflate_keeps_squeeze():
     assert Workspace(TEN, DIAGONAL, squeeze=True).inflate(0.1).squeeze
     assert BLOCK.inflate(0.0) is BLOCK
 
 
-def test_obstacles_are_grown_in_parts(monkeypatch):
-    whole = [random_workspace(seed).inflate(0.3).free_space for seed in range(5)]
-    monkeypatch.setattr(boundaries, "_COLLARS", 3)
-    monkeypatch.setattr(boundaries, "_REGIONS", 2)
-    for seed, free in enumerate(whole):
-        in_parts = random_workspace(seed).inflate(0.3).free_space
-        assert in_parts.symmetric_difference(free).area < 1e-9
-
-
-@given(SEEDS)
-def test_queries_agree_with_shapely_on_the_plain_difference(seed):
-    workspace = random_workspace(seed)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_queries_equal_shapely_on_plain_difference(seed):
+    workspace = general_workspace(np.random.default_rng(seed))
     free = shapely.box(0, 0, 10, 10) - shapely.union_all([shapely.Polygon(o) for o in workspace.obstacles])
     rng = np.random.default_rng(seed)
     a, b = rng.uniform(-0.5, 10.5, (2, 100, 2))
@@ -209,7 +156,7 @@ def test_queries_agree_with_shapely_on_the_plain_difference(seed):
     np.testing.assert_allclose(workspace.clearance(a), np.where(workspace.is_free(a), distance, -distance), atol=1e-9)
 
 
-def test_samples_are_free_uniform_and_repeatable():
+def test_samples_are_free_uniform_and_reproducible():
     x = BLOCK.sample_free(40_000, seed=3)
     assert BLOCK.is_free(x).all()
     np.testing.assert_array_equal(x, BLOCK.sample_free(40_000, seed=3))
@@ -220,67 +167,24 @@ def test_samples_are_free_uniform_and_repeatable():
     assert BLOCK.sample_free(0, 0).shape == (0, 2)
 
 
-def test_a_sliver_of_free_space_is_sampled_at_once():
-    sliver = Workspace(TEN, [box(0, 0, 10, 10 - 1e-7)])
-    x = sliver.sample_free(1000, seed=0)
-    assert sliver.is_free(x).all()
-    assert x[:, 1].min() >= 10 - 1.1e-7
-    assert np.ptp(x[:, 0]) > 9.9
+def test_thin_free_space_is_sampled():
+    thin = Workspace(TEN, [box(0, 0, 10, 10 - 1e-7)])
+    x = thin.sample_free(1000, seed=0)
+    assert thin.is_free(x).all() and x[:, 1].min() >= 10 - 1.1e-7 and np.ptp(x[:, 0]) > 9.9
 
 
-@pytest.mark.parametrize(
-    ("build", "message"),
-    [
-        (lambda: Workspace(TEN, [box(8, 8, 9, 9), "ring"]), "Obstacle 1 must be numbers"),
-        (lambda: Workspace(((0, 0), (1, 1e155))), "coordinates up to 1e"),
-        (
-            lambda: Workspace(((0, 0), (1e-160, 1e-160))),
-            "longer side must be at least 1e-100, .* choose a smaller unit",
-        ),
-        (lambda: Workspace(((1e12, 0), (1e12 + 1, 1))), "10 times its tolerance, 1, .* the origin"),
-        (lambda: Workspace(((0, 0, 0), (1, 1, 1))), "2 dimensions"),
-        (lambda: Workspace(((0, 0), (0, 1))), "positive width"),
-        (lambda: Workspace(TEN, [box(-1, -1, 11, 11)]), "no free space"),
-        (lambda: Workspace.from_polygons([]), "at least one component"),
-        (lambda: Workspace.from_polygons([box(0, 0, 1, 1)]), "Component 0 must be a mapping.*or a Shapely polygon"),
-        (lambda: Workspace.from_polygons([shapely.Point(0, 0)]), "Component 0 must be a polygon, got a Point"),
-        (lambda: Workspace.from_polygons([shapely.box(0, 0, 1, 1)], 3.0), "Bounds must be a Box"),
-        (lambda: Workspace.from_polygons([shapely.box(11, 0, 12, 1)], TEN), "no free space"),
-        *(
-            (lambda holes=holes: Workspace.from_polygons([{"outer": box(0, 0, 1, 1), "holes": holes}]), message)
-            for holes, message in (
-                ([box(0, 0, 0, 1)], "Hole 0 of component 0 has 2 distinct"),
-                (None, "Component 0 must be a mapping with an 'outer' ring and a list of 'holes'"),
-                *((bad, "list of 'holes'") for bad in ("", {}, 3)),
-            )
-        ),
-        (lambda: BLOCK.sample_free(-1, 0), "n must be an integer >= 0, got -1"),
-        (lambda: BLOCK.inflate(-1.0), "at least 0"),
-        (lambda: BLOCK.inflate(5.0), "leaves no free space"),
-        (lambda: Workspace(TEN, [box(1, 1, 9, 9)]).inflate(0.6), "leaves no free space"),
-        (lambda: BLOCK.is_free(np.zeros(2)), r"\(n, 2\).*x\[None\]"),
-        (lambda: BLOCK.clearance(np.zeros((4, 3))), r"\(n, 2\), got \(4, 3\)"),
-        (lambda: BLOCK.is_visible(np.zeros((2, 2)), np.zeros((3, 2))), "as many starts as ends"),
-        (lambda: BLOCK.is_visible([(1, 1)], [(2, 2)], -1), "tolerance must be a finite number of at least 0, got -1"),
-    ],
-)
-def test_bad_input_is_refused(build, message):
-    with pytest.raises(ValueError, match=message):
-        build()
-
-
-def test_visibility_to_a_tolerance():
+def test_visibility_tolerance_ignores_shallow_crossings():
     workspace = Workspace(((0, 0), (1, 1)), [[(0.4, 0), (0.6, 0), (0.6, 0.5), (0.4, 0.5)]])
     a, b = np.array([[0.1, 0.5 - 1e-6]]), np.array([[0.9, 0.5 - 1e-6]])
     for tolerance, visible in ((None, False), (0, False), (5e-7, False), (2e-6, True)):
         assert workspace.is_visible(a, b, tolerance).tolist() == [visible]
 
 
-def test_threads_may_ask_at_a_time():
-    workspace = Workspace(TEN, [box(x, y, x + 0.5, y + 0.5) for x in range(9) for y in range(9)])
-    a, b = workspace.sample_free(1000, 0), workspace.sample_free(1000, 1)
+def test_queries_from_threads_equal_serial_queries():
+    workspace = Workspace(TEN, [box(x, y, x + 0.5, y + 0.5) for x in range(4) for y in range(4)])
+    a, b = workspace.sample_free(300, 0), workspace.sample_free(300, 1)
     with ThreadPoolExecutor(4) as threads:
-        answers = list(threads.map(lambda _: (workspace.is_visible(a, b), workspace.clearance(a)), range(24)))
+        answers = list(threads.map(lambda _: (workspace.is_visible(a, b), workspace.clearance(a)), range(12)))
     for visible, clearance in answers:
         np.testing.assert_array_equal(visible, workspace.is_visible(a, b))
         np.testing.assert_array_equal(clearance, workspace.clearance(a))

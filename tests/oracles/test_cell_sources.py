@@ -1,36 +1,27 @@
-"""What oracles say of cells, for one goal and many: pieces are the free parts, sources bound the distance there."""
+"""Cells of oracles, for one goal and several: pieces are the free parts, sources bound the distance there."""
 
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given
-from hypothesis import strategies as st
 from oracle_helpers import MIDDLE
-from piece_helpers import TEN, WORKSPACES, box, points_of, polygons
+from piece_helpers import SEEDS, TEN, box, points_of, polygons, random_workspace
 
 from plr_jax import Box, NearestGoal, VisibilityGraph, Workspace
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.plr.tree import Cells
 
-SEEDS = st.integers(0, 100_000)
 # The workspaces go from 0 to 10 along both axes.
 DOMAINS = (Box(*TEN), Box((-3, -1), (12, 14)), Box((2.3, 1.9), (7.1, 6)), Box((5, 5), (5.5, 7.5)))
 
 
-def random_oracle(kind, seed, squeeze=False, on_corner=False):
-    """An oracle of a random workspace, whose goal is anywhere or at a corner."""
-    rng = np.random.default_rng(seed)
-    workspace = kind(rng, squeeze)
-    goal = workspace.sample_free(1, seed)[0]
-    if on_corner:
-        goal = rng.permutation(workspace.boundary.vertices)[0]
-    return VisibilityGraph(workspace, goal), rng
+def random_oracle(seed):
+    workspace = random_workspace(seed)
+    return VisibilityGraph(workspace, workspace.sample_free(1, seed)[0]), np.random.default_rng(seed)
 
 
-def halved(cells, domain, rng, share=0.8):
-    """Cells, and their boxes, after a random share of them was halved, a few times; the order is random too."""
-    lo, hi = domain.lo[None], domain.hi[None]
-    for _ in range(int(rng.integers(1, 7))):
+def halved(cells, lo, hi, rng, times=1, share=0.8):
+    """Halve a random share of cells, several times; return cells and boxes in random order."""
+    for _ in range(times):
         split, alone = np.split(rng.permutation(len(lo)), [int(np.ceil(share * len(lo)))])
         parent, upper = rng.permutation([(each, side) for each in split for side in (0, 1)]).T
         axis, row = rng.integers(2, size=len(lo))[parent], np.arange(len(parent))
@@ -44,18 +35,11 @@ def halved(cells, domain, rng, share=0.8):
 
 
 def least_cones(found, piece, x):
-    """Least cone, over the sources of a piece and over those that all of it sees, at some points."""
+    """Return the least cones at points: over all sources of a piece, and over those that all of it sees."""
     pairs = np.arange(found.first_pair[piece], found.first_pair[piece + 1])
     source = found.source[pairs]
     cone = found.sources.distances[source, None] + np.linalg.norm(x - found.sources.points[source, None], axis=2)
     return cone.min(axis=0), np.where(found.by_all[pairs, None], cone, np.inf).min(axis=0)
-
-
-def reached_region(oracle, workspace):
-    """The parts of free space from which the goal can be reached."""
-    parts = shapely.get_parts(workspace.free_space)
-    inside = np.array([part.representative_point().coords[0] for part in parts])
-    return shapely.union_all(parts[np.isfinite(oracle(inside))])
 
 
 def check_in_order(cells):
@@ -68,32 +52,31 @@ def check_in_order(cells):
     assert set(zip(range(len(cells.cell)), cells.best.tolist(), strict=True)) <= set(pair)
 
 
-def check_bounds(oracle, cells, rng, slack, offset=0.0):
-    """The distance of random points of each piece is between its bounds; that of centers is known.
-
-    Bounds and the distances of centers count from ``offset``, one of each piece.
-    """
-    offset = np.broadcast_to(offset, len(cells.cell))
-    few = rng.permutation(len(cells.cell))[:60]
+def check_bounds(oracle, cells, rng):
+    """Check that distances at random points of each piece lie between its bounds, and those at centers."""
+    slack, few = cells.slack, rng.permutation(len(cells.cell))[:30]
     x = points_of(rng, cells.pieces[:, few], 10)
-    exact = oracle(x.reshape(-1, 2)).reshape(-1, 10) - offset[few, None]
+    exact = oracle(x.reshape(-1, 2)).reshape(-1, 10)
     bounds = [least_cones(cells, piece, at) for piece, at in zip(few, x, strict=True)]
     lower, upper = np.array(bounds).reshape(-1, 2, 10).swapaxes(0, 1)
-    # Beside a tip the oracle sees past it, within the tolerance; a contact it reaches from the nearest side.
+    # Beside a tip, the oracle sees past the tip within the tolerance; a contact is reached from the nearest side.
     vertices = cells.sight.shadows.table.boundary.vertices
     clear = (np.linalg.norm(x[:, :, None] - vertices, axis=3) > 1e-5).all(axis=2)
     assert np.isfinite(exact).all()
     assert (exact >= lower - slack)[clear].all()
     assert (exact <= upper + slack).all()
-    np.testing.assert_allclose(cells.distance, oracle(cells.center) - offset, atol=slack)
+    np.testing.assert_allclose(cells.distance, oracle(cells.center), atol=slack)
     at_centers = [least_cones(cells, piece, cells.center[[piece]]) for piece in range(len(cells.cell))]
     lower, upper = np.array(at_centers).reshape(-1, 2).T
     assert (lower <= cells.distance + 1e-12).all() and (upper >= cells.distance - 1e-12).all()
 
 
 def check_area(oracle, workspace, cells, lo, hi):
-    """The pieces of each cell are all of it from which the goal can be reached, and do not overlap."""
-    exact = shapely.area(shapely.intersection(reached_region(oracle, workspace), shapely.box(*lo.T, *hi.T)))
+    """Check that the pieces of each cell cover its part that reaches the goal, without overlap."""
+    parts = shapely.get_parts(workspace.free_space)
+    inside = np.array([part.representative_point().coords[0] for part in parts])
+    reached_region = shapely.union_all(parts[np.isfinite(oracle(inside))])
+    exact = shapely.area(shapely.intersection(reached_region, shapely.box(*lo.T, *hi.T)))
     shapes = np.array(polygons(cells.pieces))
     np.testing.assert_allclose(np.bincount(cells.cell, shapely.area(shapes), cells.num_cells), exact, atol=1e-8)
     one, other = np.triu_indices(len(shapes), 1)
@@ -104,89 +87,73 @@ def check_area(oracle, workspace, cells, lo, hi):
     assert (cells.pieces <= hi[cells.cell].T[:, :, None] + 1e-9).all()
 
 
-@pytest.mark.parametrize("kind", WORKSPACES)
-@given(SEEDS, st.booleans(), st.booleans(), st.sampled_from(DOMAINS))
-def test_sources_of_pieces_bound_the_distance(kind, seed, squeeze, on_corner, domain):
-    oracle, rng = random_oracle(kind, seed, squeeze, on_corner)
-    root = oracle.cell_sources(domain)
-    for cells, lo, hi in ((root, domain.lo[None], domain.hi[None]), halved(root, domain, rng)):
+@pytest.mark.parametrize("num_others", range(4))
+@pytest.mark.parametrize("seed", SEEDS[::2])
+def test_sources_of_pieces_bound_the_distance(seed, num_others):
+    """The goal is a corner, or goals are anywhere, at a corner, and one of them twice."""
+    oracle, rng = random_oracle(seed)
+    workspace, domain = oracle.workspace, DOMAINS[(seed + num_others) % 4]
+    if num_others == 0:
+        oracle = oracle.with_goal(rng.permutation(workspace.boundary.vertices)[0])
+    else:
+        goals = [rng.permutation(workspace.boundary.vertices)[0], oracle.goal, workspace.sample_free(1, seed + 1)[0]]
+        oracle = NearestGoal([oracle, *(VisibilityGraph(workspace, goal) for goal in goals[:num_others])])
+    root = oracle.cell_sources(domain), domain.lo[None], domain.hi[None]
+    for cells, lo, hi in (root, halved(*root, rng, rng.integers(1, 6))):
         assert cells.num_cells == len(lo)
         check_in_order(cells)
-        check_area(oracle, oracle.workspace, cells, lo, hi)
-        check_bounds(oracle, cells, rng, cells.slack)
+        check_area(oracle, workspace, cells, lo, hi)
+        check_bounds(oracle, cells, rng)
     rows = rng.permutation(len(cells.cell))[:9]
     alone = cells.pieces_as_cells(rows)
     check_in_order(alone)
     np.testing.assert_array_equal(alone.pieces, cells.pieces[:, rows])
-    check_bounds(oracle, alone, rng, alone.slack)
+    check_bounds(oracle, alone, rng)
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("kind", WORKSPACES)
-@given(SEEDS, st.booleans())
-def test_sources_of_pieces_bound_the_distance_to_the_nearest_goal(kind, seed, squeeze):
-    """Goals are anywhere, at a corner, and one of them twice; oracles need not be made of one another."""
-    oracle, rng = random_oracle(kind, seed, squeeze)
-    workspace, domain = oracle.workspace, DOMAINS[0]
-    goals = [*workspace.sample_free(2, seed + 1), rng.permutation(workspace.boundary.vertices)[0], oracle.goal]
-    oracle = NearestGoal([oracle, *(VisibilityGraph(workspace, goal) for goal in goals)])
-    root = oracle.cell_sources(domain)
-    for cells, lo, hi in ((root, domain.lo[None], domain.hi[None]), halved(root, domain, rng)):
-        check_in_order(cells)
-        check_area(oracle, workspace, cells, lo, hi)
-        check_bounds(oracle, cells, rng, cells.slack)
-
-
-def test_a_wall_and_four_quarters_by_hand():
-    """Goal (1, 5) before a wall; (4, 2) and (4, 8) are the turns behind which one goes on at (6, 2) and (6, 8)."""
+def test_sources_of_cells_around_a_wall():
+    """The goal (1, 5) is in front of a wall, behind which paths turn at (6, 2) and (6, 8)."""
     oracle = VisibilityGraph(MIDDLE, (1, 5))
 
     def named(cells):
         return np.unique(cells.sources.points[cells.source], axis=0).tolist()
 
-    lo, hi = np.array([[0.0, 0], [2, 0]]), np.array([[2.0, 10], [4, 10]])
-    halves = oracle.cell_sources(Box((0, 0), (4, 10))).parts(
-        np.zeros(2, int), np.zeros(2, int), np.array([False, True]), lo, hi
-    )
+    lo, hi, zero = np.array([[0.0, 0], [2, 0]]), np.array([[2.0, 10], [4, 10]]), np.zeros(2, int)
+    halves = oracle.cell_sources(Box((0, 0), (4, 10))).parts(zero, zero, np.array([False, True]), lo, hi)
     assert named(halves) == [[1, 5]] and halves.by_all.all()  # all of both see the goal
     behind = oracle.cell_sources(Box((8, 4.5), (9, 4.75)))
     assert named(behind) == [[6, 2]] and behind.by_all.all()
     assert named(oracle.cell_sources(Box((8, 4.5), (9, 5.5)))) == [[6, 2], [6, 8]]
 
 
-def test_outlines_whose_slanted_edges_end_on_the_bounds_are_whole():
-    """What ``shapely.clip_by_rect`` makes of them is larger than they are."""
+def test_pieces_cover_outlines_with_slanted_edges():
+    """``shapely.clip_by_rect`` returns larger polygons."""
     workspace = Workspace.from_mask(np.array([[1, 1, 1, 1], [0, 1, 0, 0], [1, 1, 1, 1]], bool))
     found = VisibilityGraph(workspace, (0.5, 0.5)).cell_sources(workspace.bounds)
     assert areas(found.pieces).sum() == pytest.approx(workspace.free_space.area)
 
 
-def test_nothing_is_said_of_what_does_not_reach_the_goal():
+def test_cells_that_do_not_reach_the_goal_are_empty():
     oracle = VisibilityGraph(Workspace(TEN, [box(4, 0, 6, 10)]), (1, 5))
-    beyond, inside, outside = (
-        oracle.cell_sources(Box(*box)) for box in (((7, 1), (9, 9)), ((4.5, 1), (5.5, 9)), ((20, 20), (30, 30)))
-    )
-    for cells in (beyond, inside, outside):
+    for corners in (((4.5, 1), (5.5, 9)), ((20, 20), (30, 30)), ((7, 1), (9, 9))):
+        cells = oracle.cell_sources(Box(*corners))
         assert (cells.num_cells, len(cells.cell), len(cells.source)) == (1, 0, 0)
-    lo, hi = np.array([[7.0, 1], [8, 1]]), np.array([[8.0, 9], [9, 9]])
-    parts = beyond.parts(np.zeros(2, int), np.zeros(2, int), np.array([False, True]), lo, hi)
+    parts, *_ = halved(cells, np.array([[7.0, 1]]), np.array([[9.0, 9]]), np.random.default_rng(0))
     assert (parts.num_cells, len(parts.cell)) == (2, 0)
-    both = beyond.append(oracle.cell_sources(DOMAINS[0]), parts)
+    both = cells.append(oracle.cell_sources(DOMAINS[0]), parts)
     assert both.num_cells == 4 and set(both.cell.tolist()) == {1}
 
 
-@given(SEEDS)
-def test_pieces_hold_points_and_sources_see_them(seed):
-    oracle, rng = random_oracle(WORKSPACES[seed % 3], seed)
-    cells, _, _ = halved(oracle.cell_sources(DOMAINS[0]), DOMAINS[0], rng)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_hold_and_see_equal_shapely(seed):
+    oracle, rng = random_oracle(seed)
+    cells, _, _ = halved(oracle.cell_sources(DOMAINS[0]), *np.array(TEN)[:, None].astype(float), rng, 3)
     piece = rng.integers(len(cells.cell), size=20)
     x = np.concatenate([points_of(rng, cells.pieces[:, piece], 5), rng.uniform(0, 10, (20, 5, 2))], axis=1)
     shapes = np.array(polygons(cells.pieces))[piece]
-    q, shapes = shapely.points(x), shapes[:, None]
-    depth = shapely.distance(shapely.boundary(shapes), q) * np.where(shapely.covers(shapes, q), 1, -1)
-    held, clear = cells.hold(piece, x), np.abs(depth) > 4 * oracle.workspace.tolerance
-    np.testing.assert_array_equal(held[clear], depth[clear] > 0)
-    assert held[:, :5].all()
+    held, margin, points = cells.hold(piece, x), 4 * oracle.workspace.tolerance, shapely.points(x)
+    assert held[shapely.covers(shapely.buffer(shapes, -margin)[:, None], points)].all() and held[:, :5].all()
+    assert not held[~shapely.covers(shapely.buffer(shapes, margin)[:, None], points)].any()
     source = rng.integers(len(oracle.sources.points), size=100)
     contacts = oracle.workspace.boundary.vertices[oracle.workspace.boundary.contacts]
     usual = ~(oracle.sources.points[source][:, None] == contacts).all(axis=2).any(axis=1)
@@ -195,8 +162,8 @@ def test_pieces_hold_points_and_sources_see_them(seed):
     np.testing.assert_array_equal(cells.see(source, y)[usual], seen[usual])
 
 
-def test_sources_are_the_graphs_vertices_and_lead_to_the_goal():
-    oracle, _ = random_oracle(WORKSPACES[0], 11)
+def test_sources_and_parents_form_shortest_paths():
+    oracle, _ = random_oracle(1)
     sources = oracle.sources
     np.testing.assert_allclose(sources.distances, oracle(sources.points), atol=1e-9)
     onward = sources.parents
@@ -207,15 +174,14 @@ def test_sources_are_the_graphs_vertices_and_lead_to_the_goal():
     assert onward[0] == 0 and (onward[reached][1:] != np.flatnonzero(reached)[1:]).all()
 
 
-# Many goals at once: samples of boxes, and the distances and first turns of every goal there.
+# Several goals at once: samples of boxes, and the distance and first turn to every goal there.
 
-GRID = Cells(np.full((256, 2), 4), np.stack(np.divmod(np.arange(256), 16), axis=1))
+GRID = Cells(np.full((64, 2), 3), np.stack(np.divmod(np.arange(64), 8), axis=1))
 
 
-@pytest.mark.parametrize("squeeze", [False, True])
-@given(seed=SEEDS)
-def test_samples_of_a_family_lie_in_their_boxes_and_know_all_first_turns(seed, squeeze):
-    workspace = WORKSPACES[seed % 3](np.random.default_rng(seed), squeeze)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_first_turns_at_shared_samples_equal_oracles(seed):
+    workspace = random_workspace(seed)
     goals = workspace.sample_free(3, seed)
     first = VisibilityGraph(workspace, goals[0])
     lo, hi = GRID.boxes(workspace.bounds)
@@ -228,44 +194,33 @@ def test_samples_of_a_family_lie_in_their_boxes_and_know_all_first_turns(seed, s
     assert ((lo[some] <= x) & (x <= hi[some])).all()
     for oracle in (first, *map(first.with_goal, goals[1:])):
         distance, vertex = oracle.first_turns(samples)
-        expected = np.full(len(lo), np.inf)
-        expected[some] = oracle(x)
-        np.testing.assert_allclose(distance, expected, rtol=1e-12, atol=1e-12)
-        np.testing.assert_array_equal(vertex >= 0, np.isfinite(expected))
-        reached, vertex, sources = vertex >= 0, vertex[vertex >= 0], oracle.sources
-        way = sources.distances[vertex] + np.linalg.norm(samples.x[reached] - sources.points[vertex], axis=1)
-        np.testing.assert_allclose(distance[reached], way, rtol=1e-12)
-        assert workspace.is_visible(samples.x[reached], sources.points[vertex]).all()
+        np.testing.assert_allclose(distance[some], oracle(x), rtol=1e-12, atol=1e-12)
+        np.testing.assert_array_equal(vertex >= 0, np.isfinite(distance))
+        assert np.isinf(distance[~some]).all()
+        at, turn = samples.x[vertex >= 0], vertex[vertex >= 0]
+        way = oracle.sources.distances[turn] + np.linalg.norm(at - oracle.sources.points[turn], axis=1)
+        np.testing.assert_allclose(distance[vertex >= 0], way, rtol=1e-12)
+        assert workspace.is_visible(at, oracle.sources.points[turn]).all()
 
 
-@pytest.mark.parametrize("squeeze", [False, True])
-@given(seed=SEEDS)
-def test_cells_of_several_goals_bound_the_distance_to_each_whatever_source_is_said_to_be_near(seed, squeeze):
-    rng = np.random.default_rng(seed)
-    workspace = WORKSPACES[seed % 3](rng, squeeze)
-    first, *others = workspace.sample_free(3, seed)
-    oracles = [VisibilityGraph(workspace, first)]
-    oracles += [oracles[0].with_goal(goal) for goal in others]
+@pytest.mark.parametrize("seed", SEEDS)
+def test_cells_of_several_goals_bound_each_distance(seed):
+    """The bounds hold whatever source is given as the nearest one."""
+    workspace, rng = random_workspace(seed), np.random.default_rng(seed)
+    goals = workspace.sample_free(3, seed)
+    oracles = list(map(VisibilityGraph(workspace, goals[0]).with_goal, goals))
     coarse = Cells(np.full((16, 2), 2), np.stack(np.divmod(np.arange(16), 4), axis=1))
-    shared = oracles[0].shared_cells(*coarse.boxes(Box((-1, -1), (11, 11))))
     lo, hi = coarse.boxes(Box((-1, -1), (11, 11)))
-    box, member = rng.integers(16, size=30), np.sort(rng.integers(3, size=30))
-    near = rng.integers(-1, len(oracles[0].sources.points), size=30)
+    shared = oracles[0].shared_cells(lo, hi)
+    box, member = rng.integers(16, size=20), np.sort(rng.integers(3, size=20))
+    near = rng.integers(-1, len(oracles[0].sources.points), size=20)
     found = oracles[0].cells_of_members(shared, oracles, box, member, near)
-    assert found.num_cells == 30
+    assert found.num_cells == 20
     count = len(oracles[0].sources.points)
     assert (found.source // count == member[found.cell[found.piece]]).all()
     for number, oracle in enumerate(oracles):
         cells = np.flatnonzero(member == number)
-        own = found.of_cells(cells)
-        check_area(oracle, workspace, own, lo[box[cells]], hi[box[cells]])
-        check_bounds(oracle, own, rng, own.slack)
-        check_bounds(oracle, own.parts(*halves_of(lo[box[cells]], hi[box[cells]])), rng, own.slack)
-
-
-def halves_of(lo, hi):
-    """Arguments of ``parts`` for both halves of all cells across the first axis."""
-    parent, upper = np.repeat(np.arange(len(lo)), 2), np.tile([False, True], len(lo))
-    middle, lo, hi = ((lo + hi) / 2)[parent, 0], lo[parent].copy(), hi[parent].copy()
-    lo[upper, 0], hi[~upper, 0] = middle[upper], middle[~upper]
-    return parent, np.zeros(len(parent), int), upper, lo, hi
+        own = found.of_cells(cells), lo[box[cells]], hi[box[cells]]
+        for each, each_lo, each_hi in (own, halved(*own, rng)):
+            check_area(oracle, workspace, each, each_lo, each_hi)
+            check_bounds(oracle, each, rng)

@@ -1,7 +1,6 @@
-import heapq
 import itertools
-import math
 
+import networkx as nx
 import numpy as np
 import pytest
 from grid_helpers import all_pairs, drawn
@@ -21,20 +20,19 @@ def at(oracle, *points):
     return oracle(np.array(points, float)).tolist()
 
 
-def test_steps_to_four_neighbors_of_a_cell_all_of_whose_points_have_its_distance():
+def test_all_points_of_a_cell_have_its_distance():
     graph = GridGraph(DOOR, (0.7, 0.2))
     assert at(graph, (0, 0), (1, 0), (4, 0), (4, 2), (0, 2)) == [0, 1, 6, 6, 2]
     assert at(graph, (0, 1), (0.999, 1.999), (4.5, 0.5)) == [1, 1, 6]
     assert graph.dim == 2 and isinstance(graph, DimensionedFn)
 
 
-def test_diagonal_steps_cut_no_corner():
-    graph = GridGraph(DOOR, (1, 0), connectivity=8)
-    assert at(graph, (2, 1), (3, 0), (0, 1)) == [2, 4, pytest.approx(2**0.5)]
+def test_diagonal_steps_do_not_cut_corners():
+    assert at(GridGraph(DOOR, (1, 0), connectivity=8), (2, 1), (3, 0), (0, 1)) == [2, 4, pytest.approx(2**0.5)]
     assert at(GridGraph(drawn(".#", "#."), (0, 0), connectivity=8), (1, 1)) == [np.inf]
 
 
-def test_no_path_no_cell_no_distance():
+def test_blocked_and_outside_points_are_unreachable():
     graph = GridGraph(drawn("..#."), (0, 0))
     outside = [(-1e-9, 0), (4, 0), (0, 1), (0, -0.1), (np.nan, 0), (0, np.nan), (np.inf, 0)]
     assert at(graph, (2, 0), (3, 0), *outside) == [np.inf] * 9
@@ -42,7 +40,7 @@ def test_no_path_no_cell_no_distance():
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])
-def test_distances_of_cells_are_those_of_a_search_by_the_book(connectivity):
+def test_grid_distances_equal_textbook_dijkstra(connectivity):
     rng = np.random.default_rng(connectivity)
     for _ in range(10):
         free = rng.random(rng.integers(1, 9, 2)) > 0.3
@@ -53,7 +51,7 @@ def test_distances_of_cells_are_those_of_a_search_by_the_book(connectivity):
         np.testing.assert_allclose(found, expected.ravel(), rtol=1e-12)
 
 
-def test_between_is_each_goals_distance():
+def test_between_equals_oracles_of_each_goal():
     x, y = all_pairs(DOOR)
     order = np.random.default_rng(0).permutation(len(x))
     graph = GridGraph(DOOR, connectivity=8)
@@ -64,15 +62,15 @@ def test_between_is_each_goals_distance():
     assert graph.between(np.zeros((0, 2)), np.zeros((0, 2))).shape == (0,)
 
 
-@pytest.mark.parametrize("name", ["dao/den312d", "dao/den101d", "da2/ht_store"])
-def test_published_lengths(data_dir, name):
+@pytest.mark.parametrize("name", ["dao/den312d", "da2/ht_store"])
+def test_lengths_equal_published_octile_lengths(data_dir, name):
     scenario = scenes.read_scen(data_dir / f"movingai/{name}.map.scen")
     graph = GridGraph(scenes.read_cells(data_dir / f"movingai/{name}.map"), connectivity=8)
     found = graph.between(scenario.starts, scenario.goals)
     np.testing.assert_allclose(found, scenario.octile_lengths, rtol=1e-5, atol=5e-3)
 
 
-def test_cells_of_a_file_are_in_its_order(tmp_path):
+def test_cells_are_read_in_file_order(tmp_path):
     (tmp_path / "a.map").write_text("type octile\nheight 2\nwidth 3\nmap\n.@G\nST.\n")
     np.testing.assert_array_equal(scenes.read_cells(tmp_path / "a.map"), drawn(".#.", ".#."))
 
@@ -80,51 +78,42 @@ def test_cells_of_a_file_are_in_its_order(tmp_path):
 CUBE = np.ones((3, 3, 3), bool)
 
 
-def dijkstra_of_volume(free, start, most, sides):
-    """Distance of every voxel from one, by the book."""
-    distance, heap = np.full(free.shape, np.inf), [(0.0, start)]
-    distance[start] = 0.0
-    while heap:
-        length, at = heapq.heappop(heap)
+def voxel_edges(free, most, sides):
+    """Yield pairs of free voxels joined by a step of up to ``most`` axes whose box is free, and the step's length."""
+    for start in map(tuple, np.argwhere(free)):
         for step in itertools.product((-1, 0, 1), repeat=3):
-            box = [tuple(map(sum, zip(at, part, strict=True))) for part in itertools.product(*[{0, s} for s in step])]
-            inside = all(0 <= k < n for voxel in box for k, n in zip(voxel, free.shape, strict=True))
-            if not 0 < np.count_nonzero(step) <= most or not inside or not all(free[voxel] for voxel in box):
-                continue
-            to = tuple(map(sum, zip(at, step, strict=True)))
-            if (there := length + math.hypot(*(s * side for s, side in zip(step, sides, strict=True)))) < distance[
-                to
-            ]:
-                distance[to] = there
-                heapq.heappush(heap, (there, to))
-    return distance
+            corners = {tuple(np.add(start, part)) for part in itertools.product(*[{0, s} for s in step])}
+            inside = all(0 <= k < n for voxel in corners for k, n in zip(voxel, free.shape, strict=True))
+            if 0 < np.count_nonzero(step) <= most and inside and all(free[voxel] for voxel in corners):
+                yield start, tuple(np.add(start, step)), np.linalg.norm(np.multiply(step, sides))
 
 
 @pytest.mark.parametrize(("moves", "most"), [(6, 1), (18, 2), (26, 3)])
-def test_distances_of_voxels_are_those_of_a_search_by_the_book(moves, most):
+def test_voxel_distances_equal_networkx(moves, most):
     rng = np.random.default_rng(moves)
-    for sides in ((1, 1, 1), (1, 1, 1), (1, 0.3, 2), (0.01, 1, 3)):
-        free = random_volume(rng, 3, 7, 0.3)
+    for sides in ((1, 1, 1), (1, 0.3, 2)):
+        free = random_volume(rng, 3, 5, 0.3)
         graph = VoxelGraph(free, (0, 0, 0), moves, Box((0, 0, 0), np.array(free.shape) * sides))
-        x = (np.argwhere(np.ones_like(free)) + 0.5) * sides
-        np.testing.assert_allclose(graph(x), dijkstra_of_volume(free, (0, 0, 0), most, sides).ravel(), rtol=1e-12)
+        plain = nx.Graph([((0, 0, 0), (0, 0, 0))])
+        plain.add_weighted_edges_from(voxel_edges(free, most, sides))
+        distance = nx.single_source_dijkstra_path_length(plain, (0, 0, 0))
+        expected = [distance.get(voxel, np.inf) for voxel in np.ndindex(free.shape)]
+        np.testing.assert_allclose(graph((np.argwhere(np.ones_like(free)) + 0.5) * sides), expected, rtol=1e-12)
 
 
-def test_all_points_of_a_voxel_have_its_distance_and_those_elsewhere_none():
+def test_all_points_of_a_voxel_have_its_distance():
     free = CUBE.copy()
     free[1, 1] = False
     graph = VoxelGraph(free, (0.2, 0.9, 0.5), 6)
     assert graph([[2, 0, 0], [2.9, 0.5, 0.999], [3, 3, 3], [0, 1, 0]]).tolist() == [2, 2, 6, 1]
     assert graph([[1.5, 1.5, 1], [-0.1, 0, 0], [3.1, 0, 0], [np.nan, 0, 0], [np.inf, 0, 0]]).tolist() == [np.inf] * 5
     assert graph(np.zeros((0, 3))).shape == (0,)
-    assert (
-        graph.dim == 3 and isinstance(graph, DimensionedFn) and repr(graph) == "VoxelGraph(3 x 3 x 3 voxels, 6 moves)"
-    )
+    assert graph.dim == 3 and isinstance(graph, DimensionedFn)
     other = graph.with_goal((2.5, 0.5, 0.5))
     assert other([[0, 0, 0]]) == [2] and other.goal.tolist() == [2.5, 0.5, 0.5] and graph([[0, 0, 0]]) == [0]
 
 
-def test_diagonal_steps_need_all_voxels_of_their_box():
+def test_diagonal_steps_need_free_voxels_around_them():
     free = np.ones((2, 2, 2), bool)
     assert VoxelGraph(free, (0, 0, 0))([[1, 1, 1]]) == pytest.approx(3**0.5)
     free[1, 0, 1] = False
@@ -139,13 +128,13 @@ ROWS = np.array([[0.0, 1, 2], [10, 11, 12]])
 """Two rows, y = 0.5 and 1.5, of three columns, x = 0.5, 1.5 and 2.5."""
 
 
-def test_beyond_the_outer_centers_it_is_constant():
+def test_field_is_linear_between_centers_and_constant_beyond():
     field = GridField(ROWS, ((0, 0), (3, 2)))
     assert at(field, (0, 0), (3, 2), (0, 1.5), (1, 0), (3, 1)) == [0, 12, 10, 0.5, 7]
     assert at(GridField([[7.0]], WIDE), (0, 0), (1, 2), (3, 2)) == [7, 7, 7]
 
 
-def test_outside_there_is_none():
+def test_points_outside_a_field_are_unreachable():
     field = GridField(ROWS, WIDE)
     outside = [(-1e-9, 1), (3.0000001, 1), (1, -1e-9), (1, 2.0000001), (np.nan, 1), (1, np.nan), (np.inf, 1)]
     assert at(field, *outside) == [np.inf] * 7
@@ -153,7 +142,7 @@ def test_outside_there_is_none():
 
 
 @pytest.mark.parametrize("blocked", [np.nan, np.inf, "masked"])
-def test_cells_without_a_value_are_out_of_reach_and_count_for_none_beside(blocked):
+def test_cells_without_value_are_left_out_of_averages(blocked):
     values = np.ma.masked_less(ROWS, 1) if blocked == "masked" else np.where(ROWS < 1, blocked, ROWS)
     field = GridField(values, WIDE)
     assert at(field, (0.5, 0.5), (0.99, 0.99), (0, 0)) == [np.inf] * 3
@@ -165,7 +154,7 @@ def test_cells_without_a_value_are_out_of_reach_and_count_for_none_beside(blocke
 
 
 @given(st.integers(1, 3), st.integers(0, 10**6))
-def test_between_centers_it_is_what_scipy_says(dim, seed):
+def test_field_equals_interpolation_of_scipy(dim, seed):
     rng = np.random.default_rng(seed)
     shape = rng.integers(2, 5, dim)
     values, lo, width = rng.random(shape), rng.normal(size=dim), rng.random(dim) + 0.5
@@ -175,28 +164,18 @@ def test_between_centers_it_is_what_scipy_says(dim, seed):
     np.testing.assert_allclose(GridField(values.T, (lo, lo + width))(x), expected, atol=1e-12)
 
 
-def test_a_field_of_scikit_fmm_around_an_obstacle():
-    skfmm = pytest.importorskip("skfmm")
-    x, y = np.moveaxis(Box((0, 0), (3, 2)).grid(300), -1, 0)
-    phi = np.ma.masked_array(np.hypot(x - 0.5, y - 0.5) - 0.05, (x > 1) & (x < 1.2) & (y < 1.5))
-    field = GridField(np.maximum(skfmm.distance(phi, dx=0.01), 0), WIDE)
-    around = np.hypot(0.5, 1.0) + 0.2 + np.hypot(0.8, 1.0)  # (0.5, 0.5), (1, 1.5), (1.2, 1.5), (2, 0.5)
-    assert field([(2.0, 0.5)])[0] == pytest.approx(around - 0.05, rel=0.01)
-    assert at(field, (1.1, 0.5)) == [np.inf]
-
-
-def test_along_a_periodic_axis_the_last_cells_are_neighbors_of_the_first():
+def test_field_is_interpolated_across_a_seam():
     field = GridField([[0.0], [1], [2], [3]], Box((0, 0), (1, 4), periodic=(False, True)))
     at_y = [(0.5, y) for y in (0, 4, 0.25, 3.75, -1.5, 8.5)]
     assert at(field, *at_y) == [1.5, 1.5, 0.75, 2.25, 2, 0]
     assert at(field, (1.5, 0.5), (0.5, np.inf)) == [np.inf, np.inf]
 
 
-def test_what_is_masked_may_be_anything():
+def test_masked_values_may_be_invalid():
     assert at(GridField(np.ma.masked_less(ROWS - 1, 0), WIDE), (1.5, 0.5), (0.5, 0.5)) == [0, np.inf]
 
 
-def test_grids_are_kept_as_they_were():
+def test_grids_are_copied_and_read_only():
     free, values = DOOR.copy(), ROWS.astype(int)
     graph, field = GridGraph(free, (0, 0)), GridField(values, WIDE)
     free[:] = False
@@ -205,39 +184,3 @@ def test_grids_are_kept_as_they_were():
     for array in (graph.free, field.values, VoxelGraph(CUBE, (0, 0, 0)).free):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 1
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: GridGraph(DOOR.astype(int)), "booleans of shape .*got int64 of shape"),
-        (lambda: GridGraph(DOOR[0]), "booleans of shape"),
-        (lambda: GridGraph(DOOR[:0]), "at least one"),
-        (lambda: GridGraph(DOOR, connectivity=6), "connectivity must be 4 or 8, got 6"),
-        (lambda: GridGraph(DOOR, (2, 0)), "The goal must be in a free cell"),
-        (lambda: GridGraph(DOOR, (5, 0)), "The goal must be in a free cell"),
-        (lambda: GridGraph(DOOR)(np.zeros((1, 2))), "must have a goal: use"),
-        (lambda: GridGraph(DOOR, (0, 0))(np.zeros((1, 3))), r"x must have shape \(n, 2\)"),
-        (lambda: GridGraph(DOOR).between(np.zeros((1, 2)), np.zeros((2, 2))), "equally many points, got 1 and 2"),
-        (lambda: VoxelGraph(CUBE.astype(int), (0, 0, 0)), "booleans of 3 axes.*got int64"),
-        (lambda: VoxelGraph(CUBE[0], (0, 0)), "booleans of 3 axes"),
-        (lambda: VoxelGraph(CUBE[:0], (0, 0, 0)), "at least one free"),
-        (lambda: VoxelGraph(CUBE, (0, 0, 0), 8), "moves must be 6, 18 or 26, got 8"),
-        (lambda: VoxelGraph(CUBE, (0, 0, 4)), "The goal must be in a free cell"),
-        (lambda: VoxelGraph(CUBE, (0, 0)), "The goal must be"),
-        (lambda: VoxelGraph(CUBE, (0, 0, 0), bounds=((0, 0), (1, 1))), "bounds must have 3 axes"),
-        (lambda: VoxelGraph(CUBE, (0, 0, 0))(np.zeros((1, 2))), r"x must have shape \(n, 3\)"),
-        (lambda: GridField(ROWS - 1, WIDE), r"at least 0, got -1 at \(0, 0\); mask"),
-        (lambda: GridField(np.where(ROWS > 1, ROWS, -np.inf), WIDE), "at least 0, got -inf"),
-        (lambda: GridField(ROWS[0], WIDE), r"grid of 2 axes.*got shape \(3,\)"),
-        (lambda: GridField(np.zeros((0, 3)), WIDE), "at least one cell, got shape"),
-        (lambda: GridField(ROWS * 1j, WIDE), "values must be distances on a grid of 2 axes"),
-        (lambda: GridField(ROWS, ((0, 0), (0, 1))), "positive width"),
-        (lambda: GridField(ROWS, 5), "The bounds must be a Box or its corners"),
-        (lambda: GridField(ROWS, WIDE)(np.zeros((2, 3))), r"x must have shape \(n, 2\)"),
-    ],
-)
-def test_bad_input_is_refused(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
