@@ -193,7 +193,11 @@ def test_lower_bounds_in_free_space_are_straight_in_every_reader(corner):
 
 @pytest.mark.parametrize(
     ("width", "rate"),
-    [(1e20, 1e-10), (1e-14, 1.0), *(pytest.param(*each, marks=pytest.mark.full) for each in ((1e-20, 1e10), (1e14, 1.0)))],
+    [
+        (1e20, 1e-10),
+        (1e-14, 1.0),
+        *(pytest.param(*each, marks=pytest.mark.full) for each in ((1e-20, 1e10), (1e14, 1.0))),
+    ],
 )
 def test_lower_bounds_hold_for_huge_and_tiny_lengths(width, rate):
     """Squares of the lengths exceed 32 bits."""
