@@ -106,7 +106,7 @@ def test_bounds_contain_exact_distance_on_random_maps(seed, num_goals, max_leave
         ([False], None, 2, 60, 0.05),
         ([True], None, 30, 60, 3.0),
         ([True, False], None, 2, 100, 1.2),
-        ([True, False], (((0,), 2.0), ((1,), 0.5)), 6, 100, 9.0),
+        ([True, False], (((0,), 2.0), ((1,), 0.5)), 2, 100, 0.2),
         pytest.param([False] * 3, (((0,), 2.0), ((1, 2), 0.5)), 2, 600, 1.5, marks=pytest.mark.full),
         pytest.param([True, False, False, True], None, 2, 400, 2.0, marks=pytest.mark.full),
     ],
