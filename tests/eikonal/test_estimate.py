@@ -155,21 +155,6 @@ def test_steady_climbs_cost_their_height(monkeypatch):
     assert mean_error(grid_estimate(space, climbing, goal)(q), truth) < 0.015
 
 
-@pytest.mark.full
-def test_paths_in_space_go_around_walls():
-    """Walls are as high as the domain: the distance follows from the plane and the height by Pythagoras."""
-    walls = [[(0.5, 0.0), (0.53, 0.375)], [(0.5, 0.625), (0.53, 1.0)]]
-    space, goal = BoxSpace(Box((0,) * 3, (1,) * 3), *([(*lo, 0), (*hi, 1)] for lo, hi in walls)), (0.2, 0.13, 0.37)
-    plane = Workspace(((0, 0), (1, 1)), [rectangle(*lo, *hi) for lo, hi in walls])
-    estimate = grid_estimate(space, None, np.array(goal))
-    x = samples(space.domain)
-    x = x[space.is_free(x)]
-    truth = np.hypot(VisibilityGraph(plane, goal[:2])(x[:, :2]), x[:, 2] - goal[2])
-    found = estimate(x)
-    assert mean_error(found, truth) < 0.01
-    assert (found > 0.997 * space.straight(x, np.array(goal))).all()
-
-
 @pytest.mark.parametrize(("jump", "goal_x", "error"), [(3.0, 0.25, 0.01), (20.0, 0.25, 0.01), (0.7, 0.95, 0.004)])
 def test_paths_refract_where_costs_jump(jump, goal_x, error):
     """Beyond a border at x = 1: Snell's law gives the truth, from many crossings of the border."""

@@ -55,7 +55,7 @@ def solved(program, rounds=6):
 
 
 @pytest.mark.parametrize(("weights", "seed"), [((1.0, 1.0), 0), ((1.0, 2.5), 1), ((0.3, 1.0), 2)])
-def test_the_best_function_is_that_of_a_linear_program(weights, seed):
+def test_solution_is_that_of_a_linear_program(weights, seed):
     """Where each axis costs for itself, so that constraints are linear, HiGHS solves the program exactly."""
     space = BoxSpace(UNIT, *WALLS, blocks=(((0,), weights[0]), ((1,), weights[1])))
     program = program_of(space, np.random.default_rng(seed).uniform(0, 0.25, 2))
@@ -72,30 +72,8 @@ def test_the_best_function_is_that_of_a_linear_program(weights, seed):
     assert 0.995 * best <= mean(program, solved(program)[0]) <= best * (1 + 1e-6)
 
 
-def test_the_best_function_is_that_of_a_general_method():
-    """Euclidean slopes, by sequential quadratic programming."""
-    program = program_of(BoxSpace(UNIT, [(0.5, 0.0), (1.0, 0.5)]), (0.1, 0.2), num_cells=4, rounds=0)
-    parts = program.gradient.toarray().reshape(2, -1, len(program.weight))
-    steep = {
-        "type": "ineq",
-        "fun": lambda u: program.sets.radius**2 - ((parts @ u) ** 2).sum(axis=0),
-        "jac": lambda u: -2 * np.einsum("ac,acd->cd", parts @ u, parts),
-    }
-    at_goal = {"type": "eq", "fun": lambda u: program.goal @ u, "jac": lambda u: program.goal}
-    exact = scipy.optimize.minimize(
-        lambda u: -program.weight @ u,
-        np.zeros(len(program.weight)),
-        jac=lambda u: -program.weight,
-        method="SLSQP",
-        constraints=[steep, at_goal],
-        options={"maxiter": 500, "ftol": 1e-10},
-    )
-    assert exact.success
-    np.testing.assert_allclose(mean(program, solved(program)[0]), mean(program, exact.x), rtol=3e-3)
-
-
 @pytest.mark.parametrize("periodic", [False, True])
-def test_the_loss_at_the_goal_is_what_is_too_low_behind_it(periodic):
+def test_loss_at_the_goal_is_the_shortfall_behind_it(periodic):
     """On four cells of a line the function is linear through the goal, and every flow gains what it costs."""
     space, goal = BoxSpace(Box([0], [1], [periodic])), np.array([0.3])
     program = program_of(space, goal, num_cells=4)
@@ -106,14 +84,14 @@ def test_the_loss_at_the_goal_is_what_is_too_low_behind_it(periodic):
     np.testing.assert_allclose(program.losses_at_goals(iterate).sum(), np.mean(short), rtol=0.3)
 
 
-def test_costs_of_cells_bound_slopes_there_alone():
+def test_slopes_obey_costs_of_their_cells():
     """Twice as dear on the right half: the best function rises twice as fast there."""
     program = program_of(BoxSpace(Box([0], [1])), [0.0], num_cells=8, cost_map=TwoGrounds(0.5, 2.0))
     x = program.space.points[:, 0]
     np.testing.assert_allclose(solved(program)[0], np.where(x < 0.5, x, 2 * x - 0.5), atol=2e-3)
 
 
-def test_the_largest_of_the_blocks_slopes_counts():
+def test_steepest_block_of_axes_counts():
     space = BoxSpace(Box(np.zeros(3), np.ones(3)), blocks=(((0, 1), 2.0), ((2,), 0.5)))
     program = program_of(space, (0, 0, 0), num_cells=8)
     for slope, factor in (([0.6, 0.8, 0.0], 0.5), ([0.0, 0.0, 1.0], 2.0), ([0.6, 0.8, 1.0], 2.0)):
@@ -122,19 +100,19 @@ def test_the_largest_of_the_blocks_slopes_counts():
     np.testing.assert_allclose(program.sets.costs(flow), 10.0)
 
 
-def test_only_what_the_goal_is_connected_to_has_values():
+def test_cells_cut_off_from_the_goal_have_no_values():
     program = program_of(BoxSpace(UNIT, [(0.4, 0.0), (0.6, 1.0)]), (0.1, 0.2), num_cells=256)
     assert program.space.points[:, 0].max() < 0.6 and program.weight.sum() < 0.5
 
 
-def test_losses_are_where_the_function_falls_short():
+def test_losses_are_largest_in_mixed_cells():
     program = program_of(BoxSpace(UNIT, [(0.5, 0.0), (0.6, 0.8)]), (0.2, 0.2), num_cells=64)
     loss, mesh = program.losses(solved(program, rounds=2)[1]), program.space.mesh
     assert loss.shape == mesh.open_cells.shape and (loss >= 0).all()
     assert loss[mesh.state[mesh.open_cells] == CellState.MIXED].sum() > 0.5 * loss.sum()
 
 
-def test_more_iterations_never_end_with_a_worse_bound():
+def test_more_iterations_never_worsen_the_bound():
     program = program_of(BoxSpace(UNIT, *WALLS), (0.1, 0.2), num_cells=64)
     start, bounds = program.solve(20, None), []
     for most in (1, 11, 21, 500):
@@ -146,7 +124,7 @@ def test_more_iterations_never_end_with_a_worse_bound():
 
 
 @given(CELLS)
-def test_values_are_rescaled_by_the_integral_of_one_over_the_steepest_factor(cells):
+def test_rescaling_integrates_one_over_the_steepest_factor(cells):
     """Slot by slot of an eighth; in no cell do they stay steeper than allowed."""
     lowest, highest, factor = np.array(cells).T
     lowest, highest = np.minimum(lowest, highest), np.maximum(lowest, highest)
@@ -160,9 +138,6 @@ def test_values_are_rescaled_by_the_integral_of_one_over_the_steepest_factor(cel
     assert (np.diff(level) > 0).all() and (np.diff(value) > 0).all()
 
 
-# --- refinement ------------------------------------------------------------------------------------------
-
-
 def solver_of(workspace, max_cells):
     """A solver that is through."""
     solver = SlopeSolver(PlaneSpace(workspace), None, np.array([[0.9, 0.1]]), max_cells, 0.0)
@@ -170,7 +145,7 @@ def solver_of(workspace, max_cells):
     return solver
 
 
-def test_cells_are_likely_blocked_where_a_thin_wall_is_in_the_way():
+def test_mixed_cells_with_thin_walls_count_as_blocked():
     solver = solver_of(THIN_WALL, 200)
     likely, mixed = solver.mesh_without_mixed(), solver.mesh.state == CellState.MIXED
     np.testing.assert_array_equal(likely.state[~mixed], solver.mesh.state[~mixed])
@@ -179,8 +154,7 @@ def test_cells_are_likely_blocked_where_a_thin_wall_is_in_the_way():
     assert crossed.any() and (likely.state[crossed] == CellState.BLOCKED).all()
 
 
-@pytest.mark.full
-def test_cells_are_likely_free_where_motions_pass_beside_what_is_in_them():
+def test_mixed_cells_with_small_obstacles_count_as_free():
     places = [np.array(place) for place in itertools.product(np.arange(7) / 8 + 0.03, repeat=2)]
     corners = np.array([(0, 0), (0.02, 0), (0.02, 0.02), (0, 0.02)])
     solver = solver_of(Workspace(((0, 0), (1, 1)), [place + corners for place in places]), 80)
@@ -188,14 +162,14 @@ def test_cells_are_likely_free_where_motions_pass_beside_what_is_in_them():
     assert mixed.sum() > 20 and np.mean(likely.state[mixed] == CellState.FREE) > 0.4
 
 
-def test_walls_too_thin_for_their_cells_are_refined_first():
+def test_thin_walls_are_refined_first():
     mesh = solver_of(THIN_WALL, 400).mesh
     lo, hi = mesh.boxes
     at_wall = (lo[:, 0] < 0.523) & (hi[:, 0] > 0.52) & (lo[:, 1] < 0.7)
     assert mesh.widths[at_wall].mean() < 0.3 * mesh.widths[~at_wall].mean()
 
 
-def test_what_has_not_converged_says_so(monkeypatch):
+def test_solver_that_has_not_converged_warns(monkeypatch):
     monkeypatch.setattr(solve, "_MOST", 11)
     with pytest.warns(UserWarning, match="has not converged in 11 iterations: the bounds hold"):
         solve_eikonal(PlaneSpace(ROOM), (0.3, 0.4), max_leaves=100)

@@ -6,19 +6,13 @@ import shapely
 from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_between, check_bounds, use_few_nodes
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 from space_helpers import BOUNDS, random_workspace, rectangle
 
 from plr_jax import (
     CellState,
-    DiscRobot,
     LipschitzCost,
     PlaneSpace,
     RasterCost,
-    RectangleRobot,
-    RigidBodySpace,
-    Roadmap,
     VisibilityGraph,
     VoxelSpace,
     Workspace,
@@ -76,7 +70,7 @@ def check_random_map(seed, num_goals, max_leaves, max_bytes):
 
 @pytest.mark.parametrize(
     ("seed", "num_goals", "max_leaves", "max_bytes"),
-    [(0, 1, 40, None), (1, 1, 160, 150), (2, 2, 80, None), (3, 12, 80, 400)],
+    [(1, 1, 100, 150), (2, 2, 60, None), (3, 12, 60, 300)],
 )
 def test_bounds_contain_exact_distance_on_maps(seed, num_goals, max_leaves, max_bytes):
     check_random_map(seed, num_goals, max_leaves, max_bytes)
@@ -94,20 +88,20 @@ def test_bounds_contain_exact_distance_on_random_maps(seed, num_goals, max_leave
     check_random_map(seed, num_goals, max_leaves, max_bytes)
 
 
+TWO_NORMS = ((0,), 2.0), ((1,), 0.5)
+FOUR_AXES = ((0, 1), 2.0), ((2, 3), 0.5)
+
+
 @pytest.mark.parametrize(
     ("periodic", "blocks", "num_goals", "max_leaves", "gap"),
     [
-        *(([wraps], None, 1, leaves, 0.01) for wraps in (False, True) for leaves in (20, 70)),
-        ([False, False], None, 1, 100, 0.3),
-        ([False, False], (((0,), 2.0), ((1,), 0.5)), 1, 100, 0.1),
-        ([True, True], None, 1, 150, 0.3),
-        pytest.param([False] * 3, None, 1, 600, 0.7, marks=pytest.mark.full),
-        ([True] * 4, (((0, 1), 2.0), ((2, 3), 0.5)), 1, 256, 4.0),
-        ([False], None, 2, 60, 0.05),
+        ([False], None, 1, 20, 0.002),
+        ([True], None, 1, 70, 0.01),
         ([True], None, 30, 60, 3.0),
-        ([True, False], None, 2, 100, 1.2),
-        ([True, False], (((0,), 2.0), ((1,), 0.5)), 2, 100, 0.2),
-        pytest.param([False] * 3, (((0,), 2.0), ((1, 2), 0.5)), 2, 600, 1.5, marks=pytest.mark.full),
+        ([False, False], None, 1, 100, 0.2),
+        ([True, False], TWO_NORMS, 2, 100, 0.2),
+        ([True] * 4, FOUR_AXES, 1, 256, 1.5),
+        pytest.param([False] * 3, None, 2, 600, 1.5, marks=pytest.mark.full),
         pytest.param([True, False, False, True], None, 2, 400, 2.0, marks=pytest.mark.full),
     ],
 )
@@ -141,25 +135,10 @@ def test_bounds_contain_cost_where_speeds_rise_evenly():
 @pytest.mark.parametrize("max_bytes", [None, 150])
 def test_rooms_that_are_cut_off_answer_inf_or_borrow(max_bytes):
     workspace = Workspace(BOUNDS, [rectangle(1.3, 0, 2.9, 3)])
-    plr = solve_eikonal(PlaneSpace(workspace), (0.3, 0.4), max_leaves=80, max_bytes=max_bytes)
+    plr = solve_eikonal(PlaneSpace(workspace), (0.3, 0.4), max_leaves=50, max_bytes=max_bytes)
     check_bounds(plr, workspace, (0.3, 0.4), n=1000)
     answers = plr.numpy()([[3.5, 1.5], [1.2, 1.5], [0.0, 0.0]])
     assert (max_bytes or np.isinf(answers[0])) and np.isfinite(answers[1:]).all()
-
-
-@pytest.mark.full
-def test_bounds_contain_distance_of_discs():
-    problem, radius = scenes.single_door(), 0.4
-    space, goal = PlaneSpace(problem.workspace, DiscRobot(radius)), problem.goals[0, :2]
-    plr = solve_eikonal(space, goal, max_leaves=800)
-    x = problem.workspace.inflate(radius).sample_free(4000, 0)
-    # The oracle's arcs around corners are inscribed polygons: distances are at most 0.16 % too low. With a radius so
-    # large that the polygons contain the true arcs, they are too high.
-    below = VisibilityGraph(problem.workspace.inflate(radius), goal)(x)
-    above = VisibilityGraph(problem.workspace.inflate(radius * 1.005), goal)(x)
-    lower, upper = (np.asarray(bound) for bound in plr.bounds(x))
-    assert (lower <= above + 1e-9).all() and (upper >= below - 1e-9).all()
-    assert np.isfinite(upper).mean() > 0.8
 
 
 def test_both_ends_of_periodic_axes_answer_the_same():
@@ -231,19 +210,17 @@ def test_bounds_contain_distance_around_a_box_in_space():
     assert np.isfinite(upper).mean() > 0.4
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("level", [0.5, 0.37])
-def test_bounds_contain_cost_of_refracted_paths(level):
+def test_bounds_contain_cost_of_refracted_paths():
     """By Fermat's principle, from many crossings of the level; the goal is below the level."""
-    goal, dear, cross = (0.2, 0.1), 3.0, np.linspace(-1, 2, 20_001)
-    plr = solve_eikonal(EMPTY, goal, cost_map=TwoGrounds(level, dear), max_leaves=800)
+    goal, level, dear, cross = (0.2, 0.1), 0.37, 3.0, np.linspace(-1, 2, 2_001)
+    plr = solve_eikonal(EMPTY, goal, cost_map=TwoGrounds(level, dear), max_leaves=200)
     rng = np.random.default_rng(0)
     x = np.concatenate([rng.random((600, 2)), np.column_stack([rng.random(60), level + rng.normal(0, 1e-7, 60)])])
     below = np.hypot(cross - goal[0], level - goal[1])
     beyond = [(below + dear * np.hypot(cross - px, py - level)).min() for px, py in x]
     distance = np.where(x[:, 1] >= level, beyond, np.linalg.norm(x - goal, axis=1))
     _, lower, _ = check_between(plr, x, distance, 1e-6)
-    assert np.mean(distance - lower) < 0.08 * distance.mean()
+    assert np.mean(distance - lower) < 0.15 * distance.mean()
 
 
 def test_tight_bounds_hold_at_faces_of_cells():
@@ -255,26 +232,6 @@ def test_tight_bounds_hold_at_faces_of_cells():
         x = np.clip(x, lo, lo + 1).reshape(-1, 1)
         _, lower, upper = check_between(plr, x, np.abs(x[:, 0] - goal), 0)
         assert np.mean(upper - lower) < 0.1
-
-
-@pytest.mark.full
-def test_bounds_contain_cost_of_turning_bodies():
-    workspace = Workspace(((0, 0), (4, 3)), [rectangle(1.8, 0, 2.0, 1.1), rectangle(1.8, 2.0, 2.0, 3)])
-    space = RigidBodySpace(workspace, RectangleRobot(1.0, 0.4))
-    goal = np.array([0.9, 1.5, 3.0])
-    roadmap = Roadmap(space.domain, space.is_free, goal, 1500, is_visible=space.are_free)
-    q, (begin, end) = roadmap.graph.vertices, roadmap.graph.edges.T
-    edges = coo_array((space.motion_cost.lengths(q[begin], q[end], space.domain), (begin, end)), (len(q), len(q)))
-    cost = dijkstra(edges.tocsr(), directed=False, indices=0)
-    q, cost = q[np.isfinite(cost)], cost[np.isfinite(cost)]
-    assert (q[:, 0] > 2.5).any()
-    plr = solve_eikonal(space, goal, max_leaves=3000)
-    lower, upper = (np.asarray(bound, float) for bound in plr.bounds(q))
-    assert (lower <= cost + 1e-9).all()
-    straight = space.motion_cost.lengths(q, np.tile(goal, (len(q), 1)), space.domain)
-    assert (upper >= straight - 1e-9).all() and np.isfinite(upper).any()
-    ends = [np.column_stack([q[:, :2], np.full(len(q), heading)]) for heading in (-np.pi, np.pi)]
-    np.testing.assert_array_equal(*(np.stack([plr(x), *plr.bounds(x)]) for x in ends))
 
 
 def test_cells_flush_with_walls_have_upper_bounds():
@@ -291,7 +248,7 @@ def test_cells_flush_with_walls_have_upper_bounds():
 
 def test_bounds_hold_if_most_cells_are_blocked():
     space = BoxSpace(Box((0, 0), (1, 1)), [(0.0, 0.0), (1.0, 0.97)])
-    plr = solve_eikonal(space, (0.5, 0.99), max_leaves=150)
+    plr = solve_eikonal(space, (0.5, 0.99), max_leaves=80)
     x = np.random.default_rng(0).uniform((0, 0.97), (1, 1), (3000, 2))
     check_between(plr, x, np.linalg.norm(x - (0.5, 0.99), axis=1))
     assert (space.classify(*plr.leaf_boxes) == CellState.BLOCKED).any()

@@ -139,30 +139,13 @@ def test_data_arrays_keep_coordinates():
     np.testing.assert_array_equal(cost_distance(raster, mask).nearest, 1 - result.nearest.where(raster > 0, 2))
 
 
-def write_geotiff(raster, dtype, no_data, path):
-    raster.astype(dtype).rio.write_crs("EPSG:32633").rio.write_nodata(no_data).rio.to_raster(path)
-
-
-def test_geotiffs_are_read_and_written(tmp_path):
-    rioxarray = pytest.importorskip("rioxarray")
-    raster = raster_of(np.ones((20, 30)))
-    raster[4, 4] = -9999
-    write_geotiff(raster, float, -9999, tmp_path / "costs.tif")
-    for masked in (True, False):
-        costs = rioxarray.open_rasterio(tmp_path / "costs.tif", masked=masked).squeeze("band")
-        cost_distance(costs, [NORTH_WEST]).distance.rio.to_raster(tmp_path / "distance.tif")
-        found = rioxarray.open_rasterio(tmp_path / "distance.tif").squeeze("band")
-        assert found.rio.crs == costs.rio.crs and found.rio.transform() == costs.rio.transform()
-        assert np.isinf(found.values[4, 4]) and np.isfinite(found.values).sum() == 20 * 30 - 1
-        np.testing.assert_allclose(found.values[0], 10 * np.arange(30), atol=0.1)
-
-
 @pytest.mark.parametrize(("dtype", "no_data", "scale"), [("uint8", 255, 1), ("int16", -32768, 0.01)])
 def test_results_from_integer_geotiffs_are_not_scaled(dtype, no_data, scale, tmp_path):
     rioxarray, rasterio = pytest.importorskip("rioxarray"), pytest.importorskip("rasterio")
     raster = raster_of(np.full((20, 30), 40.0))
     raster[:, 20] = no_data
-    write_geotiff(raster, dtype, no_data, tmp_path / "costs.tif")
+    raster = raster.astype(dtype).rio.write_crs("EPSG:32633").rio.write_nodata(no_data)
+    raster.rio.to_raster(tmp_path / "costs.tif")
     with rasterio.open(tmp_path / "costs.tif", "r+") as file:
         file.scales, file.units = (scale,), ("s/m",)
     costs = rioxarray.open_rasterio(tmp_path / "costs.tif", mask_and_scale=True).squeeze("band")
@@ -173,7 +156,8 @@ def test_results_from_integer_geotiffs_are_not_scaled(dtype, no_data, scale, tmp
         written.rio.to_raster(tmp_path / "result.tif")
         read = rioxarray.open_rasterio(tmp_path / "result.tif", mask_and_scale=True).squeeze("band")
         np.testing.assert_array_equal(read.values, written.values)
-        assert read.rio.crs == costs.rio.crs and "units" not in read.attrs
+        assert read.rio.crs == costs.rio.crs and read.rio.transform() == costs.rio.transform()
+        assert "units" not in read.attrs
         read.close()
 
 
@@ -186,13 +170,6 @@ def test_hikers_climb_more_slowly_than_they_descend():
     kilometers_per_hour = 6 * np.exp(-3.5 * np.abs(np.array([-0.2, 0.2]) + 0.05))
     seconds = 40 / (kilometers_per_hour / 3.6)
     np.testing.assert_allclose([down.distance[2, 40], up.distance[2, 40]], seconds)
-
-
-def test_slope_function_of_ones_gives_euclidean_distances():
-    result = cost_distance(np.ones((40, 40)), [(20.5, 20.5)], heights=np.eye(40), slope_cost=np.ones_like)
-    truth = np.linalg.norm(centers((40, 40)) - 20.5, axis=2)
-    assert (result.distance >= truth - 1e-9).all()
-    np.testing.assert_allclose(result.distance, truth, rtol=0.004)
 
 
 def cost_along(path, costs):
@@ -269,8 +246,8 @@ def test_bounds_hold_in_every_reached_cell():
     assert (result.upper[reached] - result.lower[reached]).mean() < 0.04 * result.distance[reached].mean()
 
 
-@pytest.mark.parametrize("source", [(4.5, 33.5), (4.2, 33.9)])
-def test_bounds_do_not_pass_diagonal_walls(source):
+def test_bounds_do_not_pass_diagonal_walls():
+    source = 4.2, 33.9
     costs = np.ones((40, 40))
     costs[np.arange(36), np.arange(36)] = np.nan
     result = cost_distance(costs, [source], bounds=True)
@@ -280,17 +257,6 @@ def test_bounds_do_not_pass_diagonal_walls(source):
     assert (result.lower <= truth + 1e-9)[reached].all()
     assert (result.upper >= truth - 1e-9)[reached].all()
     assert (result.upper[reached] - result.lower[reached]).mean() < 0.05 * truth[reached].mean()
-
-
-def test_paths_bend_at_corners_of_narrow_fords():
-    costs = np.ones((40, 40))
-    costs[:, 20] = 1e6
-    costs[5, 20] = 1
-    result = cost_distance(costs, [(10.5, 20.5)])
-    # Down to the upper left corner of the ford, through it, and up from its upper right corner.
-    x, y = np.moveaxis(centers(costs.shape)[6:, 21:], 2, 0)
-    truth = np.hypot(20 - 10.5, 6 - 20.5) + 1 + np.hypot(x - 21, y - 6)
-    np.testing.assert_allclose(result.distance[6:, 21:], truth, rtol=0.002)
 
 
 def test_fronts_march_over_large_rasters(monkeypatch):

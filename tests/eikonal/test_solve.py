@@ -11,6 +11,7 @@ from plr_jax import (
     PlaneSpace,
     RasterCost,
     VisibilityGraph,
+    VoxelGraph,
     VoxelSpace,
     Workspace,
     from_bytes,
@@ -192,15 +193,23 @@ def test_estimates_lie_within_bounds_where_costs_vary_widely():
 def test_holes_in_thin_walls_of_volumes_have_upper_bounds(monkeypatch):
     """Two rooms and a wall of one voxel between them, with a hole of one voxel, at whose edges the path bends."""
     use_few_nodes(monkeypatch)
-    free = np.ones((24, 24, 24), bool)
-    free[12] = False
-    free[12, 12, 12] = True
-    x, goal = np.array([(2.5, 12.5, 2.5)]), (22.5, 12.5, 2.5)
-    truth = 2 * np.hypot(9.5, 9.5) + 1
-    plr = solve_eikonal(VoxelSpace(free), goal, max_leaves=300)
-    lower, upper = plr.bounds(x)
-    assert 20 <= lower <= truth <= upper < 1.25 * truth
-    assert solve_eikonal(VoxelSpace(free), goal, certified=False, max_leaves=200)(x) == pytest.approx(truth, rel=0.1)
+    free = np.ones((12, 12, 12), bool)
+    free[6] = False
+    free[6, 6, 6] = True
+    goal, far = (11.5, 6.5, 1.5), [[1.5, 6.5, 1.5]]
+    truth = 2 * np.hypot(4.5, 4.5) + 1
+    plr = solve_eikonal(VoxelSpace(free), goal, max_leaves=400)
+    lower, upper = plr.bounds(far)
+    assert 8 <= lower <= truth <= upper < 1.25 * truth
+    assert solve_eikonal(VoxelSpace(free), goal, certified=False, max_leaves=100)(far) == pytest.approx(
+        truth, rel=0.1
+    )
+    x = np.argwhere(free) + 0.5
+    length = VoxelGraph(free, goal)(x)  # at most 1.5 longer than paths at any angle
+    lower, upper = plr.numpy().bounds(x)
+    straight = np.linalg.norm(x - goal, axis=1)
+    assert (lower <= length + 1e-9).all() and lower.mean() > 0.5 * length.mean()
+    assert (upper >= straight - 1e-6).all() and (upper <= length + 1.5).all()
 
 
 def test_files_keep_bounds(tmp_path):
@@ -215,17 +224,17 @@ def test_files_keep_bounds(tmp_path):
 
 
 def test_builds_obey_byte_limits_and_repeat_exactly():
-    few, more, again, full = (
-        solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=60, max_bytes=most) for most in (120, 200, 120, None)
+    few, again, full = (
+        solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=60, max_bytes=most) for most in (120, 120, None)
     )
-    assert few.num_bytes <= 120 < more.num_bytes <= 200 < full.num_bytes
+    assert few.num_bytes <= 120 < full.num_bytes
     assert few.to_bytes() == again.to_bytes()
     check_bounds(few, ROOM, GOAL, n=1000)
     x = ROOM.sample_free(1000, 0)
     assert few.numpy().bounds(x)[0].mean() < full.numpy().bounds(x)[0].mean()
 
 
-@pytest.mark.parametrize("max_leaves", [1, 2, 17])
+@pytest.mark.parametrize("max_leaves", [1, 17])
 def test_few_leaves_are_enough(max_leaves):
     plr = solve_eikonal(PlaneSpace(ROOM), (1.0, 1.0), max_leaves=max_leaves)
     assert 1 <= plr.num_leaves <= max_leaves
@@ -296,37 +305,28 @@ def of_bounds(answer):
     [
         ({"goal": (1.5, 1.5)}, r"a free configuration.*1\.5\] is not: it is in an obstacle, or too close"),
         ({"goal": (9.0, 1.5)}, r"goal must be a free configuration.* is not: it does not lie in the domain Box\(\["),
+        ({"goal": (np.nan, 0.4)}, "goal"),
         ({"goal": (0.3,)}, "goal must have 2 coordinates, like the space, or be rows of these, got 1"),
         ({"goal": [(0.3, 0.4, 0.0)] * 2}, r"or be rows of these, got shape \(2, 3\)"),
         ({"goal": np.zeros((0, 2))}, r"got shape \(0, 2\)"),
         ({"goal": [[[0.3, 0.4]]]}, r"got shape \(1, 1, 2\)"),
-        *(
-            ({"goal": [GOAL, wrong]}, rf"free configuration of the space, .*{wrong[1]}\] \(row 1\)")
-            for wrong in ((1.5, 1.5), (9.0, 1.5), (0.3, np.nan))
-        ),
-        ({"goal": (np.nan, 0.4)}, "goal"),
+        ({"goal": [GOAL, (1.5, 1.5)]}, r"free configuration of the space, .*1.5\] \(row 1\)"),
+        ({"goal": [GOAL, (0.3, np.nan)], "certified": False}, r"free configuration of the space, .*nan\] \(row 1\)"),
         ({"max_leaves": 0}, "max_leaves must be"),
         ({"max_bytes": 0}, "max_bytes must be"),
         ({"max_leaves": 100, "max_bytes": 20}, r"max_bytes=20 is too small: one leaf takes \d+ bytes"),
         ({"tolerance": -1.0}, "tolerance must be"),
         ({"seed": -1}, "seed must be"),
         ({"cost_map": 2.0}, "cost_map must be a CostMap, such as RasterCost, got 2.0"),
-        *(
-            ({"space": space}, "space must be a configuration space with .* such as PlaneSpace")
-            for space in (ROOM, None, PlaneSpace, lambda q: True)
-        ),
+        ({"space": None}, "space must be a configuration space with .* such as PlaneSpace"),
+        ({"space": PlaneSpace}, "space must be a configuration space with .* such as PlaneSpace"),
         *(
             (of_bounds(lambda lo, hi, b=b: np.outer(b, np.ones(len(lo)))), "lower nowhere above upper, got .* over")
-            for b in ((0.0, 1.0), (-1.0, 1.0), (2.0, 1.0), (1.0, np.inf), (np.nan, 1.0), (1.0, np.nan))
+            for b in ((0.0, 1.0), (2.0, 1.0), (1.0, np.inf), (np.nan, 1.0), (1.0, np.nan))
         ),
-        *(
-            (of_bounds(lambda lo, hi, b=b: b), f"bounds('s answer)? must {message}")
-            for b, message in (
-                (3.0, "be two arrays"),
-                ("low and high", "be"),
-                ((np.ones(1), np.ones(2)), "give one number per point"),
-            )
-        ),
+        (of_bounds(lambda lo, hi: 3.0), "bounds('s answer)? must be two arrays"),
+        (of_bounds(lambda lo, hi: "low and high"), "bounds('s answer)? must be"),
+        (of_bounds(lambda lo, hi: (np.ones(1), np.ones(2))), "bounds('s answer)? must give one number per point"),
     ],
 )
 def test_invalid_arguments_raise(changes, message):

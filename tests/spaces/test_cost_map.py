@@ -93,15 +93,12 @@ def test_directional_bounds_contain_costs_of_motions(cost, truth):
         assert (least + pull <= value + 1e-12).all() and (value <= most + pull + 1e-12).all()
 
 
-@pytest.mark.full
 def test_solver_bounds_contain_travel_time_in_current():
-    goal = np.array([0.7, 0.6])
-    plr = solve_eikonal(SQUARE, goal, cost_map=CURRENT, max_leaves=1_000)
-    x = np.random.default_rng(0).random((5_000, 2))
-    time = CURRENT.time(goal - x)
-    lower, upper = (np.asarray(bound) for bound in plr.bounds(x))
+    goal, x = np.array([0.7, 0.6]), np.random.default_rng(0).random((2_000, 2))
+    plr = solve_eikonal(SQUARE, goal, cost_map=CURRENT, max_leaves=150).numpy()
+    time, (lower, upper) = CURRENT.time(goal - x), plr.bounds(x)
     assert (lower <= time).all() and (time <= upper).all()
-    assert np.abs(np.asarray(plr(x)) - time).mean() < 0.02 * time.mean()
+    assert np.abs(plr(x) - time).mean() < 0.02 * time.mean()
 
 
 @pytest.mark.usefixtures("unchecked_types")

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from plr_jax import Box, PlaneSpace, RasterCost, Workspace, solve_eikonal
+from plr_jax import Box, RasterCost
 from plr_jax.spaces import CostMap
 from plr_jax.spaces._raster_cost import SparseTable
 
@@ -183,27 +183,15 @@ def test_invalid_rasters_raise(arguments, message):
         RasterCost(*arguments)
 
 
-@pytest.mark.parametrize("shape", [(7,), (6, 9), (4, 5, 6)], ids=str)
-def test_space_is_free_in_cells_that_are_not_blocked(shape):
-    cost = random_raster(shape)
-    x = np.random.default_rng(0).uniform(cost.domain.lo, cost.domain.hi, (500, len(shape)))
-    cell = np.floor((x - cost.domain.lo) / cost.domain.width * shape[::-1]).astype(int)
+def test_space_is_free_in_cells_that_are_not_blocked():
+    cost = random_raster((4, 5, 6))
+    x = np.random.default_rng(0).uniform(cost.domain.lo, cost.domain.hi, (500, 3))
+    cell = np.floor((x - cost.domain.lo) / cost.domain.width * (6, 5, 4)).astype(int)
+    is_free = cost.space().is_free(x)
     assert cost.space().domain == cost.domain
-    np.testing.assert_array_equal(cost.space().is_free(x), cost.free[tuple(cell.T[::-1])])
+    np.testing.assert_array_equal(is_free, cost.free[tuple(cell.T[::-1])])
     clear = cost.space(0.1 * cost.domain.width.min()).is_free(x)
-    assert not (clear & ~cost.space().is_free(x)).any() and clear.any() and not clear.all()
-
-
-@pytest.mark.full
-def test_solver_bounds_contain_cost_across_stripes():
-    """Straight across horizontal stripes, no path is cheaper than the straight one."""
-    cost, goal = RasterCost(np.tile(np.linspace(1, 3, 16)[:, None], (1, 16)), UNIT), (0.5, 0.0)
-    plr = solve_eikonal(PlaneSpace(Workspace(UNIT)), goal, cost_map=cost, max_leaves=300)
-    y = (np.arange(4000) + 0.5) / 4000
-    along = np.cumsum(cost(np.stack([np.full(4000, 0.5), y], axis=1))) / 4000
-    lower, upper = plr.numpy().bounds(np.stack([np.full(4000, 0.5), y + 0.5 / 4000], axis=1)[:-1])
-    assert (lower <= along[:-1] + 1e-3).all() and (along[:-1] <= upper + 1e-3).all()
-    assert (upper - lower)[-1] < 0.2 * along[-1]
+    assert 0 < clear.sum() < is_free.sum() and not (clear & ~is_free).any()
 
 
 STRIP = ((0.0, 0.0), (8.0, 1.0))
@@ -234,18 +222,6 @@ def test_occupancy_grids_recover_published_costs():
     assert RasterCost.from_occupancy_grid([[-1]], ((0, 0), (1, 1)), unknown_is_free=True).values == 3
 
 
-def test_inflation_decays_with_distance():
-    free = np.ones((21, 21), bool)
-    free[10, 10] = False
-    plain = RasterCost(np.where(free, 1.0, np.inf), ((0, 0), (2.1, 2.1)))
-    cost = plain.inflated(0.25, inflation_radius=1.0, cost_scaling_factor=3.0, cost_travel_multiplier=4.0)
-    rows, columns = np.indices(free.shape)
-    distance = 0.1 * np.hypot(rows - 10, columns - 10)
-    np.testing.assert_array_equal(cost.free, distance > 0.25)
-    expected = np.where(distance <= 1.0, 1 + 4 * np.exp(-3 * (distance - 0.25)), 1.0)
-    np.testing.assert_allclose(cost.values[cost.free], expected[cost.free])
-
-
 def nav2_inflated(costs, resolution, inscribed_radius, inflation_radius, scaling):
     """Return bytes as Nav2's inflation layer raises them, for every cell and lethal cell one by one."""
     raised, lethal = costs.astype(float), np.argwhere(costs == 254)
@@ -263,25 +239,15 @@ def test_inflation_equals_nav2(unknown_is_free):
     rng = np.random.default_rng(0)
     costs = rng.choice([0, 40, 252, 253, 254, 255], (17, 23), p=[0.6, 0.1, 0.05, 0.1, 0.05, 0.1])
     bounds, radii = ((-1.0, 2.0), (-1 + 23 / 4, 2 + 17 / 4)), (0.3, 0.6)  # 0.6 is 2.4 cells: 3 in Nav2
-    options = {"unknown_is_free": unknown_is_free, "interpolation": "nearest"}
+    options = {"unknown_is_free": unknown_is_free, "interpolation": "nearest", "cost_travel_multiplier": 3.0}
     cost = RasterCost.from_costmap(costs, bounds, **options).inflated(
-        radii[0], inflation_radius=radii[1], cost_scaling_factor=2.0
+        radii[0], inflation_radius=radii[1], cost_scaling_factor=2.0, cost_travel_multiplier=3.0
     )
     expected = RasterCost.from_costmap(nav2_inflated(costs, 0.25, *radii, 2.0), bounds, **options)
     np.testing.assert_allclose(cost.values, expected.values)
     assert cost.interpolation == "nearest" and 0 < cost.free.sum() < (costs < 253).sum()
-    again = cost.inflated(radii[0], inflation_radius=radii[1], cost_scaling_factor=2.0)
+    again = cost.inflated(radii[0], inflation_radius=radii[1], cost_scaling_factor=2.0, cost_travel_multiplier=3.0)
     np.testing.assert_array_equal(again.values, cost.values)  # cells that inflation blocked are not lethal
-
-
-def test_unknown_and_inscribed_cells_are_not_inflated():
-    strip = ((0, 0), (1.2, 0.1))
-    grid = RasterCost.from_occupancy_grid([[0] * 9 + [-1] * 3], strip).inflated(0.22)
-    np.testing.assert_array_equal(grid.values, [[1.0] * 9 + [np.inf] * 3])
-    costs = RasterCost.from_costmap([[253] * 2 + [0] * 8 + [255] * 2], strip).inflated(0.22)
-    np.testing.assert_array_equal(costs.values, [[np.inf] * 2 + [1.0] * 8 + [np.inf] * 2])
-    corridor = RasterCost.from_occupancy_grid([[-1] * 9] * 2 + [[0] * 9] * 2 + [[-1] * 9] * 2, ((0, 0), (0.9, 0.6)))
-    np.testing.assert_array_equal(corridor.inflated(0.22).values[2:4], 1.0)
 
 
 def test_inflation_radius_rounds_up_to_whole_cells():
@@ -309,7 +275,6 @@ def test_inflation_measures_distances_on_oblong_pixels():
     ("call", "message"),
     [
         (lambda: RasterCost.from_costmap([[-1]], STRIP), "from 0 to 255, .* use from_occupancy_grid, got -1.0"),
-        (lambda: RasterCost.from_costmap([[256]], STRIP), "got 256.0"),
         (lambda: RasterCost.from_costmap([[np.nan]], STRIP), "got nan"),
         (lambda: RasterCost.from_costmap([["x"]], STRIP), "values must be numbers from 0 to 255"),
         (lambda: RasterCost.from_occupancy_grid([[101]], STRIP), "from -1 to 100, .* use from_costmap, got 101.0"),
@@ -321,7 +286,7 @@ def test_inflation_measures_distances_on_oblong_pixels():
         (lambda: RasterCost([[1.0]], STRIP).inflated(1, inflation_radius=np.inf), "inflation_radius must"),
         (lambda: RasterCost([[1.0]], STRIP).inflated(1, cost_scaling_factor="x"), "cost_scaling_factor must"),
     ],
-    ids=range(12),
+    ids=range(11),
 )
 @pytest.mark.usefixtures("unchecked_types")
 def test_invalid_cost_maps_raise(call, message):

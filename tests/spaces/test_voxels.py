@@ -1,19 +1,14 @@
 import numpy as np
 import pytest
-from eikonal_helpers import check_between
-from space_helpers import random_boxes, states
+from space_helpers import states
 from voxel_helpers import passes, random_volume, state_of
 
 from plr_jax import (
     Box,
     CellState,
     ConfigurationSpace,
-    DiscRobot,
-    PlaneSpace,
     SeesBoxes,
-    VoxelGraph,
     VoxelSpace,
-    Workspace,
     solve_eikonal,
 )
 from plr_jax.plr.tree import Cells
@@ -80,28 +75,6 @@ def test_no_path_passes_corners_where_voxels_touch():
     assert not VoxelSpace(free).are_free([[0.5, 0.5, 0.5]], [[1.5, 1.5, 1.5]])[0]
     free[0, 0, 1] = free[0, 1, 1] = True
     assert VoxelSpace(free).are_free([[0.5, 0.5, 0.5]], [[1.5, 1.5, 1.5]])[0]
-
-
-@pytest.mark.parametrize("radius", [0.0, 0.3])
-def test_voxels_in_the_plane_equal_plane_space(radius):
-    rng = np.random.default_rng(1)
-    free = rng.random((9, 6)) > 0.25
-    bounds = Box((-1, 2), (3.5, 5))
-    space = VoxelSpace(free, bounds, radius * 0.5)
-    workspace = Workspace.from_mask(free.T, resolution=0.5, origin=(-1, 2), tolerance=0)
-    plane = PlaneSpace(workspace) if radius == 0 else PlaneSpace(workspace, DiscRobot(radius * 0.5))
-    lo, hi = random_boxes(rng, Box((-1, 2), (3, 6)), 400, 4)
-    hi = np.minimum(hi, bounds.hi)
-    fine = (lo < hi).all(axis=1)
-    ours, theirs = space.classify(lo[fine], hi[fine]), plane.classify(lo[fine], hi[fine])
-    differs = ours != theirs
-    assert not differs.any() if radius == 0 else (ours[differs] == MIXED).all() and differs.mean() < 0.05
-    q0 = bounds.lo + rng.random((400, 2)) * bounds.width
-    q1 = np.clip(q0 + rng.normal(size=(400, 2)), bounds.lo, bounds.hi)
-    np.testing.assert_array_equal(space.is_free(q0), plane.is_free(q0))
-    answers = space.are_free(q0, q1)
-    np.testing.assert_array_equal(answers, plane.are_free(q0, q1))
-    assert 20 < answers.sum() < 380
 
 
 def test_balls_touch_walls_of_tight_passages():
@@ -179,25 +152,6 @@ def test_seen_boxes_have_only_visible_samples():
     assert counts[0] > 2 * counts[1]
     assert not VoxelSpace(CHECKERS).sees_boxes([[1, 1]], [[0.5, 0.5]], [[1, 1]])[0]
     assert not VoxelSpace(np.ones((2, 2), bool), radius=0.1).sees_boxes([[1, 1]], [[0.5, 0.5]], [[1, 1]])[0]
-
-
-@pytest.mark.full
-def test_solver_bounds_contain_lengths_of_paths():
-    free = np.ones((8, 8, 4), bool)
-    free[3] = free[:, 4] = False
-    free[3, 1:3, 1:3] = free[6, 4, 2:] = free[1, 4, 0] = True
-    space, goal = VoxelSpace(free), (1.5, 1.5, 1.5)
-    plr = solve_eikonal(space, goal, max_leaves=1000)
-    graph = VoxelGraph(free, goal)
-    x = np.argwhere(free) + 0.5
-    length = graph(x)
-    # Paths over voxels are at most 1.5 longer than paths at any angle.
-    lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
-    assert (lower <= length + 1e-9).all() and lower.mean() > 0.5 * length.mean()
-    straight = np.linalg.norm(x - goal, axis=1)
-    assert (upper >= straight - 1e-9).all() and (upper <= length + 1.5).all() and (lower <= upper).all()
-    seen = space.are_free(x, np.broadcast_to(goal, x.shape))
-    check_between(plr, x[seen], straight[seen])
 
 
 @pytest.mark.usefixtures("unchecked_types")
