@@ -26,17 +26,16 @@ def mean_error(found, truth):
     return np.abs(found - truth).mean() / truth.mean()
 
 
+# Shortest paths over a stencil, whose edges in the plane are one to three steps long along each axis.
+TINY_BODY = Box((1e6, 1e6, 0), (1e6 + 1e-3, 1e6 + 2e-3, 6), periodic=(False, False, True))
+
+
 @pytest.mark.parametrize(
     ("domain", "blocks", "worst"),
     [
         (Box([0], [3]), None, 1e-6),
         (Box((0, -1), (2, 0), periodic=(False, True)), None, 3e-3),
-        # Shortest paths over a stencil, whose edges in the plane are one to three steps long along each axis.
-        (
-            Box((1e6, 1e6, 0), (1e6 + 1e-3, 1e6 + 2e-3, 6), periodic=(False, False, True)),
-            (((0, 1), 1.0), ((2,), 1e-4)),
-            0.03,
-        ),
+        (TINY_BODY, (((0, 1), 1.0), ((2,), 1e-4)), 0.03),
     ],
 )
 def test_estimate_in_empty_boxes_is_the_straight_cost(domain, blocks, worst, monkeypatch):

@@ -155,25 +155,17 @@ def test_bounds_contain_directional_costs_of_cells():
     assert (midway < costs.of_motions(v, cell)).all() and abs(np.mean(midway / time) - 1) < 0.05
 
 
-def test_sampled_states_agree_with_proven_states():
+def test_sampled_states_and_motions_agree_with_proven_ones():
     assert isinstance(SAMPLED, ConfigurationSpace)
-    assert SAMPLED.domain == SPACE.domain and SAMPLED.motion_cost == SPACE.motion_cost
-    q = np.random.default_rng(0).random((100, 2))
-    np.testing.assert_array_equal(SAMPLED.is_free(q), SPACE.is_free(q))
     lo, hi = random_boxes(np.random.default_rng(0), SPACE.domain, 400)
     proven, sampled = SPACE.classify(lo, hi), SAMPLED.classify(lo, hi)
-    inside = np.all((lo > 0.001) & (hi < (1.99, 0.999)), axis=1)  # what only touches an obstacle is free
-    assert (sampled[proven == FREE] == FREE).all()
-    assert (sampled[inside & (proven == BLOCKED)] != FREE).all()
+    inside = np.all((lo > 0.001) & (hi < (1.99, 0.999)), axis=1)  # touching an obstacle is free
+    assert (sampled[proven == FREE] == FREE).all() and (sampled[inside & (proven == BLOCKED)] != FREE).all()
     assert (sampled[proven == MIXED] == MIXED).mean() > 0.8
     assert SAMPLED.classify(np.array([[0.4, 0.3]]), np.array([[0.5, 0.4]])).tolist() == [BLOCKED]
-
-
-def test_sampled_motions_agree_with_proven_motions():
     q0 = np.array([[0.1, 0.5], [0.1, 0.1], [1.9, 0.5], [0.1, 0.5]])
     q1 = np.array([[1.5, 0.5], [1.5, 0.1], [0.1, 0.5], [0.5, 0.5]])
     assert SAMPLED.are_free(q0, q1).tolist() == [True, True, True, False]  # the first one goes around the back
-    assert SAMPLED.are_free(q0, q1).tolist() == SPACE.are_free(q0, q1).tolist()
 
 
 @pytest.mark.parametrize("width", [(1e6, 1e-3), (1e-6, 1.0, 1e6)])

@@ -17,7 +17,7 @@ BLOCK = Workspace(BOUNDS, [rectangle(1, 1, 2, 2)])
 
 
 def paths_of(space, goal, *, cost_map=None, num_cells=200, rounds=2):
-    """Return paths on a mesh whose mixed cells are halved, and the positions of corners of free cells and the goal."""
+    """Return paths on a mesh whose mixed cells are halved, and the positions of their nodes."""
     mesh = coarse_mesh(space, num_cells, 4096)
     for _ in range(rounds):
         mesh = mesh.refined(np.flatnonzero(mesh.state == 2), space)

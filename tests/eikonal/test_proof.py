@@ -4,23 +4,10 @@ import numpy as np
 import pytest
 import shapely
 from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_between, check_bounds, use_few_nodes
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from space_helpers import BOUNDS, random_workspace, rectangle
 
-from plr_jax import (
-    CellState,
-    LipschitzCost,
-    PlaneSpace,
-    RasterCost,
-    VisibilityGraph,
-    VoxelSpace,
-    Workspace,
-    from_bytes,
-    scenes,
-    solve_eikonal,
-)
-from plr_jax.geometry.box import Box
+from plr_jax import Box, VisibilityGraph, Workspace, from_bytes, scenes, solve_eikonal
+from plr_jax.spaces import CellState, LipschitzCost, PlaneSpace, RasterCost, VoxelSpace
 
 TOUCHING = rectangle(1, 1.5, 2, 2.25), rectangle(2, 0.75, 3, 1.5)  # in a dyadic point
 ONCE, TWICE = (Workspace(BOUNDS, TOUCHING, squeeze=squeeze) for squeeze in (False, True))
@@ -28,14 +15,11 @@ MAZE = scenes.thin_maze()
 THIN = Workspace(BOUNDS, [rectangle(2, 0, 2 + 1e-7, 2.6), rectangle(1, 0.4, 1.0 + 1e-7, 3)])
 GAP = Workspace(BOUNDS, [rectangle(2, 0, 2.5, 1.3), rectangle(2, 1.3 + 1e-5, 2.5, 3)])
 PLACES = {  # a workspace, a goal, limits, and the share of points with a known upper bound
-    "goal on a dyadic point": (ROOM, (0.5, 0.375), 400, None, 0.9),
     "goal in a corner": (ROOM, (1.0, 2.0), 400, None, 0.9),
-    "goal between walls": (ROOM, (2.3, 0.0), 400, None, 0.9),
     "goal just beside a wall": (ROOM, (0.9999999, 1.5), 400, None, 0.9),
     "goal beside a contact": (ONCE, (1.9, 1.4), 300, None, 0.5),
     "goal beside a passage": (TWICE, (1.9, 1.4), 300, 400, 0.5),
     "goal where obstacles touch": (ONCE, (2.0, 1.5), 300, 400, 0.5),
-    "goal in a passage": (TWICE, (2.0, 1.5), 300, None, 0.5),
     "thin maze in few bytes": (MAZE.workspace, MAZE.goals[0, :2], 1500, 300, 0.5),
     "walls of 1e-7": (THIN, (0.3, 0.4), 400, None, 0.5),
     "gap of 1e-5": (GAP, (0.3, 0.4), 400, None, 0.3),
@@ -58,34 +42,26 @@ def test_bounds_contain_exact_distance_at_hard_goals(workspace, goal, max_leaves
     assert max_bytes is None or plr.num_bytes <= max_bytes
 
 
-def check_random_map(seed, num_goals, max_leaves, max_bytes):
-    """Check bounds on a random map, for goals of which two are in one cell."""
+@pytest.mark.parametrize(
+    ("seed", "num_goals", "max_leaves", "max_bytes"),
+    [
+        (1, 1, 100, 150),
+        (2, 2, 60, None),
+        (3, 12, 60, 300),
+        *(
+            pytest.param(k, (1, 2, 12)[k % 3], 10 * k, (None, 150, 600)[k // 3], marks=pytest.mark.full)
+            for k in range(1, 9)
+        ),
+    ],
+)
+def test_bounds_contain_exact_distance_on_random_maps(seed, num_goals, max_leaves, max_bytes):
+    """Two of the goals are in one cell."""
     workspace = random_workspace(seed)
     goals = workspace.sample_free(num_goals, seed)
     goals[1:2] = goals[0] + 1e-7 * (np.mean(BOUNDS, axis=0) - goals[0])
     goals = goals[shapely.intersects_xy(workspace.free_space, *goals.T)]
     plr = solve_eikonal(PlaneSpace(workspace), goals, max_leaves=max_leaves, max_bytes=max_bytes)
     check_bounds(plr, workspace, goals, seed)
-
-
-@pytest.mark.parametrize(
-    ("seed", "num_goals", "max_leaves", "max_bytes"),
-    [(1, 1, 100, 150), (2, 2, 60, None), (3, 12, 60, 300)],
-)
-def test_bounds_contain_exact_distance_on_maps(seed, num_goals, max_leaves, max_bytes):
-    check_random_map(seed, num_goals, max_leaves, max_bytes)
-
-
-@pytest.mark.full
-@settings(max_examples=15)
-@given(
-    st.integers(0, 10_000),
-    st.sampled_from([1, 2, 12]),
-    st.sampled_from([10, 40, 160, 300]),
-    st.sampled_from([None, 150, 600]),
-)
-def test_bounds_contain_exact_distance_on_random_maps(seed, num_goals, max_leaves, max_bytes):
-    check_random_map(seed, num_goals, max_leaves, max_bytes)
 
 
 TWO_NORMS = ((0,), 2.0), ((1,), 0.5)
@@ -170,14 +146,7 @@ def test_lower_bounds_in_free_space_are_straight_in_every_reader(corner):
         np.testing.assert_allclose(lower, distance, rtol=2e-6, atol=2e-5)
 
 
-@pytest.mark.parametrize(
-    ("width", "rate"),
-    [
-        (1e20, 1e-10),
-        (1e-14, 1.0),
-        *(pytest.param(*each, marks=pytest.mark.full) for each in ((1e-20, 1e10), (1e14, 1.0))),
-    ],
-)
+@pytest.mark.parametrize(("width", "rate"), [(1e20, 1e-10), (1e-14, 1.0)])
 def test_lower_bounds_hold_for_huge_and_tiny_lengths(width, rate):
     """Squares of the lengths exceed 32 bits."""
     cost = RasterCost(np.full((2, 2), rate), ((0, 0), (width, width)))

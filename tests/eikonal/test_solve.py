@@ -6,23 +6,12 @@ import pytest
 from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_bounds, use_few_nodes
 from space_helpers import rectangle
 
-from plr_jax import (
-    Box,
-    PlaneSpace,
-    RasterCost,
-    VisibilityGraph,
-    VoxelGraph,
-    VoxelSpace,
-    Workspace,
-    from_bytes,
-    load,
-    save,
-    solve_eikonal,
-)
+from plr_jax import Box, VisibilityGraph, VoxelGraph, Workspace, from_bytes, load, save, solve_eikonal
 from plr_jax.eikonal import solve
 from plr_jax.eikonal.bounds import MeshEstimate
 from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.plr.growth import ConstructionInterrupted
+from plr_jax.spaces import PlaneSpace, RasterCost, VoxelSpace
 
 GOAL = (0.3, 0.4)
 
@@ -190,9 +179,8 @@ def test_estimates_lie_within_bounds_where_costs_vary_widely():
     assert (lower <= plr(x)).all() and (plr(x) <= upper).all()
 
 
-def test_holes_in_thin_walls_of_volumes_have_upper_bounds(monkeypatch):
+def test_holes_in_thin_walls_of_volumes_have_upper_bounds():
     """Two rooms and a wall of one voxel between them, with a hole of one voxel, at whose edges the path bends."""
-    use_few_nodes(monkeypatch)
     free = np.ones((12, 12, 12), bool)
     free[6] = False
     free[6, 6, 6] = True
@@ -212,26 +200,18 @@ def test_holes_in_thin_walls_of_volumes_have_upper_bounds(monkeypatch):
     assert (upper >= straight - 1e-6).all() and (upper <= length + 1.5).all()
 
 
-def test_files_keep_bounds(tmp_path):
-    plr = solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=60)
-    save(plr, tmp_path / "file.plr")
-    x = ROOM.sample_free(2000, 0)
-    bounds = np.stack(plr.bounds(x))
-    for other in (load(tmp_path / "file.plr"), from_bytes(plr.to_bytes())):
-        np.testing.assert_array_equal(np.stack(other.bounds(x)), bounds)
-        assert other.max_error == plr.max_error == np.inf
-    assert np.isinf(bounds[1]).any()
-
-
 def test_builds_obey_byte_limits_and_repeat_exactly():
     few, again, full = (
         solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=60, max_bytes=most) for most in (120, 120, None)
     )
-    assert few.num_bytes <= 120 < full.num_bytes
-    assert few.to_bytes() == again.to_bytes()
+    assert few.num_bytes <= 120 < full.num_bytes and few.to_bytes() == again.to_bytes()
     check_bounds(few, ROOM, GOAL, n=1000)
     x = ROOM.sample_free(1000, 0)
-    assert few.numpy().bounds(x)[0].mean() < full.numpy().bounds(x)[0].mean()
+    lower, upper = full.bounds(x)
+    assert np.mean(few.bounds(x)[0]) < np.mean(lower)
+    copy = from_bytes(full.to_bytes())
+    np.testing.assert_array_equal(copy.bounds(x), (lower, upper))
+    assert copy.max_error == full.max_error == np.inf and np.isinf(upper).any()
 
 
 @pytest.mark.parametrize("max_leaves", [1, 17])
@@ -267,14 +247,10 @@ def test_tiny_costs_and_huge_meshes_raise():
 
 @pytest.mark.parametrize("answer", [None, [1], np.full(64, 7)])
 def test_invalid_answers_of_classify_raise(answer):
-    class Wrong(FreeOnly):
-        are_free = PlaneSpace(ROOM).are_free
-
-        def classify(self, lo, hi):
-            return answer
-
+    space = FreeOnly(PlaneSpace(ROOM))
+    space.are_free, space.classify = PlaneSpace(ROOM).are_free, lambda lo, hi: answer
     with pytest.raises(ValueError, match="classify must return one CellState per box"):
-        solve_eikonal(Wrong(PlaneSpace(ROOM)), GOAL, max_leaves=64)
+        solve_eikonal(space, GOAL, max_leaves=64)
 
 
 def test_too_few_bytes_for_open_cells_raise(monkeypatch):

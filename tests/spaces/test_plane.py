@@ -38,7 +38,6 @@ S = 0.25 / np.sqrt(2)  # a disc at this offset along both axes touches the corne
         (space_of(DISC, WALL), [(2, 2, 2 + 0.98 * S, 2 + 0.98 * S)], BLOCKED),
         (space_of(DISC, WALL), [(2, 2, 2 + 1.01 * S, 2 + 1.01 * S)], MIXED),
     ],
-    ids=range(13),
 )
 def test_states_of_boxes_drawn_by_hand(space, boxes, expected):
     assert states(space, *boxes) == [expected] * len(boxes)

@@ -175,7 +175,6 @@ def test_sparse_tables_return_extremes_of_blocks(shape, max_entries, monkeypatch
         (([[1.0]], 5), r"The bounds must be a Box or its corners"),
         (([[1.0]], UNIT, "cubic"), "interpolation must be 'bilinear' or 'nearest', got 'cubic'"),
     ],
-    ids=range(9),
 )
 @pytest.mark.usefixtures("unchecked_types")
 def test_invalid_rasters_raise(arguments, message):
@@ -286,7 +285,6 @@ def test_inflation_measures_distances_on_oblong_pixels():
         (lambda: RasterCost([[1.0]], STRIP).inflated(1, inflation_radius=np.inf), "inflation_radius must"),
         (lambda: RasterCost([[1.0]], STRIP).inflated(1, cost_scaling_factor="x"), "cost_scaling_factor must"),
     ],
-    ids=range(11),
 )
 @pytest.mark.usefixtures("unchecked_types")
 def test_invalid_cost_maps_raise(call, message):

@@ -9,7 +9,6 @@ from plr_jax import (
     ConfigurationSpace,
     SeesBoxes,
     VoxelSpace,
-    solve_eikonal,
 )
 from plr_jax.plr.tree import Cells
 
@@ -86,12 +85,9 @@ def test_balls_touch_walls_of_tight_passages():
     # Past an edge at exactly the radius: a tangent of the cylinder around the edge.
     free = np.ones((6, 6, 3), bool)
     free[2, 2] = False
-    reach = np.array([1.0, 1.0, 0.0]) / np.sqrt(2)
-    across = np.array([1.0, -1.0, 0.2]) * 0.7
-    edge = np.array([3.0, 3.0, 1.5])
-    space = VoxelSpace(free, radius=1.0)
-    tangent = edge + reach * np.array([[1.0], [1 - 1e-6]])
-    assert space.are_free(tangent - across, tangent + across).tolist() == [True, False]
+    across, out = np.array([0.7, -0.7, 0.14]), np.array([[1.0], [1 - 1e-6]]) / np.sqrt(2)
+    tangent = np.array([3.0, 3.0, 1.5]) + out * [1.0, 1.0, 0.0]
+    assert VoxelSpace(free, radius=1.0).are_free(tangent - across, tangent + across).tolist() == [True, False]
 
 
 def test_voxels_of_unequal_sides_fill_the_bounds():
@@ -103,7 +99,6 @@ def test_voxels_of_unequal_sides_fill_the_bounds():
     assert space.is_free(q).tolist() == [False, True, False, True]
     assert isinstance(space, ConfigurationSpace) and isinstance(space, SeesBoxes)
     assert space.motion_cost.lengths([[0, -1, 3]], [[3, -1, 3]], space.domain) == 3
-    assert repr(space).startswith("VoxelSpace(2 x 5 x 1 voxels, Box(")
     with pytest.raises(ValueError, match="read-only"):
         space.free[0, 0, 0] = False
 
@@ -123,14 +118,12 @@ def test_walls_on_faces_of_cells_stay_there_after_rounding():
         np.testing.assert_array_equal(space.classify(*cells.boxes(space.domain)), of_units)
 
 
-def test_points_outside_or_infinite_are_not_free():
-    space = VoxelSpace(np.ones((2, 2), bool))
-    q = np.array([[np.nan, 1], [np.inf, 1], [2.1, 1], [1, -1e-12], [2, 2], [1e300, 0]])
-    assert space.is_free(q).tolist() == [False, False, False, False, True, False]
-    for radius in (0.0, 0.1):
-        space = VoxelSpace(np.ones((2, 2), bool), radius=radius)
-        assert not space.are_free(q[:4], np.ones((4, 2))).any() and not space.are_free(np.ones((4, 2)), q[:4]).any()
-        assert states(space, (2, 0, 3, 1), (-3, -3, 5, 5), (1.5, 0, 2.5, 1)) == [BLOCKED, MIXED, MIXED]
+@pytest.mark.parametrize("radius", [0.0, 0.1])
+def test_points_and_boxes_outside_are_not_free(radius):
+    space, one = VoxelSpace(np.ones((2, 2), bool), radius=radius), np.ones((5, 2))
+    q = np.array([[np.nan, 1], [np.inf, 1], [2.1, 1], [1, -1e-12], [1e300, 0]])
+    assert not (space.is_free(q) | space.are_free(q, one) | space.are_free(one, q)).any()
+    assert states(space, (2, 0, 3, 1), (-3, -3, 5, 5), (1.5, 0, 2.5, 1)) == [BLOCKED, MIXED, MIXED]
 
 
 def test_seen_boxes_have_only_visible_samples():
@@ -143,12 +136,11 @@ def test_seen_boxes_have_only_visible_samples():
         hi = lo + rng.integers(1, 5, lo.shape) / 4
         q = np.where(rng.random(lo.shape) < 0.5, lo, hi)
         sees = space.sees_boxes(q, lo, hi)
-        x = lo[:, None] + rng.integers(0, 5, (40, 60, 3)) / 4 * (hi - lo)[:, None]
-        x = x.reshape(-1, 3)
-        visible = (space.are_free(x, np.repeat(q, 60, axis=0)) | ~space.is_free(x)).reshape(40, 60).all(axis=1)
+        x = (lo[:, None] + rng.integers(0, 5, (40, 60, 3)) / 4 * (hi - lo)[:, None]).reshape(-1, 3)
+        free = space.is_free(x)
+        visible = (space.are_free(x, np.repeat(q, 60, axis=0)) | ~free).reshape(40, 60).all(axis=1)
         assert visible[sees].all()
-        some_free = space.is_free(x).reshape(40, 60).any(axis=1)
-        counts += [sees.sum(), (visible & some_free & space.is_free(q) & ~sees).sum()]
+        counts += [sees.sum(), (visible & free.reshape(40, 60).any(axis=1) & space.is_free(q) & ~sees).sum()]
     assert counts[0] > 2 * counts[1]
     assert not VoxelSpace(CHECKERS).sees_boxes([[1, 1]], [[0.5, 0.5]], [[1, 1]])[0]
     assert not VoxelSpace(np.ones((2, 2), bool), radius=0.1).sees_boxes([[1, 1]], [[0.5, 0.5]], [[1, 1]])[0]
@@ -160,17 +152,14 @@ def test_seen_boxes_have_only_visible_samples():
     [
         (lambda: VoxelSpace(CHECKERS.astype(int)), r"booleans of 1 to 4 axes.* got int64 of shape \(2, 2\)"),
         (lambda: VoxelSpace(np.ones((1,) * 5, bool)), "1 to 4 axes"),
-        (lambda: VoxelSpace(np.True_), "1 to 4 axes"),
         (lambda: VoxelSpace(np.ma.masked_array(CHECKERS, CHECKERS)), "some masked"),
         (lambda: VoxelSpace(np.zeros((2, 2), bool)), "at least one free voxel"),
-        (lambda: VoxelSpace(CHECKERS[:0]), "at least one free voxel"),
         (lambda: VoxelSpace(CHECKERS, ((0,), (1,))), "bounds must have 2 axes"),
         (lambda: VoxelSpace(CHECKERS, Box((0, 0), (1, 1), (True, False))), "must not have periodic axes"),
         (lambda: VoxelSpace(CHECKERS, ((1e9, 0), (1e9 + 1e-6, 1))), "sides of at least"),
         (lambda: VoxelSpace(CHECKERS, radius=-1), "radius must be"),
         (lambda: VoxelSpace(CHECKERS, radius=1e200), "radius must be at most"),
         (lambda: VoxelSpace(CHECKERS, radius=1e-12), "radius must be 0 for a point, or at least"),
-        (lambda: solve_eikonal(VoxelSpace(CHECKERS), (1.5, 0.5)), "must be a free configuration"),
     ],
 )
 def test_invalid_arguments_raise(make, message):
