@@ -121,16 +121,3 @@ def check_bounds(plr, workspace, goals, seed=0, n=4000):
     x = hard_points(plr, workspace, n, seed)
     distance = np.min([VisibilityGraph(workspace, goal)(x) for goal in np.atleast_2d(goals)], axis=0)
     return check_between(plr, x, distance, 1e-12 * (1 + distance))  # rounding error of the oracle
-
-
-class TwoGrounds:
-    """Cost factors 1 and ``dear`` below and above a level along the last axis."""
-
-    def __init__(self, level, dear):
-        self.level, self.dear = level, dear
-
-    def __call__(self, q):
-        return np.where(np.asarray(q)[:, -1] < self.level, 1.0, self.dear)
-
-    def bounds(self, lo, hi):
-        return np.where(lo[:, -1] < self.level, 1.0, self.dear), np.where(hi[:, -1] > self.level, self.dear, 1.0)

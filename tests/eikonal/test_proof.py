@@ -3,8 +3,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_between, check_bounds, use_few_nodes
-from space_helpers import BOUNDS, random_workspace, rectangle
+from eikonal_helpers import EMPTY, ROOM, BoxSpace, check_between, check_bounds, use_few_nodes
+from space_helpers import BOUNDS, Slow, random_workspace, rectangle
 
 from plr_jax import Box, VisibilityGraph, Workspace, from_bytes, scenes, solve_eikonal
 from plr_jax.spaces import CellState, LipschitzCost, PlaneSpace, RasterCost, VoxelSpace
@@ -182,7 +182,7 @@ def test_bounds_contain_distance_around_a_box_in_space():
 def test_bounds_contain_cost_of_refracted_paths():
     """By Fermat's principle, from many crossings of the level; the goal is below the level."""
     goal, level, dear, cross = (0.2, 0.1), 0.37, 3.0, np.linspace(-1, 2, 2_001)
-    plr = solve_eikonal(EMPTY, goal, cost_map=TwoGrounds(level, dear), max_leaves=200)
+    plr = solve_eikonal(EMPTY, goal, cost_map=Slow((-9, level), (9, 9), dear), max_leaves=200)
     rng = np.random.default_rng(0)
     x = np.concatenate([rng.random((600, 2)), np.column_stack([rng.random(60), level + rng.normal(0, 1e-7, 60)])])
     below = np.hypot(cross - goal[0], level - goal[1])

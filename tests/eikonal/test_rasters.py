@@ -43,7 +43,7 @@ def check_euclidean(result, sources, side, tolerance, clear):
     np.testing.assert_allclose(result.distance[reached], 3 * to_each.min(axis=2)[reached], atol=tolerance)
     nearest, second = np.sort(to_each, axis=2)[..., :2].transpose(2, 0, 1)
     is_clear = reached & (second - nearest > clear)
-    assert (result.nearest == to_each.argmin(axis=2))[is_clear].all() and is_clear.mean() > 0.8
+    assert (result.nearest == to_each.argmin(axis=2))[is_clear].all() and is_clear.mean() > 0.6
 
 
 @pytest.mark.parametrize("cell_size", [1, (2, 0.5)])

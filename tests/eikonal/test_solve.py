@@ -3,8 +3,8 @@ import pickle
 import jax
 import numpy as np
 import pytest
-from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_bounds, use_few_nodes
-from space_helpers import rectangle
+from eikonal_helpers import EMPTY, ROOM, BoxSpace, check_bounds, use_few_nodes
+from space_helpers import Slow, rectangle
 
 from plr_jax import Box, VisibilityGraph, VoxelGraph, Workspace, from_bytes, load, save, solve_eikonal
 from plr_jax.eikonal import solve
@@ -270,7 +270,7 @@ def test_too_few_bytes_for_open_cells_raise(monkeypatch):
 
 def of_bounds(answer):
     """Return arguments with a cost map whose bounds over boxes are given by a function."""
-    cost_map = TwoGrounds(0.5, 2.0)
+    cost_map = Slow((0, 0.5), (1, 1), 2.0)
     cost_map.bounds = answer
     return {"space": EMPTY, "cost_map": cost_map, "max_leaves": 20}
 

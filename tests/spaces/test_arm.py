@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from space_helpers import rectangle, states
 
 from plr_jax import CellState, PlanarArm, Workspace
@@ -53,22 +52,3 @@ def test_links_that_are_not_neighbors_collide():
     # How the base turns matters only beside the bounds.
     small = PlanarArm(OPEN, [0.1, 0.1, 0.1], (0, 0), 0.02, self_collision=True)
     assert [states(each, ((-9, -0.1, -0.1), (9, 0.1, 0.1))) for each in (arm, small)] == [[MIXED], [FREE]]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((None, [1], (0, 0)), "must be a Workspace"),
-        ((OPEN, [], (0, 0)), "lengths"),
-        ((OPEN, [1, 0], (0, 0)), r"must be positive, got \[1.0, 0.0\]"),
-        ((OPEN, [1, np.nan], (0, 0)), "finite"),
-        ((OPEN, [1], (0, 0, 0)), "base"),
-        ((OPEN, [1], (5, 0)), "must have a clearance of at least 0, half the width"),
-        ((OPEN, [1], (3.9, 0), 0.3), "at least 0.15, .* got 0.1"),
-        ((OPEN, [1], (0, 0), -1.0), "width must be a finite number of at least 0"),
-        ((OPEN, [1, 1, 1], (0, 0), 0.0, True), "got 0: give a width"),
-    ],
-)
-def test_invalid_arguments_raise(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        PlanarArm(*arguments)

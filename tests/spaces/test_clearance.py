@@ -85,28 +85,6 @@ def test_errors_name_the_least_lipschitz_constants():
     assert (np.bincount(tight.classify(lo, hi), minlength=3) > 100).all() and tight.are_free(lo, hi).any()
 
 
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"domain": 3}, r"domain must be a Box or its corners \(lo, hi\), got 3"),
-        ({"clearance": 3}, r"clearance must be a function of configurations \(n, dof\), got 3"),
-        ({"clearance": lambda q: q}, r"clearance must give one number per point, shape \(1,\), got \(1, 3\)"),
-        ({"clearance": lambda q: q[:, 0] * np.nan}, r"clearance must return finite numbers, got nan at \[0.0, 0.0"),
-        ({"lipschitz": -1.0}, "lipschitz must be a finite number of at least 0, got -1.0"),
-        ({"lipschitz": [1, 1, -1]}, r"lipschitz must be at least 0 along each axis, got \[1.0, 1.0, -1.0\]"),
-        ({"lipschitz": [1, 1]}, r"lipschitz must be one point of shape \(3,\), got shape \(2,\)"),
-        ({"lipschitz": np.inf}, "lipschitz must be a finite number"),
-        ({"lipschitz": None}, "lipschitz must be a finite number of at least 0, got None"),
-        ({"motion_cost": MotionCost((((0, 1), 1.0),))}, "motion_cost must be a MotionCost of 3 axes, as the domain"),
-        ({"motion_cost": 1.0}, "motion_cost must be a MotionCost of 3 axes, as the domain has, got 1.0"),
-    ],
-)
-def test_invalid_arguments_raise(changed, message):
-    with pytest.raises(ValueError, match=message):
-        ClearanceSpace(**{"domain": HALL, "clearance": of_drone, "lipschitz": 1.0} | changed)
-
-
 def test_infinite_clearance_raises():
     space = ClearanceSpace(HALL, lambda q: np.where(q[:, 0] > 2, np.inf, 1.0), 1.0)
     with pytest.raises(ValueError, match=r"clearance must return finite numbers, got inf at \[3.0, 0.5, 0.5\]"):

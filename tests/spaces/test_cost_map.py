@@ -38,20 +38,6 @@ def test_bounds_allow_for_rounding_to_32_bits():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((3.0, 1.0, 1.0), r"cost_fn must be a function of configurations \(n, dof\), got 3.0"),
-        *(((bumpy, wrong, 1.0), "lipschitz must") for wrong in (-1.0, np.nan, np.inf, "much")),
-        *(((bumpy, 1.0, wrong), "least must") for wrong in (0.0, -2.0, np.nan)),
-    ],
-)
-@pytest.mark.usefixtures("unchecked_types")
-def test_invalid_arguments_raise(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        LipschitzCost(*arguments)
-
-
-@pytest.mark.parametrize(
     ("cost_fn", "message"),
     [
         (lambda q: 1.0, r"one number per point, shape \(3,\), got \(\)"),

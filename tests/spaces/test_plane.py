@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import shapely
-from robot_helpers import BAR, POINT, WING
+from robot_helpers import POINT
 from space_helpers import BOUNDS, random_boxes, random_workspace, rectangle, states
 
 from plr_jax import CellState, DiscRobot, PlaneSpace, Workspace
@@ -61,20 +61,6 @@ def test_states_of_boxes_follow_their_free_area(seed, robot):
     assert (state[(share > 1e-6) & (share < 0.99)] == MIXED).all()
     assert (state[shapely.distance(boxes, free) > 0.005 * 0.2] == BLOCKED).all()
     assert set(state) == set(CellState)
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("workspace", "robot", "message"),
-    [
-        (BOUNDS, DISC, "must be a Workspace"),
-        *((Workspace(BOUNDS), robot, r"a point or a disc.*RigidBodySpace") for robot in (BAR, WING, "disc")),
-        (Workspace(BOUNDS), DiscRobot(1.6), "no free space"),
-    ],
-)
-def test_invalid_arguments_raise(workspace, robot, message):
-    with pytest.raises(ValueError, match=message):
-        PlaneSpace(workspace, robot)
 
 
 def test_seen_boxes_have_only_visible_samples():

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from robot_helpers import BAR, DISC, AnyShape, sled
+from robot_helpers import BAR
 from space_helpers import BOUNDS, rectangle, states
 
 from plr_jax import CellState, RigidBodySpace, Workspace
@@ -40,18 +40,3 @@ def test_bodies_turn_the_shorter_way():
     assert space.are_free(q0, q1)[0]
     assert not space.are_free(q0, [[2.2, 1.5, 0.2]])[0]
     np.testing.assert_allclose(space.motion_cost.lengths(q0, q1, space.domain), 0.2 + 0.2 * np.hypot(0.45, 0.15))
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("workspace", "robot", "options", "message"),
-    [
-        *((OPEN, robot, (), r"must have a heading.*PlaneSpace") for robot in (DISC, sled(), "bar")),
-        (OPEN, AnyShape(((0.0, 0.0), (0.0, 1.0), (1.0, 0.0))), (), "convex"),
-        *((OPEN, BAR, (w,), "rotation_weight must be a positive finite number") for w in (0, -1.0, np.inf)),
-        (None, BAR, (), "must be a Workspace"),
-    ],
-)
-def test_invalid_arguments_raise(workspace, robot, options, message):
-    with pytest.raises(ValueError, match=message):
-        RigidBodySpace(workspace, robot, *options)

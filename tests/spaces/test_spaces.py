@@ -192,25 +192,6 @@ def test_blocks_of_motion_costs_compare_by_value():
     assert cost == MotionCost((((1, 0), 1.0), ((2,), 3.0))) and len({cost, cost}) == 1
 
 
-@pytest.mark.parametrize(
-    ("blocks", "message"),
-    [
-        ((), "each axis"),
-        ((((0, 2), 1.0),), r"each axis.*\[0, 2\]"),
-        ((((0, 1), 1.0), ((1,), 1.0)), r"each axis.*\[0, 1, 1\]"),
-        ((((0,), 0.0),), "weight of a block must be a positive finite"),
-        ((((0,), np.inf),), "weight of a block must be a positive finite"),
-        ((((0.5,), 1.0),), "one or more integer axes"),
-        ((((True,), 1.0),), "one or more integer axes"),
-        ((((0,), 1.0, 2.0),), "pairs .axes, weight., such as"),
-        (3, "pairs .axes, weight., such as"),
-    ],
-)
-def test_invalid_blocks_of_motion_costs_raise(blocks, message):
-    with pytest.raises(ValueError, match=message):
-        MotionCost(blocks)
-
-
 def test_free_test_needs_no_proofs():
     class Ring:
         domain = Box((-2, -2), (2, 2))

@@ -3,13 +3,7 @@ import pytest
 from space_helpers import states
 from voxel_helpers import passes, random_volume, state_of
 
-from plr_jax import (
-    Box,
-    CellState,
-    ConfigurationSpace,
-    SeesBoxes,
-    VoxelSpace,
-)
+from plr_jax import CellState, ConfigurationSpace, SeesBoxes, VoxelSpace
 from plr_jax.plr.tree import Cells
 
 BLOCKED, FREE, MIXED = CellState
@@ -144,24 +138,3 @@ def test_seen_boxes_have_only_visible_samples():
     assert counts[0] > 2 * counts[1]
     assert not VoxelSpace(CHECKERS).sees_boxes([[1, 1]], [[0.5, 0.5]], [[1, 1]])[0]
     assert not VoxelSpace(np.ones((2, 2), bool), radius=0.1).sees_boxes([[1, 1]], [[0.5, 0.5]], [[1, 1]])[0]
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: VoxelSpace(CHECKERS.astype(int)), r"booleans of 1 to 4 axes.* got int64 of shape \(2, 2\)"),
-        (lambda: VoxelSpace(np.ones((1,) * 5, bool)), "1 to 4 axes"),
-        (lambda: VoxelSpace(np.ma.masked_array(CHECKERS, CHECKERS)), "some masked"),
-        (lambda: VoxelSpace(np.zeros((2, 2), bool)), "at least one free voxel"),
-        (lambda: VoxelSpace(CHECKERS, ((0,), (1,))), "bounds must have 2 axes"),
-        (lambda: VoxelSpace(CHECKERS, Box((0, 0), (1, 1), (True, False))), "must not have periodic axes"),
-        (lambda: VoxelSpace(CHECKERS, ((1e9, 0), (1e9 + 1e-6, 1))), "sides of at least"),
-        (lambda: VoxelSpace(CHECKERS, radius=-1), "radius must be"),
-        (lambda: VoxelSpace(CHECKERS, radius=1e200), "radius must be at most"),
-        (lambda: VoxelSpace(CHECKERS, radius=1e-12), "radius must be 0 for a point, or at least"),
-    ],
-)
-def test_invalid_arguments_raise(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
