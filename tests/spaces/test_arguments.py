@@ -1,19 +1,21 @@
-"""Invalid arguments of spaces, cost maps and motion costs raise errors that name what was expected."""
+"""Invalid arguments, and invalid answers of given functions, raise errors that name what was expected."""
 
 import numpy as np
 import pytest
 from robot_helpers import BAR, DISC, WING, AnyShape, sled
-from space_helpers import BOUNDS, of_drone
+from space_helpers import BOUNDS, SteadyCurrent, of_drone
 
 from plr_jax import Box, ClearanceSpace, DiscRobot, PlanarArm, RigidBodySpace, VoxelSpace, Workspace
-from plr_jax.spaces import LipschitzCost, MotionCost, PlaneSpace, RasterCost
+from plr_jax.spaces import LipschitzCost, MotionCost, PlaneSpace, RasterCost, cost_bounds
 
 OPEN = Workspace(((-4.0, -4.0), (4.0, 4.0)))
 HALL = Box((0, 0, 0), (4, 4, 3))
 UNIT, STRIP = ((0, 0), (1, 1)), ((0, 0), (8, 1))
 CHECKERS = np.eye(2, dtype=bool)
 CLOCKWISE = AnyShape(((0.0, 0.0), (0.0, 1.0), (1.0, 0.0)))
-ONE = ((0,), 1.0)  # a block of motion costs
+infinite_clearance = ClearanceSpace(HALL, lambda q: np.where(q[:, 0] > 2, np.inf, 1.0), 1.0).is_free
+BLOCK = ((0,), 1.0)
+ZEROS, ONE = np.zeros((1, 2)), np.ones(1)
 
 
 def positive_cost(q):
@@ -28,6 +30,18 @@ def costmap(value, **options):
     return RasterCost.from_costmap([[value]], STRIP, **options)
 
 
+def pulled(*pulls):
+    """Ask for the bounds of a directional cost that answers these pulls."""
+    cost = SteadyCurrent((0.2, -0.1))
+    cost.pulls = lambda lo, hi: pulls if len(pulls) > 1 else pulls[0]
+    cost_bounds(MotionCost([((0, 1), 1.0)]), cost, ZEROS, ZEROS + 1)
+
+
+def cost_of(answer):
+    """Ask for the bounds of a cost at two boxes, for which the cost function gives an answer."""
+    LipschitzCost(lambda q: answer, 1.0, 0.5).bounds(np.zeros((2, 2)), np.ones((2, 2)))
+
+
 CASES = [
     (PlaneSpace, (BOUNDS, DISC), "must be a Workspace"),
     *((PlaneSpace, (OPEN, robot), r"a point or a disc.*RigidBodySpace") for robot in (BAR, WING, "disc")),
@@ -35,10 +49,7 @@ CASES = [
     (RigidBodySpace, (None, BAR), "must be a Workspace"),
     *((RigidBodySpace, (OPEN, robot), r"must have a heading.*PlaneSpace") for robot in (DISC, sled(), "bar")),
     (RigidBodySpace, (OPEN, CLOCKWISE), "convex"),
-    *(
-        (RigidBodySpace, (OPEN, BAR, w), "rotation_weight must be a positive finite number")
-        for w in (0, -1.0, np.inf)
-    ),
+    *((RigidBodySpace, (OPEN, BAR, w), "rotation_weight must be a positive finite") for w in (0, -1.0, np.inf)),
     (PlanarArm, (None, [1], (0, 0)), "must be a Workspace"),
     (PlanarArm, (OPEN, [], (0, 0)), "lengths"),
     (PlanarArm, (OPEN, [1, 0], (0, 0)), r"must be positive, got \[1.0, 0.0\]"),
@@ -62,25 +73,33 @@ CASES = [
     (ClearanceSpace, (HALL, 3, 1), r"clearance must be a function of configurations \(n, dof\), got 3"),
     (ClearanceSpace, (HALL, lambda q: q, 1), r"clearance must give one number per point, shape \(1,\), got \(1, 3\)"),
     (ClearanceSpace, (HALL, lambda q: q[:, 0] * np.nan, 1), r"clearance must return finite .* got nan at \[0.0, 0.0"),
+    (infinite_clearance, ([[1.0, 0.5, 0.5], [3.0, 0.5, 0.5]],), r"finite numbers, got inf at \[3.0, 0.5, 0.5\]"),
     (ClearanceSpace, (HALL, of_drone, -1.0), "lipschitz must be a finite number of at least 0, got -1.0"),
     (ClearanceSpace, (HALL, of_drone, [1, 1, -1]), r"lipschitz must be at least 0 .* got \[1.0, 1.0, -1.0\]"),
     (ClearanceSpace, (HALL, of_drone, [1, 1]), r"lipschitz must be one point of shape \(3,\), got shape \(2,\)"),
     (ClearanceSpace, (HALL, of_drone, None), "lipschitz must be a finite number of at least 0, got None"),
-    (
-        ClearanceSpace,
-        (HALL, of_drone, 1, MotionCost([((0, 1), 1.0)])),
-        "must be a MotionCost of 3 axes, as the domain",
-    ),
+    (ClearanceSpace, (HALL, of_drone, 1, MotionCost([((0, 1), 1.0)])), "a MotionCost of 3 axes, as the domain"),
     (ClearanceSpace, (HALL, of_drone, 1, 1.0), "motion_cost must be a MotionCost of 3 axes, .* got 1.0"),
     (MotionCost, ((),), "each axis"),
     (MotionCost, ((((0, 2), 1.0),),), r"each axis.*\[0, 2\]"),
     (MotionCost, ((((0, 1), 1.0), ((1,), 1.0)),), r"each axis.*\[0, 1, 1\]"),
     *((MotionCost, ((((0,), w),),), "weight of a block must be a positive finite") for w in (0.0, np.inf)),
     *((MotionCost, (((axes, 1.0),),), "one or more integer axes") for axes in ((0.5,), (), (True,))),
-    *((MotionCost, (blocks,), "pairs .axes, weight., such as") for blocks in (((*ONE, 2.0),), 3)),
+    *((MotionCost, (blocks,), "pairs .axes, weight., such as") for blocks in (((*BLOCK, 2.0),), 3)),
     (LipschitzCost, (3.0, 1.0, 1.0), r"cost_fn must be a function of configurations \(n, dof\), got 3.0"),
     *((LipschitzCost, (positive_cost, wrong, 1.0), "lipschitz must") for wrong in (-1.0, np.nan, np.inf, "much")),
     *((LipschitzCost, (positive_cost, 1.0, wrong), "least must") for wrong in (0.0, -2.0, np.nan)),
+    (LipschitzCost(lambda q: 1.0, 1.0, 0.5), (ZEROS,), r"one number per point, shape \(1,\), got \(\)"),
+    (cost_of, (1.0,), r"one number per point, shape \(2,\), got \(\)"),
+    (cost_of, (np.zeros((2, 2)),), r"one number per point, shape \(2,\), got \(2, 2\)"),
+    (cost_of, (np.array([1.0, 0.1]),), "finite numbers of at least 0.5, got 0.1 at"),
+    (cost_of, (np.array([1.0, np.nan]),), "got nan at"),
+    (cost_of, (np.array([np.inf, 1.0]),), "got inf at"),
+    (pulled, (3,), "pulls must be two arrays of vectors and two of numbers, got 3"),
+    (pulled, (np.zeros((1, 3)), ZEROS, ONE, ONE), r"finite vectors of shape \(1, 2\)"),
+    (pulled, (ZEROS, np.nan * ZEROS, ONE, ONE), r"finite vectors of shape \(1, 2\)"),
+    (pulled, (ZEROS, ZEROS, 2 * ONE, ONE), "least nowhere above most"),
+    (pulled, (ZEROS, ZEROS, np.ones(2), ONE), "one number per point"),
     (RasterCost, ([1.0, 2], UNIT), r"a raster of 2 axes, one per axis.* and at most 4, .* got shape \(2,\)"),
     (RasterCost, (np.ones((1,) * 5), ((0,) * 5, (1,) * 5)), "at most 4"),
     (RasterCost, (np.ones((0, 2)), UNIT), "at least one cell"),

@@ -37,26 +37,8 @@ def test_bounds_allow_for_rounding_to_32_bits():
     np.testing.assert_array_equal(LipschitzCost(lambda q: np.full(len(q), np.float32(0.7)), 0.0, 0.7)(x), 0.7)
 
 
-@pytest.mark.parametrize(
-    ("cost_fn", "message"),
-    [
-        (lambda q: 1.0, r"one number per point, shape \(3,\), got \(\)"),
-        (lambda q: q, r"one number per point, shape \(3,\), got \(3, 2\)"),
-        (lambda q: np.array([1.0, 0.1, 1.0]), "finite numbers of at least 0.5, got 0.1 at"),
-        (lambda q: np.array([1.0, np.nan, 1.0]), "got nan at"),
-        (lambda q: np.array([1.0, 1.0, np.inf]), "got inf at"),
-    ],
-)
-def test_invalid_costs_of_functions_raise(cost_fn, message):
-    cost = LipschitzCost(cost_fn, 1.0, 0.5)
-    for call, arguments in ((cost, [np.zeros((3, 2))]), (cost.bounds, [np.zeros((3, 2)), np.ones((3, 2))])):
-        with pytest.raises(ValueError, match=message):
-            call(*arguments)
-
-
 HILL = Climb(lambda q: np.stack([np.sin(q[:, 0]), q[:, 1]], axis=1) / 2, rate=1.5, lipschitz=0.5, steepest=2.0)
 CURRENT = SteadyCurrent((0.2, -0.1))
-ONE = np.ones(1)
 SQUARE = PlaneSpace(Workspace(((0, 0), (1, 1))))
 
 
@@ -85,21 +67,3 @@ def test_solver_bounds_contain_travel_time_in_current():
     time, (lower, upper) = CURRENT.time(goal - x), plr.bounds(x)
     assert (lower <= time).all() and (time <= upper).all()
     assert np.abs(plr(x) - time).mean() < 0.02 * time.mean()
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("pulls", "message"),
-    [
-        (3, "pulls must be two arrays of vectors and two of numbers, got 3"),
-        ((np.zeros((1, 3)), np.zeros((1, 2)), ONE, ONE), r"finite vectors of shape \(1, 2\)"),
-        ((np.zeros((1, 2)), np.full((1, 2), np.nan), ONE, ONE), r"finite vectors of shape \(1, 2\)"),
-        ((np.zeros((1, 2)), np.zeros((1, 2)), 2 * ONE, ONE), "least nowhere above most"),
-        ((np.zeros((1, 2)), np.zeros((1, 2)), np.ones(2), ONE), "one number per point"),
-    ],
-)
-def test_invalid_pulls_raise(pulls, message):
-    cost = SteadyCurrent((0.2, -0.1))
-    cost.pulls = lambda lo, hi: pulls
-    with pytest.raises(ValueError, match=message):
-        cost_bounds(SQUARE.motion_cost, cost, np.zeros((1, 2)), np.ones((1, 2)))
