@@ -77,7 +77,7 @@ def test_costs_behind_corners_on_nodes_are_extrapolated():
     assert mean_error(estimate(q), VisibilityGraph(workspace, goal)(q)) < 5e-5
 
 
-@pytest.mark.parametrize(("angle", "size"), [(0.0, 3), (0.2, 8), (0.0, 50), (np.pi / 4, 401)])
+@pytest.mark.parametrize(("angle", "size"), [(0.0, 3), (0.2, 8), (np.pi / 4, 401)])
 def test_no_path_passes_between_touching_obstacles(angle, size, monkeypatch):
     """Two triangles or squares that touch in the middle of the map split it."""
     use_few_nodes(monkeypatch)
@@ -113,7 +113,8 @@ def test_path_leads_through_hole_between_oblong_voxels(monkeypatch):
     np.testing.assert_allclose(found, [3, 1, 2], rtol=0.03)
 
 
-def test_discs_pass_gaps_as_wide_as_they_are():
+def test_discs_pass_gaps_as_wide_as_they_are(monkeypatch):
+    use_few_nodes(monkeypatch)
     for width, reaches in ((0.401, True), (0.399, False)):
         workspace = room((0, 1.9, 2, 2.1), (2 + width, 1.9, 4, 2.1), size=(4, 4))
         estimate = grid_estimate(PlaneSpace(workspace, DiscRobot(0.2)), None, np.array([1.0, 1.0]))
@@ -154,11 +155,11 @@ def test_steady_climbs_cost_their_height(monkeypatch):
     assert mean_error(grid_estimate(space, climbing, goal)(q), truth) < 0.015
 
 
-@pytest.mark.parametrize(("jump", "goal_x", "error"), [(3.0, 0.25, 0.01), (20.0, 0.25, 0.01), (0.7, 0.95, 0.004)])
+@pytest.mark.parametrize(("jump", "goal_x", "error"), [(20.0, 0.25, 0.01), (0.7, 0.95, 0.004)])
 def test_paths_refract_where_costs_jump(jump, goal_x, error):
     """Beyond a border at x = 1: Snell's law gives the truth, from many crossings of the border."""
     space, goal = PlaneSpace(room(size=(2, 1))), np.array([goal_x, 0.5])
-    q = samples(space.domain)
+    q = samples(space.domain, 300)
     border = np.linspace(0, 1, 1_001)
     beyond = np.maximum(q[:, :1] - 1, 0)
     crossing = np.hypot(1 - goal_x, border - 0.5) + jump * np.hypot(beyond, border - q[:, 1:])
@@ -201,9 +202,10 @@ def test_nearest_goal_depends_on_walls_and_climbs(monkeypatch):
     assert grid_estimate(level, climbing, goals).which(np.array([(0.5, 1.0)])).tolist() == [1]
 
 
-def test_walls_at_round_coordinates_lie_on_nodes_despite_rasters():
+def test_walls_at_round_coordinates_lie_on_nodes_despite_rasters(monkeypatch):
+    use_few_nodes(monkeypatch, 40_000)
     workspace = room((0.9, 0, 1, 0.6), size=(2, 1))
     cost = RasterCost(np.ones((100, 200)), workspace.bounds)
     found = grid_estimate(PlaneSpace(workspace), cost, (0.2, 0.2))
     x = workspace.sample_free(500, 0)
-    assert mean_error(found(x), VisibilityGraph(workspace, (0.2, 0.2))(x)) < 5e-4
+    assert mean_error(found(x), VisibilityGraph(workspace, (0.2, 0.2))(x)) < 1e-3

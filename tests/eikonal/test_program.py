@@ -55,7 +55,7 @@ def solved(program, rounds=6):
     return u / max(1.0, slopes(program, u).max()), iterate
 
 
-@pytest.mark.parametrize(("weights", "seed"), [((1.0, 1.0), 0), ((1.0, 2.5), 1), ((0.3, 1.0), 2)])
+@pytest.mark.parametrize(("weights", "seed"), [((1.0, 2.5), 1), ((0.3, 1.0), 2)])
 def test_solution_is_that_of_a_linear_program(weights, seed):
     """Where each axis costs for itself, so that constraints are linear, HiGHS solves the program exactly."""
     space = BoxSpace(UNIT, *WALLS, blocks=(((0,), weights[0]), ((1,), weights[1])))
@@ -173,4 +173,4 @@ def test_thin_walls_are_refined_first():
 def test_solver_that_has_not_converged_warns(monkeypatch):
     monkeypatch.setattr(solve, "_MOST", 11)
     with pytest.warns(UserWarning, match="has not converged in 11 iterations: the bounds hold"):
-        solve_eikonal(PlaneSpace(ROOM), (0.3, 0.4), max_leaves=100)
+        solve_eikonal(PlaneSpace(ROOM), (0.3, 0.4), max_leaves=50)

@@ -18,7 +18,7 @@ GOAL = (0.3, 0.4)
 
 @pytest.fixture(autouse=True)
 def _few_nodes(monkeypatch):
-    use_few_nodes(monkeypatch, 40_000)
+    use_few_nodes(monkeypatch)
 
 
 class FreeOnly:
@@ -43,20 +43,13 @@ class Interrupted(FreeOnly):
 
 
 def test_nothing_is_proven_of_a_space_without_proofs():
-    plr = solve_eikonal(FreeOnly(PlaneSpace(ROOM)), GOAL, max_leaves=200)
+    plr = solve_eikonal(FreeOnly(PlaneSpace(ROOM)), GOAL, max_leaves=100)
     x = ROOM.sample_free(2000, 0)
     distance = VisibilityGraph(ROOM, GOAL)(x)
-    assert np.abs(plr.numpy()(x) - distance).mean() < 0.03 * distance.mean()
+    assert np.abs(plr.numpy()(x) - distance).mean() < 0.05 * distance.mean()
     assert plr.max_error is None
     with pytest.raises(ValueError, match="Nothing is proven"):
         plr.bounds(x)
-
-
-def test_estimates_without_proof_refuse_tolerances_and_many_axes():
-    with pytest.raises(ValueError, match=r"got 2 axes and tolerance=0\.1"):
-        solve_eikonal(EMPTY, GOAL, certified=False, tolerance=0.1)
-    with pytest.raises(ValueError, match=r"up to 3 axes.*got 4 axes"):
-        solve_eikonal(BoxSpace(Box((0,) * 4, (1,) * 4)), np.full(4, 0.5), certified=False)
 
 
 def test_goal_that_no_grid_node_sees_raises():
@@ -75,15 +68,15 @@ def test_goal_that_no_grid_node_sees_raises():
 EXITS = np.array([(0.3, 0.4), (3.7, 0.3), (1.0, 1.5), (2.2, 2.7), (2.2, 2.7)])  # one on a wall; the last twice
 
 
-@pytest.mark.parametrize(("certified", "error"), [(False, 0.01), (True, 0.025)])
+@pytest.mark.parametrize(("certified", "error"), [(False, 0.015), (True, 0.04)])
 def test_nearest_of_several_goals_is_known(certified, error):
-    plr = solve_eikonal(PlaneSpace(ROOM), EXITS, max_leaves=250, certified=certified)
+    plr = solve_eikonal(PlaneSpace(ROOM), EXITS, max_leaves=150, certified=certified)
     x = ROOM.sample_free(3_000, 0)
     distances = np.stack([VisibilityGraph(ROOM, goal)(x) for goal in EXITS])
     least = distances.min(axis=0)
     assert np.abs(plr.numpy()(x) - least).mean() < error * least.mean()
     excess = distances[plr.which(x), np.arange(len(x))] - least
-    assert (excess > 1e-9).mean() < 0.01 and excess.max() < 0.03  # two steps of the grid
+    assert (excess > 1e-9).mean() < 0.03 and excess.max() < 0.1  # two steps of the grid
     assert plr.which(EXITS).tolist() == [0, 1, 2, 3, 3]
     assert plr.which([(1.5, 9.0), (np.nan, 1.0)]).tolist() == [-1, -1]
     with pytest.raises(ValueError, match="x must have"):
@@ -115,13 +108,12 @@ def test_goals_may_be_in_separate_rooms(certified):
     """The walls between three rooms are thicker than an estimate may reach across."""
     workspace = Workspace(((0, 0), (3, 1)), [rectangle(x, 0, x + 0.2, 1) for x in (0.9, 1.9)])
     goals, x = [(0.5, 0.5), (2.5, 0.5), (2.5, 0.6)], np.array([(0.3, 0.1), (1.5, 0.5), (2.9, 0.1), (2.9, 0.9)])
-    plr = solve_eikonal(PlaneSpace(workspace), goals, max_leaves=200, certified=certified)
+    plr = solve_eikonal(PlaneSpace(workspace), goals, max_leaves=100, certified=certified)
     assert plr.which(x).tolist() == [0, -1, 1, 2]
-    np.testing.assert_allclose(plr(x[[0, 2, 3]]), [np.hypot(0.2, 0.4), np.hypot(0.4, 0.4), 0.5], rtol=0.03)
+    np.testing.assert_allclose(plr(x[[0, 2, 3]]), [np.hypot(0.2, 0.4), np.hypot(0.4, 0.4), 0.5], rtol=0.1)
 
 
-def test_estimates_of_several_blocks_of_axes_are_planes(monkeypatch):
-    use_few_nodes(monkeypatch)
+def test_estimates_of_several_blocks_of_axes_are_planes():
     space = BoxSpace(EMPTY.domain, blocks=(((0,), 1.0), ((1,), 0.5)))
     plr = solve_eikonal(space, GOAL, certified=False, max_leaves=50)
     x = np.random.default_rng(0).random((500, 2))
@@ -130,24 +122,26 @@ def test_estimates_of_several_blocks_of_axes_are_planes(monkeypatch):
     assert np.abs(plr.numpy()(x) - truth).mean() < 0.03 * truth.mean()
 
 
-@pytest.mark.parametrize("cells", [4, pytest.param(25, marks=pytest.mark.full)])
-def test_points_behind_contacts_of_obstacles_answer_inf(cells):
-    """Free squares that touch in a corner, and a diagonal of obstacles that touch in corners."""
-    free, ends = np.kron(np.eye(2, dtype=bool), np.ones((cells, cells), bool)), np.array([0.88, 1.12]) * cells
-    near, far = np.repeat(ends[:, None], 2, axis=1)
-    limits = {"certified": False, "max_leaves": 200}
-    for space in (PlaneSpace(Workspace.from_mask(free, tolerance=0)), VoxelSpace(free.T)):
-        plr = solve_eikonal(space, near, **limits)
-        assert plr(far[None]).tolist() == [np.inf]
-        assert plr([[0.1, 0.1]]) == pytest.approx(np.linalg.norm(near - 0.1), rel=1e-2)
-    space = PlaneSpace(Workspace.from_mask(~np.eye(cells, dtype=bool), tolerance=0))
-    plr = solve_eikonal(space, (cells - 0.1, 0.1), **limits)
-    assert plr(np.array([(0.3, 0.7), (0.1, 0.9)]) * cells).tolist() == [np.inf, np.inf]
+DIAGONAL = np.kron(np.eye(2, dtype=bool), np.ones((4, 4), bool))  # free squares that touch in a corner
+IN_PLANE, IN_VOXELS = PlaneSpace(Workspace.from_mask(DIAGONAL, tolerance=0)), VoxelSpace(DIAGONAL)
+
+
+@pytest.mark.parametrize("space", [IN_PLANE, pytest.param(IN_VOXELS, marks=pytest.mark.full)])
+def test_points_behind_contacts_answer_inf(space):
+    near, far = (space.domain.at(np.full((1, 2), share)) for share in (0.44, 0.56))
+    plr = solve_eikonal(space, near[0], certified=False, max_leaves=200)
+    assert plr(far).tolist() == [np.inf]
+    assert plr([[0.1, 0.1]]) == pytest.approx(np.linalg.norm(near - 0.1), rel=1e-2)
+
+
+def test_points_behind_diagonal_walls_answer_inf():
+    space = PlaneSpace(Workspace.from_mask(~np.eye(4, dtype=bool), tolerance=0))
+    plr = solve_eikonal(space, (3.9, 0.1), certified=False, max_leaves=200)
+    assert plr([(1.2, 2.8), (0.4, 3.6)]).tolist() == [np.inf, np.inf]
 
 
 def test_estimates_refine_leaves_where_they_serve_most(monkeypatch):
     """A road of one cell leads through expensive cells."""
-    use_few_nodes(monkeypatch)
     monkeypatch.setattr(solve, "_MAX_LEAVES", 30)
     values = np.full((60, 60), 10.0)
     values[30] = 1.0
@@ -179,8 +173,9 @@ def test_estimates_lie_within_bounds_where_costs_vary_widely():
     assert (lower <= plr(x)).all() and (plr(x) <= upper).all()
 
 
-def test_holes_in_thin_walls_of_volumes_have_upper_bounds():
+def test_holes_in_thin_walls_of_volumes_have_upper_bounds(monkeypatch):
     """Two rooms and a wall of one voxel between them, with a hole of one voxel, at whose edges the path bends."""
+    use_few_nodes(monkeypatch, 40_000)
     free = np.ones((12, 12, 12), bool)
     free[6] = False
     free[6, 6, 6] = True
@@ -189,9 +184,7 @@ def test_holes_in_thin_walls_of_volumes_have_upper_bounds():
     plr = solve_eikonal(VoxelSpace(free), goal, max_leaves=300)
     lower, upper = plr.bounds(far)
     assert 8 <= lower <= truth <= upper < 1.4 * truth
-    assert solve_eikonal(VoxelSpace(free), goal, certified=False, max_leaves=100)(far) == pytest.approx(
-        truth, rel=0.1
-    )
+    assert plr(far) == pytest.approx(truth, rel=0.1)
     x = np.argwhere(free) + 0.5
     length = VoxelGraph(free, goal)(x)
     lower, upper = plr.numpy().bounds(x)
@@ -202,7 +195,7 @@ def test_holes_in_thin_walls_of_volumes_have_upper_bounds():
 
 def test_builds_obey_byte_limits_and_repeat_exactly():
     few, again, full = (
-        solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=60, max_bytes=most) for most in (120, 120, None)
+        solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=40, max_bytes=most) for most in (120, 120, None)
     )
     assert few.num_bytes <= 120 < full.num_bytes and few.to_bytes() == again.to_bytes()
     check_bounds(few, ROOM, GOAL, n=1000)
@@ -237,14 +230,6 @@ def test_interrupted_builds_return_the_latest_plr():
         solve_eikonal(Interrupted(PlaneSpace(ROOM), 1), GOAL, max_leaves=300)
 
 
-def test_tiny_costs_and_huge_meshes_raise():
-    tiny = RasterCost([[1e-30]], ((0, 0), (1e-3, 1e-3)))
-    with pytest.raises(ValueError, match=r"Costs must come to 1e-30 somewhere"):
-        solve_eikonal(tiny.space(), (3e-4, 3e-4), cost_map=tiny, max_leaves=20)
-    with pytest.raises(ValueError, match="would need about"):
-        solve_eikonal(EMPTY, (0.1, 0.1), max_leaves=10**20, tolerance=1)
-
-
 @pytest.mark.parametrize("answer", [None, [1], np.full(64, 7)])
 def test_invalid_answers_of_classify_raise(answer):
     space = FreeOnly(PlaneSpace(ROOM))
@@ -275,6 +260,10 @@ def of_bounds(answer):
     return {"space": EMPTY, "cost_map": cost_map, "max_leaves": 20}
 
 
+FOUR_AXES = BoxSpace(Box((0,) * 4, (1,) * 4))
+TINY = RasterCost([[1e-30]], ((0, 0), (1e-3, 1e-3)))
+
+
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("changes", "message"),
@@ -292,6 +281,13 @@ def of_bounds(answer):
         ({"max_bytes": 0}, "max_bytes must be"),
         ({"max_leaves": 100, "max_bytes": 20}, r"max_bytes=20 is too small: one leaf takes \d+ bytes"),
         ({"tolerance": -1.0}, "tolerance must be"),
+        ({"certified": False, "tolerance": 0.1}, r"got 2 axes and tolerance=0\.1"),
+        ({"certified": False, "space": FOUR_AXES, "goal": np.full(4, 0.5)}, r"up to 3 axes.*got 4 axes"),
+        ({"max_leaves": 10**20, "tolerance": 1}, "would need about"),
+        (
+            {"space": TINY.space(), "cost_map": TINY, "goal": (3e-4, 3e-4), "max_leaves": 20},
+            "come to 1e-30 somewhere",
+        ),
         ({"seed": -1}, "seed must be"),
         ({"cost_map": 2.0}, "cost_map must be a CostMap, such as RasterCost, got 2.0"),
         ({"space": None}, "space must be a configuration space with .* such as PlaneSpace"),

@@ -33,14 +33,6 @@ def boxes_of(cost, n, seed=1):
     return a, a + size
 
 
-def points_of(lo, hi, k, seed=2):
-    """Return points of boxes, ``(n, k, dim)``: first some corners, then random points."""
-    rng = np.random.default_rng(seed)
-    share = rng.random((len(lo), k, lo.shape[1]))
-    share[:, : k // 3] = np.round(share[:, : k // 3])
-    return np.clip(lo[:, None] + share * (hi - lo)[:, None], lo[:, None], hi[:, None])
-
-
 @pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
 @pytest.mark.parametrize("periodic", [False, True])
@@ -49,7 +41,10 @@ def test_bounds_contain_values_at_points_of_boxes(shape, interpolation, periodic
     assert isinstance(cost, CostMap)
     lo, hi = boxes_of(cost, 200)
     lower, upper = cost.bounds(lo, hi)
-    values = cost(points_of(lo, hi, 30).reshape(-1, len(shape))).reshape(-1, 30)
+    share = np.random.default_rng(2).random((len(lo), 30, len(shape)))
+    share[:, :10] = np.round(share[:, :10])  # corners
+    points = np.clip(lo[:, None] + share * (hi - lo)[:, None], lo[:, None], hi[:, None])
+    values = cost(points.reshape(-1, len(shape))).reshape(-1, 30)
     assert (lower[:, None] <= values).all() and (values <= upper[:, None]).all()
     assert (lower > 0).all() and np.isfinite(upper).all()
 

@@ -2,6 +2,7 @@
 
 import itertools
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -81,7 +82,7 @@ SPACES = [*BODIES, *ARMS, *BALLS, "drone"]
 @pytest.mark.parametrize("name", SPACES)
 def test_samples_agree_with_states_of_boxes(name):
     space, is_free, per_axis = space_of(name)
-    lo, hi = random_boxes(np.random.default_rng(0), space.domain, 250)
+    lo, hi = random_boxes(np.random.default_rng(0), space.domain, 150)
     state = check_classification(space, is_free, lo, hi, per_axis)
     assert set(state) == set(CellState)
     if not isinstance(space, VoxelSpace | ClearanceSpace):
@@ -105,11 +106,11 @@ def test_most_small_boxes_are_not_mixed(name):
 def test_samples_agree_with_free_motions(name):
     space, is_free, _ = space_of(name)
     rng, domain = np.random.default_rng(5), space.domain
-    q0 = domain.lo + rng.random((200, domain.dim)) * domain.width
+    q0 = domain.lo + rng.random((100, domain.dim)) * domain.width
     turned, moved = q0 + rng.uniform(-1.5, 1.5, q0.shape), q0 + rng.normal(0, 0.5, q0.shape)
     q1 = np.where(domain.periodic, turned, np.clip(moved, domain.lo, domain.hi))
     proven, sampled = check_motions(space, is_free, q0, q1)
-    assert (sampled & ~proven).sum() <= 4 and proven.sum() >= 3
+    assert (sampled & ~proven).sum() <= 2 and proven.sum() >= 2
 
 
 OPEN = Workspace(((-4, -4), (4, 4)))
@@ -193,11 +194,5 @@ def test_blocks_of_motion_costs_compare_by_value():
 
 
 def test_free_test_needs_no_proofs():
-    class Ring:
-        domain = Box((-2, -2), (2, 2))
-        motion_cost = MotionCost((((0, 1), 1.0),))
-
-        def is_free(self, q):
-            return np.linalg.norm(q, axis=1) >= 1
-
-    assert isinstance(Ring(), FreeTest) and not isinstance(Ring(), ConfigurationSpace)
+    ring = SimpleNamespace(domain=TURNING, motion_cost=MotionCost(PLANE_BLOCKS), is_free=lambda q: q[:, 0] > 1)
+    assert isinstance(ring, FreeTest) and not isinstance(ring, ConfigurationSpace)
