@@ -110,7 +110,6 @@ def test_refined_cells_fill_the_domain():
         # No more cells than asked for, or allowed.
         ((1, 1), (1, 1), 0, 4096, (0, 0)),
         ((8, 1), (1, 1), 30, 5, (2, 0)),
-        ((8, 1), (1, 1), 30, 8, (3, 0)),
         ((8, 1), (1, 1), 30, 40, (4, 1)),
     ],
 )

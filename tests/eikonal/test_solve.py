@@ -284,10 +284,7 @@ TINY = RasterCost([[1e-30]], ((0, 0), (1e-3, 1e-3)))
         ({"certified": False, "tolerance": 0.1}, r"got 2 axes and tolerance=0\.1"),
         ({"certified": False, "space": FOUR_AXES, "goal": np.full(4, 0.5)}, r"up to 3 axes.*got 4 axes"),
         ({"max_leaves": 10**20, "tolerance": 1}, "would need about"),
-        (
-            {"space": TINY.space(), "cost_map": TINY, "goal": (3e-4, 3e-4), "max_leaves": 20},
-            "come to 1e-30 somewhere",
-        ),
+        ({"space": TINY.space(), "cost_map": TINY, "goal": (3e-4, 3e-4), "max_leaves": 20}, "1e-30 somewhere"),
         ({"seed": -1}, "seed must be"),
         ({"cost_map": 2.0}, "cost_map must be a CostMap, such as RasterCost, got 2.0"),
         ({"space": None}, "space must be a configuration space with .* such as PlaneSpace"),

@@ -115,17 +115,14 @@ def test_samples_agree_with_free_motions(name):
 
 OPEN = Workspace(((-4, -4), (4, 4)))
 TURNING = Box((-4, -4, -PI), (4, 4, PI), (False, False, True))
+TORUS = Box((-PI,) * 3, (PI,) * 3, (True,) * 3)
 VOXELS = np.ones((2, 2), bool)
 PLANE_BLOCKS = (((0, 1), 1.0),)
 ATTRIBUTES = {  # spaces, their domains, and the blocks of their motion costs
     "plane": (PlaneSpace(OPEN), OPEN.bounds, PLANE_BLOCKS),
     "body": (RigidBodySpace(OPEN, BAR), TURNING, (((0, 1), 1.0), ((2,), np.hypot(0.45, 0.15)))),
     "weighted body": (RigidBodySpace(OPEN, BAR, 2), TURNING, (((0, 1), 1.0), ((2,), 2.0))),
-    "arm": (
-        PlanarArm(OPEN, [1, 0.5, 0.5], (0, 0), 0.1, True),
-        Box((-PI,) * 3, (PI,) * 3, (True,) * 3),
-        (((0, 1, 2), 1.0),),
-    ),
+    "arm": (PlanarArm(OPEN, [1, 0.5, 0.5], (0, 0), 0.1, True), TORUS, (((0, 1, 2), 1.0),)),
     "clearance": (ClearanceSpace(OPEN.bounds, lambda q: np.ones(len(q)), 1), OPEN.bounds, PLANE_BLOCKS),
     "voxels": (VoxelSpace(VOXELS, OPEN.bounds), OPEN.bounds, PLANE_BLOCKS),
     "ball": (VoxelSpace(VOXELS, OPEN.bounds, 1), OPEN.bounds, PLANE_BLOCKS),
