@@ -27,7 +27,7 @@ CELLS = st.lists(st.tuples(LEVEL, LEVEL, st.sampled_from([0.0, 0.5, 1.0, 1.25, 2
 
 
 def program_of(space, goal, num_cells=16, cost_map=None, rounds=1):
-    """The program on a mesh whose mixed cells are halved, so that nodes hang."""
+    """Return the program on a mesh whose mixed cells are halved, so that nodes hang."""
     mesh = coarse_mesh(space, num_cells, 4096)
     for _ in range(rounds):
         mesh = mesh.refined(np.flatnonzero(mesh.state == 2), space)
@@ -35,17 +35,17 @@ def program_of(space, goal, num_cells=16, cost_map=None, rounds=1):
 
 
 def slopes(program, u):
-    """By what slopes at the control points are too steep, below 1 where they are not."""
+    """Return the factors by which slopes at control points are too steep; at most 1 where they are not."""
     return program.sets.factors(program.gradients(u))
 
 
 def mean(program, u):
-    """Over open cells."""
+    """Return the mean of a function over open cells."""
     return program.weight @ u / program.weight.sum()
 
 
 def solved(program, rounds=6):
-    """The values after many iterations, 0 at the goal, over the factor by which they are too steep."""
+    """Return values after many iterations, 0 at the goal and scaled to allowed slopes; and the iterate."""
     iterate = program.solve(150, None, (20, 40, 80))
     for _ in range(rounds - 1):
         iterate = program.solve(150, iterate, (40,))
@@ -57,7 +57,7 @@ def solved(program, rounds=6):
 
 @pytest.mark.parametrize(("weights", "seed"), [((1.0, 2.5), 1), ((0.3, 1.0), 2)])
 def test_solution_is_that_of_a_linear_program(weights, seed):
-    """Where each axis costs for itself, so that constraints are linear, HiGHS solves the program exactly."""
+    """If each axis has its own norm, constraints are linear, and HiGHS solves the program exactly."""
     space = BoxSpace(UNIT, *WALLS, blocks=(((0,), weights[0]), ((1,), weights[1])))
     program = program_of(space, np.random.default_rng(seed).uniform(0, 0.25, 2))
     exact = scipy.optimize.linprog(
@@ -75,7 +75,7 @@ def test_solution_is_that_of_a_linear_program(weights, seed):
 
 @pytest.mark.parametrize("periodic", [False, True])
 def test_loss_at_the_goal_is_the_shortfall_behind_it(periodic):
-    """On four cells of a line the function is linear through the goal, and every flow gains what it costs."""
+    """On four cells of a line the function is linear through the goal."""
     space, goal = BoxSpace(Box([0], [1], [periodic])), np.array([0.3])
     program = program_of(space, goal, num_cells=4)
     u, iterate = solved(program)
@@ -86,7 +86,7 @@ def test_loss_at_the_goal_is_the_shortfall_behind_it(periodic):
 
 
 def test_slopes_obey_costs_of_their_cells():
-    """Twice as dear on the right half: the best function rises twice as fast there."""
+    """Motions cost twice as much on the right half: the solution rises twice as fast there."""
     program = program_of(BoxSpace(Box([0], [1])), [0.0], num_cells=8, cost_map=Slow([0.5 - 1e-12], [9.0], 2.0))
     x = program.space.points[:, 0]
     np.testing.assert_allclose(solved(program)[0], np.where(x < 0.5, x, 2 * x - 0.5), atol=2e-3)
@@ -126,7 +126,7 @@ def test_more_iterations_never_worsen_the_bound():
 
 @given(CELLS)
 def test_rescaling_integrates_one_over_the_steepest_factor(cells):
-    """Slot by slot of an eighth; in no cell do they stay steeper than allowed."""
+    """The integral is a sum over intervals of an eighth; no rescaled slope is too steep."""
     lowest, highest, factor = np.array(cells).T
     lowest, highest = np.minimum(lowest, highest), np.maximum(lowest, highest)
     (level, value), ends = rescaling_of(lowest, highest, factor), np.arange(-8, 41) / 8
@@ -140,7 +140,7 @@ def test_rescaling_integrates_one_over_the_steepest_factor(cells):
 
 
 def solver_of(workspace, max_cells):
-    """A solver that is through."""
+    """Return a solver after all refinements."""
     solver = SlopeSolver(PlaneSpace(workspace), None, np.array([[0.9, 0.1]]), max_cells, 0.0)
     solver.refine(tqdm(disable=True))
     return solver

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from space_helpers import Climb, SteadyCurrent
 
-from plr_jax import PlaneSpace, Workspace, solve_eikonal
-from plr_jax.spaces import CostMap, DirectionalCost, LipschitzCost, cost_bounds
+from plr_jax import CostMap, DirectionalCost, LipschitzCost, PlaneSpace, Workspace, solve_eikonal
+from plr_jax.spaces import cost_bounds
 
 
 def bumpy(q):
