@@ -44,9 +44,8 @@ def test_bounds_contain_exact_distance_at_hard_goals(workspace, goal, max_leaves
 @pytest.mark.parametrize(
     ("seed", "num_goals", "max_leaves", "max_bytes"),
     [
-        (1, 1, 100, 150),
-        (2, 2, 60, None),
-        (3, 12, 60, 300),
+        (1, 1, 60, 120),
+        (3, 12, 40, None),
         *(
             pytest.param(k, (1, 2, 12)[k % 3], 10 * k, (None, 150, 600)[k // 3], marks=pytest.mark.full)
             for k in range(1, 9)
@@ -166,6 +165,7 @@ def test_bounds_obey_strict_promotion_of_ranks_and_types():
     assert lower == 0 and np.isfinite(slope).all()
 
 
+@pytest.mark.full
 def test_bounds_contain_distance_around_a_box_in_space(monkeypatch):
     """The obstacle is as high as the domain: the distance follows from the plane and the height by Pythagoras."""
     use_few_nodes(monkeypatch, 20_000)

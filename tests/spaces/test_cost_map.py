@@ -63,7 +63,7 @@ def test_directional_bounds_contain_costs_of_motions(cost, truth):
 
 def test_solver_bounds_contain_travel_time_in_current():
     goal, x = np.array([0.7, 0.6]), np.random.default_rng(0).random((2_000, 2))
-    plr = solve_eikonal(SQUARE, goal, cost_map=CURRENT, max_leaves=80).numpy()
+    plr = solve_eikonal(SQUARE, goal, cost_map=CURRENT, max_leaves=50).numpy()
     time, (lower, upper) = CURRENT.time(goal - x), plr.bounds(x)
     assert (lower <= time).all() and (time <= upper).all()
-    assert np.abs(plr(x) - time).mean() < 0.03 * time.mean()
+    assert np.abs(plr(x) - time).mean() < 0.04 * time.mean()
