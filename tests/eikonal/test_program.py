@@ -173,4 +173,4 @@ def test_thin_walls_are_refined_first():
 def test_solver_that_has_not_converged_warns(monkeypatch):
     monkeypatch.setattr(solve, "_MOST", 11)
     with pytest.warns(UserWarning, match="has not converged in 11 iterations: the bounds hold"):
-        solve_eikonal(PlaneSpace(ROOM), (0.3, 0.4), max_leaves=50)
+        solve_eikonal(PlaneSpace(ROOM), (0.3, 0.4), max_leaves=20)

@@ -73,7 +73,7 @@ FOUR_AXES = ((0, 1), 2.0), ((2, 3), 0.5)
         ([True], None, 1, 70, 0.01),
         ([False, False], None, 1, 100, 0.2),
         ([True, False], TWO_NORMS, 2, 100, 0.2),
-        ([True] * 4, FOUR_AXES, 1, 256, 1.5),
+        pytest.param([True] * 4, FOUR_AXES, 1, 256, 1.5, marks=pytest.mark.full),
         pytest.param([False] * 3, None, 1, 600, 0.7, marks=pytest.mark.full),
         pytest.param([True, False, False, True], None, 2, 400, 2.0, marks=pytest.mark.full),
     ],

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from eikonal_helpers import use_few_nodes
 from space_helpers import Climb, SteadyCurrent
 
 from plr_jax import CostMap, DirectionalCost, LipschitzCost, PlaneSpace, Workspace, solve_eikonal
@@ -61,7 +62,8 @@ def test_directional_bounds_contain_costs_of_motions(cost, truth):
         assert (least + pull <= value + 1e-12).all() and (value <= most + pull + 1e-12).all()
 
 
-def test_solver_bounds_contain_travel_time_in_current():
+def test_solver_bounds_contain_travel_time_in_current(monkeypatch):
+    use_few_nodes(monkeypatch)
     goal, x = np.array([0.7, 0.6]), np.random.default_rng(0).random((2_000, 2))
     plr = solve_eikonal(SQUARE, goal, cost_map=CURRENT, max_leaves=50).numpy()
     time, (lower, upper) = CURRENT.time(goal - x), plr.bounds(x)
