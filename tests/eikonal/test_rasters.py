@@ -15,7 +15,7 @@ from plr_jax.eikonal import raster_search, rasters
 @pytest.fixture(autouse=True)
 def _few_cells(monkeypatch):
     """Divide cells of small rasters into fewer parts, which is quick."""
-    monkeypatch.setattr(raster_search, "_FINE_CELLS", 6_000)
+    monkeypatch.setattr(raster_search, "_FINE_CELLS", 3_000)
 
 
 def centers(shape, cell_size=(1, 1)):
@@ -63,7 +63,7 @@ def test_sources_between_cells_reach_all_cells_around(source):
 
 
 def test_cheaper_cell_counts_along_borders():
-    costs = np.full((2, 3_000), 9)  # so many cells are not divided
+    costs = np.full((2, 1_500), 9)  # so many cells are not divided
     costs[0, :2] = costs[1, 2] = 1
     result = cost_distance(costs, [(1.2, 1)])
     np.testing.assert_allclose(result.distance[1, 2], 0.8 + np.hypot(0.5, 0.5))
