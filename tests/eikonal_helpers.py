@@ -5,6 +5,7 @@ import shapely
 from space_helpers import BOUNDS, rectangle
 
 from plr_jax import PlaneSpace, VisibilityGraph, Workspace
+from plr_jax.eikonal import estimate
 from plr_jax.eikonal.mesh import Mesh
 from plr_jax.geometry.box import Box
 from plr_jax.plr.tree import Cells, tree_of
@@ -12,6 +13,12 @@ from plr_jax.spaces import CellState, MotionCost
 
 EMPTY = PlaneSpace(Workspace(((0, 0), (1, 1))))
 ROOM = Workspace(BOUNDS, [rectangle(1, 1, 2, 2), rectangle(2.3, 0, 2.4, 1.3)])
+
+
+def use_few_nodes(monkeypatch, num=10_000):
+    """Let estimates use grids of about this many nodes, which is quick; proven bounds do not depend on it."""
+    for name in ("_NODES", "_CELL_NODES", "_STENCIL_NODES"):
+        monkeypatch.setattr(estimate, name, dict.fromkeys((1, 2, 3), num))
 
 
 class BoxSpace:
@@ -83,10 +90,7 @@ def halved(cells):
 
 
 def hard_points(plr, workspace, n, seed=0):
-    """Return uniform free points and hard ones: on walls, at vertices, and on or very near faces of leaves.
-
-    Their number is fixed, so that queries are compiled once.
-    """
+    """Return ``2 * n`` points, uniform free ones and hard ones: on walls, at vertices, and at faces of leaves."""
     rng = np.random.default_rng(seed)
     lo, hi = plr.leaf_boxes
     points = [workspace.sample_free(n, seed), workspace.boundary.vertices]
@@ -104,7 +108,7 @@ def hard_points(plr, workspace, n, seed=0):
 
 def check_between(plr, x, distance, rounding=1e-9):
     """Check that the bounds contain finite distances; return the distances, lower and upper bounds."""
-    lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
+    lower, upper = (np.asarray(bound, np.float64) for bound in plr.numpy().bounds(x))
     known = np.isfinite(distance)
     assert known.any()
     assert (lower <= distance + rounding)[known].all(), x[known][np.argmax((lower - distance)[known])]
@@ -112,21 +116,8 @@ def check_between(plr, x, distance, rounding=1e-9):
     return distance[known], lower[known], upper[known]
 
 
-def check_bounds(plr, workspace, goal, seed=0):
-    """Check that the bounds contain the exact distance at hard points; return distances, lower and upper bounds."""
-    x = hard_points(plr, workspace, 4000, seed)
-    distance = VisibilityGraph(workspace, goal)(x)
+def check_bounds(plr, workspace, goals, seed=0, n=4000):
+    """Check the bounds at hard points by the exact distance to the nearest goal; return it, and both bounds."""
+    x = hard_points(plr, workspace, n, seed)
+    distance = np.min([VisibilityGraph(workspace, goal)(x) for goal in np.atleast_2d(goals)], axis=0)
     return check_between(plr, x, distance, 1e-12 * (1 + distance))  # rounding error of the oracle
-
-
-class TwoGrounds:
-    """Cost factors 1 and ``dear`` below and above a level along the last axis."""
-
-    def __init__(self, level, dear):
-        self.level, self.dear = level, dear
-
-    def __call__(self, q):
-        return np.where(np.asarray(q)[:, -1] < self.level, 1.0, self.dear)
-
-    def bounds(self, lo, hi):
-        return np.where(lo[:, -1] < self.level, 1.0, self.dear), np.where(hi[:, -1] > self.level, self.dear, 1.0)

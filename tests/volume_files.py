@@ -17,23 +17,9 @@ def array_files() -> list[bytes]:
 
 VOXELS = "voxel 12 9 6\n" + "".join(f"{i} {i * i % 9} {i % 6}\n" for i in range(12))
 _CORNERS = [(x, y, z) for z in (0, 1.5) for y in (0, 1) for x in (-1, 2.25)]
-_FACES = [
-    (0, 2, 3),
-    (0, 3, 1),
-    (4, 5, 7),
-    (4, 7, 6),
-    (0, 1, 5),
-    (0, 5, 4),
-    (2, 6, 7),
-    (2, 7, 3),
-    (0, 4, 6),
-    (1, 3, 7),
-]
+_FACES = [tuple(map(int, face)) for face in ["023", "031", "457", "476", "015", "054", "267", "273", "046", "137"]]
 OBJ = "mtllib room.mtl\no room\nusemtl wall\n" + "".join(
-    [
-        *("v {} {} {}\n".format(*corner) for corner in _CORNERS),
-        *(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in _FACES),
-    ]
+    ["v {} {} {}\n".format(*corner) for corner in _CORNERS] + [f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in _FACES]
 )
 _PLY_HEADER = (
     "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"

@@ -3,61 +3,36 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import shapely
-from eikonal_helpers import EMPTY, ROOM, BoxSpace, TwoGrounds, check_between, check_bounds, hard_points
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
-from space_helpers import BOUNDS, random_workspace, rectangle
+from eikonal_helpers import EMPTY, ROOM, BoxSpace, check_between, check_bounds, use_few_nodes
+from space_helpers import BOUNDS, Slow, random_workspace, rectangle
 
-from plr_jax import (
-    CellState,
-    DiscRobot,
-    LipschitzCost,
-    PlaneSpace,
-    RasterCost,
-    RectangleRobot,
-    RigidBodySpace,
-    Roadmap,
-    VisibilityGraph,
-    VoxelSpace,
-    Workspace,
-    from_bytes,
-    scenes,
-    solve_eikonal,
-)
-from plr_jax.geometry.box import Box
+from plr_jax import Box, VisibilityGraph, Workspace, from_bytes, solve_eikonal
+from plr_jax.spaces import CellState, LipschitzCost, PlaneSpace, RasterCost, VoxelSpace
 
 TOUCHING = rectangle(1, 1.5, 2, 2.25), rectangle(2, 0.75, 3, 1.5)  # in a dyadic point
 ONCE, TWICE = (Workspace(BOUNDS, TOUCHING, squeeze=squeeze) for squeeze in (False, True))
-MAZE = scenes.thin_maze()
-# A workspace, a goal, limits, and the share of points of which an upper bound is known.
-PLACES = {
-    "goal on a dyadic point": (ROOM, (0.5, 0.375), 400, None, 0.9),
-    "goal on a wall": (ROOM, (1.37, 1.0), 400, None, 0.9),
+THIN = Workspace(BOUNDS, [rectangle(2, 0, 2 + 1e-7, 2.6), rectangle(1, 0.4, 1.0 + 1e-7, 3)])
+GAP = Workspace(BOUNDS, [rectangle(2, 0, 2.5, 1.3), rectangle(2, 1.3 + 1e-5, 2.5, 3)])
+PLACES = {  # a workspace, a goal, limits, and the share of points with a known upper bound
     "goal in a corner": (ROOM, (1.0, 2.0), 400, None, 0.9),
-    "goal between walls": (ROOM, (2.3, 0.0), 400, None, 0.9),
-    "goal in a corner of the domain": (ROOM, (4.0, 3.0), 400, None, 0.9),
     "goal just beside a wall": (ROOM, (0.9999999, 1.5), 400, None, 0.9),
-    "goal beside what touches": (ONCE, (1.9, 1.4), 300, None, 0.5),
+    "goal beside a contact": (ONCE, (1.9, 1.4), 300, None, 0.5),
     "goal beside a passage": (TWICE, (1.9, 1.4), 300, 400, 0.5),
     "goal where obstacles touch": (ONCE, (2.0, 1.5), 300, 400, 0.5),
-    "goal in a passage": (TWICE, (2.0, 1.5), 300, None, 0.5),
-    "thin maze": (MAZE.workspace, MAZE.goals[0, :2], 1500, None, 0.5),
-    "thin maze in few bytes": (MAZE.workspace, MAZE.goals[0, :2], 1500, 300, 0.5),
+    "walls of 1e-7": (THIN, (0.3, 0.4), 400, None, 0.5),
+    "gap of 1e-5": (GAP, (0.3, 0.4), 400, None, 0.3),
 }
-for thin in (1e-3, 1e-7):
-    walls = Workspace(BOUNDS, [rectangle(2, 0, 2 + thin, 2.6), rectangle(1, 0.4, 1.0 + thin, 3)])
-    PLACES[f"walls of {thin}"] = walls, (0.3, 0.4), 400, None, 0.5
-for gap in (1e-3, 1e-5):
-    rooms = Workspace(BOUNDS, [rectangle(2, 0, 2.5, 1.3), rectangle(2, 1.3 + gap, 2.5, 3)])
-    PLACES[f"a gap of {gap}"] = rooms, (0.3, 0.4), 400, None, 0.3
+
+
+@pytest.fixture(autouse=True)
+def _few_nodes(monkeypatch):
+    use_few_nodes(monkeypatch)
 
 
 @pytest.mark.full
-@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("workspace", "goal", "max_leaves", "max_bytes", "known"), PLACES.values(), ids=PLACES)
-def test_bounds_hold_the_exact_distance_without_warnings(workspace, goal, max_leaves, max_bytes, known):
+def test_bounds_contain_exact_distance_at_hard_goals(workspace, goal, max_leaves, max_bytes, known, monkeypatch):
+    use_few_nodes(monkeypatch, 160_000)
     plr = solve_eikonal(PlaneSpace(workspace), goal, max_leaves=max_leaves, max_bytes=max_bytes)
     distance, lower, upper = check_bounds(plr, workspace, goal)
     is_known = np.isfinite(upper)
@@ -66,103 +41,89 @@ def test_bounds_hold_the_exact_distance_without_warnings(workspace, goal, max_le
     assert max_bytes is None or plr.num_bytes <= max_bytes
 
 
-@settings(max_examples=8)
-@given(st.integers(0, 10_000), st.sampled_from([10, 40, 160]), st.sampled_from([None, 150, 600]))
-def test_bounds_hold_the_exact_distance_on_random_maps(seed, max_leaves, max_bytes):
-    workspace = random_workspace(seed)
-    goal = workspace.sample_free(1, seed)[0]
-    plr = solve_eikonal(PlaneSpace(workspace), goal, max_leaves=max_leaves, max_bytes=max_bytes)
-    check_bounds(plr, workspace, goal, seed)
-
-
-@settings(max_examples=6)
-@given(st.integers(0, 10_000), st.sampled_from([2, 3, 12]), st.sampled_from([(40, None), (300, None), (300, 400)]))
-def test_bounds_hold_the_exact_distance_to_the_nearest_goal(seed, num_goals, limits):
+@pytest.mark.parametrize(
+    ("seed", "num_goals", "max_leaves", "max_bytes"),
+    [
+        (1, 1, 60, 120),
+        (3, 12, 40, None),
+        *(
+            pytest.param(k, (1, 2, 12)[k % 3], 10 * k, (None, 150, 600)[k // 3], marks=pytest.mark.full)
+            for k in range(1, 9)
+        ),
+    ],
+)
+def test_bounds_contain_exact_distance_on_random_maps(seed, num_goals, max_leaves, max_bytes):
     """Two of the goals are in one cell."""
     workspace = random_workspace(seed)
     goals = workspace.sample_free(num_goals, seed)
-    goals[1] = goals[0] + 1e-7 * (np.mean(BOUNDS, axis=0) - goals[0])
+    goals[1:2] = goals[0] + 1e-7 * (np.mean(BOUNDS, axis=0) - goals[0])
     goals = goals[shapely.intersects_xy(workspace.free_space, *goals.T)]
-    plr = solve_eikonal(PlaneSpace(workspace), goals, max_leaves=limits[0], max_bytes=limits[1])
-    x = hard_points(plr, workspace, 4000, seed)
-    distance = np.min([VisibilityGraph(workspace, goal)(x) for goal in goals], axis=0)
-    check_between(plr, x, distance, 1e-12 * (1 + distance))
+    plr = solve_eikonal(PlaneSpace(workspace), goals, max_leaves=max_leaves, max_bytes=max_bytes)
+    check_bounds(plr, workspace, goals, seed)
 
 
-@pytest.mark.parametrize("num_goals", [2, 30])
+TWO_NORMS = ((0,), 2.0), ((1,), 0.5)
+FOUR_AXES = ((0, 1), 2.0), ((2, 3), 0.5)
+
+
 @pytest.mark.parametrize(
-    ("periodic", "max_leaves", "gap"),
+    ("periodic", "blocks", "num_goals", "max_leaves", "gap"),
     [
-        ([False], 60, 0.05),
-        ([True], 60, 0.05),
-        ([True, False], 300, 0.9),
-        pytest.param([False, False, False], 600, 1.5, marks=pytest.mark.full),
-        pytest.param([True, False, False, True], 400, 2.0, marks=pytest.mark.full),
+        ([False], None, 1, 20, 0.002),
+        ([True], None, 1, 70, 0.01),
+        ([False, False], None, 1, 100, 0.2),
+        ([True, False], TWO_NORMS, 2, 100, 0.2),
+        pytest.param([True] * 4, FOUR_AXES, 1, 256, 1.5, marks=pytest.mark.full),
+        pytest.param([False] * 3, None, 1, 600, 0.7, marks=pytest.mark.full),
+        pytest.param([True, False, False, True], None, 2, 400, 2.0, marks=pytest.mark.full),
     ],
 )
-def test_bounds_hold_the_distance_to_the_nearest_goal_in_an_empty_box(periodic, max_leaves, gap, num_goals):
+def test_bounds_contain_distance_in_empty_boxes(periodic, blocks, num_goals, max_leaves, gap):
     dim, rng = len(periodic), np.random.default_rng(0)
     width = np.array([1.0, 2.0, 0.7, 1.0])[:dim]
-    for blocks in (None, (((0,), 2.0), (tuple(range(1, dim)), 0.5)))[:dim]:
-        space = BoxSpace(Box(np.zeros(dim), width, periodic), blocks=blocks)
-        goals, x = rng.random((num_goals, dim)) * width, rng.random((3000, dim)) * width
-        plr = solve_eikonal(space, goals, max_leaves=max_leaves)
-        distances = np.stack([space.straight(x, goal) for goal in goals])
-        distance, lower, upper = check_between(plr, x, distances.min(axis=0))
-        assert num_goals > 2 or np.mean(upper - lower) < gap * distance.mean()
-        excess = distances[plr.which(x), np.arange(len(x))] - distances.min(axis=0)
-        assert excess.mean() < 0.1 * distance.mean() and (num_goals > 2 or np.mean(excess > 0) < 0.1)
+    space = BoxSpace(Box(np.zeros(dim), width, periodic), blocks=blocks)
+    goals, x = rng.random((num_goals, dim)) * width, rng.random((2000, dim)) * width
+    goals[0] = 0.3 * width + (max_leaves % 3 - 1) * 1e-12  # rounding decides nothing
+    plr = solve_eikonal(space, goals, max_leaves=max_leaves)
+    distances = np.stack([space.straight(x, goal) for goal in goals])
+    distance, lower, upper = check_between(plr, x, distances.min(axis=0))
+    assert plr.max_error < np.inf and np.mean(upper - lower) < gap * distance.mean()
+    excess = distances[plr.which(x), np.arange(len(x))] - distance
+    assert excess.mean() < 0.1 * distance.mean() and (num_goals > 2 or np.mean(excess > 0) < 0.1)
 
 
-def test_bounds_hold_the_cost_to_the_nearest_goal_where_speeds_rise_evenly():
-    """Fastest paths are arcs, whose times are known."""
+def test_bounds_contain_cost_where_speeds_rise_evenly():
+    """Fastest paths are arcs, whose times are known; the estimate is much closer to the truth than the bounds."""
     speed = lambda q: 0.5 + 3 * q[..., 1]  # noqa: E731
     space, goals = BoxSpace(Box((0, 0), (1, 2))), np.array([(0.3, 0.6), (0.8, 0.9), (0.5, 0.2)])
-    plr = solve_eikonal(space, goals, cost_map=LipschitzCost(lambda q: 1 / speed(q), 12.0, 0.15), max_leaves=400)
-    x = np.random.default_rng(0).uniform((0, 0.1), (1, 1), (3000, 2))  # whose arcs stay inside
+    plr = solve_eikonal(space, goals, cost_map=LipschitzCost(lambda q: 1 / speed(q), 12.0, 0.15), max_leaves=250)
+    x = np.random.default_rng(0).uniform((0, 0.1), (1, 1), (2000, 2))  # whose arcs stay inside
     square = np.sum((x[:, None] - goals) ** 2, axis=2)
     times = np.arccosh(1 + 9 * square / (2 * speed(x)[:, None] * speed(goals))) / 3
-    _, lower, upper = check_between(plr, x, times.min(axis=1))
-    assert np.mean(upper - lower) < 0.105  # of each goal alone 0.105 to 0.121
-    assert np.mean(plr.which(x) != times.argmin(axis=1)) < 0.02
+    time, lower, upper = check_between(plr, x, times.min(axis=1))
+    assert np.abs(plr.numpy()(x) - time).mean() < 0.1 * np.mean(upper - lower) < 0.015
+    assert np.mean(plr.which(x) != times.argmin(axis=1)) < 0.03
 
 
-@pytest.mark.parametrize("max_bytes", [None, 300])
+@pytest.mark.parametrize("max_bytes", [None, pytest.param(150, marks=pytest.mark.full)])
 def test_rooms_that_are_cut_off_answer_inf_or_borrow(max_bytes):
     workspace = Workspace(BOUNDS, [rectangle(1.3, 0, 2.9, 3)])
-    plr = solve_eikonal(PlaneSpace(workspace), (0.3, 0.4), max_leaves=300, max_bytes=max_bytes)
-    check_bounds(plr, workspace, (0.3, 0.4))
-    answers = np.asarray(plr([[3.5, 1.5], [1.2, 1.5], [0.0, 0.0]]))
+    plr = solve_eikonal(PlaneSpace(workspace), (0.3, 0.4), max_leaves=50, max_bytes=max_bytes)
+    check_bounds(plr, workspace, (0.3, 0.4), n=1000)
+    answers = plr.numpy()([[3.5, 1.5], [1.2, 1.5], [0.0, 0.0]])
     assert (max_bytes or np.isinf(answers[0])) and np.isfinite(answers[1:]).all()
 
 
-@pytest.mark.full
-def test_bounds_hold_for_discs():
-    problem, radius = scenes.single_door(), 0.4
-    space, goal = PlaneSpace(problem.workspace, DiscRobot(radius)), problem.goals[0, :2]
-    plr = solve_eikonal(space, goal, max_leaves=800)
-    x = problem.workspace.inflate(radius).sample_free(4000, 0)
-    # Arcs around corners are polygons within, whose distances are below the truth by at most 0.16 %; a radius that is
-    # larger by so much that they hold the arcs gives distances above.
-    below = VisibilityGraph(problem.workspace.inflate(radius), goal)(x)
-    above = VisibilityGraph(problem.workspace.inflate(radius * 1.005), goal)(x)
-    lower, upper = (np.asarray(bound) for bound in plr.bounds(x))
-    assert (lower <= above + 1e-9).all() and (upper >= below - 1e-9).all()
-    assert np.isfinite(upper).mean() > 0.8
-
-
-@pytest.mark.parametrize("max_bytes", [None, 400])
-def test_the_two_ends_of_a_periodic_axis_are_one_place(max_bytes):
+def test_both_ends_of_periodic_axes_answer_the_same():
     space, goal = BoxSpace(Box((-2, 0), (2, 1), (True, False)), [(-0.7, 0.0), (-0.4, 0.6)]), (1.7, 0.3)
-    plr = solve_eikonal(space, goal, max_leaves=400, max_bytes=max_bytes)
+    plr = solve_eikonal(space, goal, max_leaves=100, max_bytes=400)
     y = np.linspace(0, 1, 301)
-    first, *others = [
-        np.stack([plr(ends), *plr.bounds(ends)]) for ends in (np.column_stack([0 * y + x, y]) for x in (-2.0, 2, 6))
-    ]
+    ends = (np.column_stack([np.full(301, x), y]) for x in (-2.0, 2, 6))
+    first, *others = (np.stack([plr(end), *plr.bounds(end)]) for end in ends)
     np.testing.assert_array_equal(others, [first] * 2)
     # Unrolled, with the goal in the middle, it is a room of the plane: paths do not pass the seam on the far side.
     unrolled = Workspace(((-1.3, 0), (3.7, 1)), [rectangle(3.3, 0, 3.6, 0.6), rectangle(-0.7, 0, -0.4, 0.6)])
-    x = unrolled.sample_free(4000, 0)
+    x = unrolled.sample_free(2000, 0)
     x = x[np.abs(x[:, 0] - 1.7) < 1.9]
     distance = VisibilityGraph(unrolled, goal)(x)
     lower, upper = (np.asarray(bound) for bound in plr.bounds(x))
@@ -171,101 +132,68 @@ def test_the_two_ends_of_a_periodic_axis_are_one_place(max_bytes):
     assert (distance[near] <= upper[near] + 1e-9).all() and np.isfinite(upper).mean() > 0.9
 
 
-@pytest.mark.parametrize(
-    ("periodic", "max_leaves", "gap"),
-    [
-        *(([False], max_leaves, 0.001) for max_leaves in range(20, 121, 25)),
-        *(([True], max_leaves, 0.01) for max_leaves in range(20, 121, 25)),
-        ([False] * 2, 200, 0.2),
-        ([True] * 2, 200, 0.2),
-        pytest.param([False] * 3, 600, 0.7, marks=pytest.mark.full),
-        ([True] * 4, 300, 2.0),
-    ],
-)
-def test_bounds_hold_in_an_empty_box_of_any_dimension_and_are_close_on_a_line(periodic, max_leaves, gap):
-    width = np.array([1.0, 2.0, 0.7, 1.0])[: len(periodic)]
-    space = BoxSpace(Box(np.zeros(len(width)), width, periodic))
-    goal = 0.3 * width + (max_leaves % 3 - 1) * 1e-12  # rounding decides nothing
-    plr = solve_eikonal(space, goal, max_leaves=max_leaves)
-    x = np.random.default_rng(0).random((3000, len(width))) * width
-    distance, lower, upper = check_between(plr, x, space.straight(x, goal))
-    assert plr.max_error < np.inf and np.mean(upper - lower) < gap * distance.mean()
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("corner", [0.0, 5e6])
-def test_lower_bounds_in_free_space_are_the_straight_line_in_every_reader(corner):
-    size = np.array([6.0, 5.0, 4.0])
-    space, goal = (
-        VoxelSpace(np.ones((6, 5, 4), bool), (corner + 0 * size, corner + size)),
-        corner + np.array([1.3, 2, 1]),
-    )
-    plr = solve_eikonal(space, goal, max_leaves=40)
-    x = np.append(corner + np.random.default_rng(0).random((2000, 3)) * size, goal[None], axis=0)
+@pytest.mark.parametrize("corner", [5e6, pytest.param(0.0, marks=pytest.mark.full)])
+def test_lower_bounds_in_free_space_are_straight_in_every_reader(corner):
+    size, goal = np.array([6.0, 5.0, 4.0]), corner + np.array([1.3, 2, 1])
+    plr = solve_eikonal(VoxelSpace(np.ones((6, 5, 4), bool), (corner + 0 * size, corner + size)), goal, max_leaves=40)
+    x = np.append(corner + np.random.default_rng(0).random((1000, 3)) * size, goal[None], axis=0)
     distance = np.linalg.norm(x - goal, axis=1)
     for lower in (plr.bounds(x)[0], plr.numpy().bounds(x)[0], from_bytes(plr.to_bytes()).lower(x)):
         assert (np.asarray(lower, float) <= distance).all()
         np.testing.assert_allclose(lower, distance, rtol=2e-6, atol=2e-5)
 
 
-@pytest.mark.parametrize(("width", "rate"), [(1e20, 1e-10), (1e-20, 1e10), (1e-14, 1.0), (1e14, 1.0)])
-def test_lower_bounds_hold_where_squares_of_lengths_exceed_32_bits(width, rate):
+@pytest.mark.parametrize(("width", "rate"), [(1e20, 1e-10), pytest.param(1e-14, 1.0, marks=pytest.mark.full)])
+def test_lower_bounds_hold_for_huge_and_tiny_lengths(width, rate):
+    """Squares of the lengths exceed 32 bits."""
     cost = RasterCost(np.full((2, 2), rate), ((0, 0), (width, width)))
     goal = np.array([0.3, 0.4]) * width
     plr = solve_eikonal(cost.space(), goal, cost_map=cost, max_leaves=40)
-    x = np.append(np.random.default_rng(0).random((2000, 2)) * width, goal[None], axis=0)
+    x = np.append(np.random.default_rng(0).random((1000, 2)) * width, goal[None], axis=0)
     distance = rate * np.linalg.norm(x - goal, axis=1)
     for lower in (plr.bounds(x)[0], plr.numpy().bounds(x)[0]):
         assert (np.asarray(lower, float) <= distance * (1 + 1e-12)).all()
 
 
-def test_bounds_are_answered_under_strict_promotion_of_ranks_and_types():
-    plr = solve_eikonal(VoxelSpace(np.ones((6, 5, 4), bool)), (1.3, 2, 1), max_leaves=40)
+def test_bounds_obey_strict_promotion_of_ranks_and_types():
+    plr = solve_eikonal(VoxelSpace(np.ones((6, 5, 4), bool)), (1.3, 2, 1), max_leaves=10)
     x = np.random.default_rng(0).random((20, 3), np.float32)
     expected = plr.bounds(x)
     with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
         np.testing.assert_array_equal(plr.bounds(x), expected)
-        np.testing.assert_array_equal(plr.lower(jnp.asarray(x)), expected[0])
-    assert np.isfinite(jax.grad(plr.lower)(jnp.array([1.3, 2, 1]))).all()  # at the goal
-
-
-def test_bounds_hold_around_a_box_in_space():
-    """Obstacles as high as the domain: the distance is that of the plane and the height, by Pythagoras."""
-    plane = Workspace(((0, 0), (1, 1)), [rectangle(0.3, 0.2, 0.7, 0.6)])
-    space = BoxSpace(Box(np.zeros(3), np.array([1, 1, 0.5])), [(0.3, 0.2, 0.0), (0.7, 0.6, 0.5)])
-    goal = np.array([0.1, 0.3, 0.2])
-    x = np.column_stack([plane.sample_free(3000, 0), np.random.default_rng(0).uniform(0, 0.5, 3000)])
-    distance = np.hypot(VisibilityGraph(plane, goal[:2])(x[:, :2]), x[:, 2] - goal[2])
-    _, _, upper = check_between(solve_eikonal(space, goal, max_leaves=1500), x, distance)
-    assert np.isfinite(upper).mean() > 0.5
-
-
-def test_costs_of_blocks_of_axes_add_up():
-    space = BoxSpace(Box((0, 0), (1, 2)), blocks=(((0,), 2.0), ((1,), 0.5)))
-    plr = solve_eikonal(space, (0.25, 1.5), max_leaves=200)
-    x = np.random.default_rng(0).random((3000, 2)) * (1, 2)
-    distance, _, _ = check_between(plr, x, 2 * np.abs(x[:, 0] - 0.25) + 0.5 * np.abs(x[:, 1] - 1.5))
-    np.testing.assert_allclose(plr(x), distance, atol=0.02)
+        lower, slope = jax.jit(jax.value_and_grad(plr.lower))(jnp.array([1.3, 2, 1]))  # at the goal
+    assert lower == 0 and np.isfinite(slope).all()
 
 
 @pytest.mark.full
-@pytest.mark.parametrize("level", [0.5, 0.37])
-def test_bounds_hold_where_paths_are_refracted(level):
-    """Fermat's principle, by trying where to cross; the goal is below the level, along which one may also run."""
-    goal, dear, cross = (0.2, 0.1), 3.0, np.linspace(-1, 2, 20_001)
-    plr = solve_eikonal(EMPTY, goal, cost_map=TwoGrounds(level, dear), max_leaves=800)
+def test_bounds_contain_distance_around_a_box_in_space(monkeypatch):
+    """The obstacle is as high as the domain: the distance follows from the plane and the height by Pythagoras."""
+    use_few_nodes(monkeypatch, 20_000)
+    plane = Workspace(((0, 0), (1, 1)), [rectangle(0.3, 0.2, 0.7, 0.6)])
+    space = BoxSpace(Box(np.zeros(3), np.array([1, 1, 0.5])), [(0.3, 0.2, 0.0), (0.7, 0.6, 0.5)])
+    goal = np.array([0.1, 0.3, 0.2])
+    x = np.column_stack([plane.sample_free(2000, 0), np.random.default_rng(0).uniform(0, 0.5, 2000)])
+    distance = np.hypot(VisibilityGraph(plane, goal[:2])(x[:, :2]), x[:, 2] - goal[2])
+    _, _, upper = check_between(solve_eikonal(space, goal, max_leaves=500), x, distance)
+    assert np.isfinite(upper).mean() > 0.3
+
+
+def test_bounds_contain_cost_of_refracted_paths():
+    """By Fermat's principle, from many crossings of the level; the goal is below the level."""
+    goal, level, dear, cross = (0.2, 0.1), 0.37, 3.0, np.linspace(-1, 2, 2_001)
+    plr = solve_eikonal(EMPTY, goal, cost_map=Slow((-9, level), (9, 9), dear), max_leaves=120)
     rng = np.random.default_rng(0)
     x = np.concatenate([rng.random((600, 2)), np.column_stack([rng.random(60), level + rng.normal(0, 1e-7, 60)])])
     below = np.hypot(cross - goal[0], level - goal[1])
     beyond = [(below + dear * np.hypot(cross - px, py - level)).min() for px, py in x]
     distance = np.where(x[:, 1] >= level, beyond, np.linalg.norm(x - goal, axis=1))
     _, lower, _ = check_between(plr, x, distance, 1e-6)
-    assert np.mean(distance - lower) < 0.08 * distance.mean()
+    assert np.mean(distance - lower) < 0.2 * distance.mean()
 
 
-def test_bounds_hold_beside_cells_where_they_are_tight():
-    """On a line both bounds are exact, so that what queries round is all that keeps them off the truth."""
-    for lo, goal in ((0.0, 0.5), (3.0, 3.5), (-7.0, -6.6)):
+def test_tight_bounds_hold_at_faces_of_cells():
+    """On a line both bounds are exact except for the rounding of queries."""
+    for lo, goal in ((3.0, 3.5), (-7.0, -6.6)):
         plr = solve_eikonal(BoxSpace(Box([lo], [lo + 1])), (goal,), max_leaves=16)
         faces = np.concatenate(plr.leaf_boxes).ravel()
         x = np.append(faces, goal)[:, None] + np.linspace(-1e-6, 1e-6, 401)
@@ -274,28 +202,8 @@ def test_bounds_hold_beside_cells_where_they_are_tight():
         assert np.mean(upper - lower) < 0.1
 
 
-@pytest.mark.full
-def test_bounds_hold_for_a_body_that_turns():
-    workspace = Workspace(((0, 0), (4, 3)), [rectangle(1.8, 0, 2.0, 1.1), rectangle(1.8, 2.0, 2.0, 3)])
-    space = RigidBodySpace(workspace, RectangleRobot(1.0, 0.4))
-    goal = np.array([0.9, 1.5, 3.0])
-    roadmap = Roadmap(space.domain, space.is_free, goal, 1500, is_visible=space.are_free)
-    q, (begin, end) = roadmap.graph.vertices, roadmap.graph.edges.T
-    edges = coo_array((space.motion_cost.lengths(q[begin], q[end], space.domain), (begin, end)), (len(q), len(q)))
-    cost = dijkstra(edges.tocsr(), directed=False, indices=0)
-    q, cost = q[np.isfinite(cost)], cost[np.isfinite(cost)]
-    assert (q[:, 0] > 2.5).any()
-    plr = solve_eikonal(space, goal, max_leaves=3000)
-    lower, upper = (np.asarray(bound, float) for bound in plr.bounds(q))
-    assert (lower <= cost + 1e-9).all()
-    straight = space.motion_cost.lengths(q, np.tile(goal, (len(q), 1)), space.domain)
-    assert (upper >= straight - 1e-9).all() and np.isfinite(upper).any()
-    ends = [np.column_stack([q[:, :2], np.full(len(q), heading)]) for heading in (-np.pi, np.pi)]
-    np.testing.assert_array_equal(*(np.stack([plr(x), *plr.bounds(x)]) for x in ends))
-
-
 def test_cells_flush_with_walls_have_upper_bounds():
-    """Queries round into cells on the other side, of which those in the wall hold no free point."""
+    """Queries may round into the cell across a face; cells in the wall hold no free point."""
     plane = Workspace(((0, 0), (1, 1)), [rectangle(0.25, 0.25, 0.5, 0.75)])
     space, goal = BoxSpace(Box((0, 0), (1, 1)), [(0.25, 0.25), (0.5, 0.75)]), (0.1, 0.3)
     plr = solve_eikonal(space, goal, max_leaves=100)
@@ -306,9 +214,9 @@ def test_cells_flush_with_walls_have_upper_bounds():
     assert np.isfinite(upper).mean() > 0.8
 
 
-def test_nothing_free_but_the_goals_cell_is_no_problem():
+def test_bounds_hold_if_most_cells_are_blocked():
     space = BoxSpace(Box((0, 0), (1, 1)), [(0.0, 0.0), (1.0, 0.97)])
-    plr = solve_eikonal(space, (0.5, 0.99), max_leaves=300)
+    plr = solve_eikonal(space, (0.5, 0.99), max_leaves=80)
     x = np.random.default_rng(0).uniform((0, 0.97), (1, 1), (3000, 2))
     check_between(plr, x, np.linalg.norm(x - (0.5, 0.99), axis=1))
     assert (space.classify(*plr.leaf_boxes) == CellState.BLOCKED).any()

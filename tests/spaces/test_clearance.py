@@ -1,161 +1,53 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import shapely
-from space_helpers import CENTERS, RADII, check_classification, check_motions, of_drone, random_boxes, states
+from space_helpers import of_drone, random_boxes, states
 
-from plr_jax import (
-    Box,
-    CellState,
-    ClearanceSpace,
-    MotionCost,
-    PlanarArm,
-    Workspace,
-    solve_eikonal,
-)
+from plr_jax import Box, CellState, ClearanceSpace, MotionCost, solve_eikonal
 
 BLOCKED, FREE, MIXED = CellState
 PI = np.pi
 HALL = Box((0, 0, 0), (4, 4, 3))
-
-
 DRONE = ClearanceSpace(HALL, of_drone, 1)
 
 
-def keep_off_spheres(q0, q1):
-    """The twin: whether segments keep 0.2 off every sphere, by the nearest point of each."""
-    along = q1 - q0
-    to_center = CENTERS - q0[:, None]
-    share = np.clip(np.sum(to_center * along[:, None], axis=2) / np.sum(along**2, axis=1)[:, None], 0, 1)
-    gap = np.linalg.norm(to_center - share[..., None] * along[:, None], axis=2) - RADII
-    return (gap > 0.2 + 1e-9).all(axis=1)
-
-
-# An arm of two joints among discs: its clearance is that of the links, as segments, from the centers.
-
-
-DISCS = np.array([[0.9, 0.9, 0.3], [-1.2, 0.4, 0.25], [0.3, -1.4, 0.4]])
-LENGTHS = np.array([1.0, 0.8])
-
-
-def of_arm(q):
-    heading = np.cumsum(q, axis=1)
-    links = LENGTHS[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=2)
-    ends = np.concatenate([np.zeros((len(q), 1, 2)), np.cumsum(links, axis=1)], axis=1)
-    to_center = DISCS[:, None, :2] - ends[:, None, :-1]  # (n, discs, links, 2)
-    share = np.clip(np.sum(to_center * links[:, None], axis=3) / LENGTHS**2, 0, 1)
-    gap = np.linalg.norm(to_center - share[..., None] * links[:, None], axis=3) - DISCS[:, None, 2]
-    return gap.min(axis=(1, 2))
-
-
-TURNS = Box((-PI, -PI), (PI, PI), periodic=(True, True))
-ARM = ClearanceSpace(TURNS, of_arm, [LENGTHS.sum(), LENGTHS[1]])
-
-
-def planar_arm(scale):
-    """The arm among polygons of 64 sides on circles of so many times the radii."""
-    discs = [shapely.Point(x, y).buffer(scale * r, quad_segs=16) for x, y, r in DISCS]
-    return PlanarArm(Workspace(((-4, -4), (4, 4)), discs), LENGTHS, (0, 0))
-
-
-WITHIN, AROUND = planar_arm(1.0), planar_arm(1.0 / np.cos(PI / 64))  # polygons within the discs, and around them
-
-
-def test_it_is_a_space_whose_motions_cost_their_length():
+def test_motions_cost_their_length_by_default():
     assert DRONE.motion_cost == MotionCost((((0, 1, 2), 1.0),))
     np.testing.assert_array_equal(DRONE.lipschitz, [1, 1, 1])
     costly = MotionCost((((0, 1), 1.0), ((2,), 3.0)))
     assert ClearanceSpace(HALL, of_drone, 1, costly).motion_cost == costly
 
 
-def test_what_only_touches_is_free_and_what_is_outside_or_not_finite_is_not():
+def test_touching_is_free_and_outside_is_not():
     line = ClearanceSpace(((0,), (4,)), lambda q: q[:, 0] - 1, 1)
     q = np.array([[1.0], [0.99], [4.0], [4.01], [-0.1], [np.nan], [np.inf]])
     assert line.is_free(q).tolist() == [True, False, True, False, False, False, False]
     assert line.are_free(np.full((7, 1), 3.0), q).tolist() == [False, False, True, False, False, False, False]
 
 
-def test_boxes_by_hand():
+def test_states_of_boxes_computed_by_hand():
     line = ClearanceSpace(((0, 0), (4, 4)), lambda q: q[:, 0] - 1, [1, 0])
     boxes = [((1.1, 0), (2, 4)), ((0, 0), (0.9, 4)), ((0.9, 0), (1.1, 1)), ((1.0, 0), (2, 1)), ((2, 3), (3, 5))]
     assert states(line, *boxes) == [FREE, BLOCKED, MIXED, MIXED, MIXED]
     assert states(line, ((5, 0), (6, 1)), ((3.0, 1), (3.0, 1)), ((0.5, 1), (0.5, 3))) == [BLOCKED, FREE, BLOCKED]
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("corner", [(1e-3, 0.1, 7.0), (-1e6, -0.3, -1e-9), (-np.pi, 1e5, 123.4)])
-def test_cells_at_faces_of_any_domain_are_in_it(corner):
-    lo = np.array(corner)
-    for hi in (lo + np.array([0.1, 1e3, 1.7]), np.abs(lo) + 1e-3 * np.abs(lo).max()):
-        space = ClearanceSpace((lo, hi), lambda q: np.ones(len(q)), 0)
-        plr = solve_eikonal(space, lo, max_leaves=8)
-        assert np.isfinite(plr.max_error)
-
-
-def test_motions_of_a_drone():
-    rng = np.random.default_rng(0)
-    q0, q1 = HALL.lo + rng.random((2, 4000, 3)) * HALL.width
-    proven, _ = check_motions(DRONE, lambda q: of_drone(q) >= 0, q0, q1)
-    assert keep_off_spheres(q0, q1)[proven].all()
-    assert (proven == keep_off_spheres(q0, q1)).mean() > 0.995 and proven.mean() > 0.4
-
-
-def test_motions_along_an_obstacle_are_proven_down_to_a_thousandth_of_their_way():
+def test_motions_close_along_obstacles_are_proven_free():
     for gap, expected in ((0.01, True), (0.004, True), (0.001, False), (0.0, False)):
         q0, q1 = [[0.0, gap]], [[4.0, gap]]
         assert ClearanceSpace(((0, 0), (4, 4)), lambda q: q[:, 1], 1).are_free(q0, q1)[0] == expected
 
 
-@pytest.mark.full
-def test_an_arm_by_its_clearance_is_a_planar_arm():
-    rng = np.random.default_rng(1)
-    q = rng.uniform(-PI, PI, (4000, 2))
-    free = ARM.is_free(q)
-    assert (WITHIN.is_free(q) | ~free).all() and (~AROUND.is_free(q) | free).all() and 0.2 < free.mean() < 0.9
-    lo, hi = random_boxes(rng, TURNS, 3000)
-    state, within, around = (space.classify(lo, hi) for space in (ARM, WITHIN, AROUND))
-    assert not ((state == FREE) & (within == BLOCKED)).any() and not ((state == BLOCKED) & (around == FREE)).any()
-    check_classification(ARM, ARM.is_free, lo[:1000], hi[:1000], per_axis=5)
-    decided = {name: (each != MIXED).mean() for name, each in (("arm", state), ("planar", within))}
-    assert decided["arm"] > 0.7 * decided["planar"]
-    q0, q1 = q[:2000], np.where(rng.random((2000, 1)) < 0.5, q[2000:], q[:2000] + rng.normal(0, 0.5, (2000, 2)))
-    proven, _ = check_motions(ARM, ARM.is_free, q0, q1)
-    assert WITHIN.are_free(q0, q1)[proven].mean() > 0.99
-    assert (proven == AROUND.are_free(q0, q1)).mean() > 0.98
+def test_motions_and_boxes_cross_the_seam_of_periodic_axes():
+    space = ClearanceSpace(Box((-PI, -PI), (PI, PI), (True, True)), lambda q: np.abs(q[:, 0]) - 2, 1)
+    assert space.are_free([[3.0, 0]], [[-3.0, 0]])[0] and not space.are_free([[2.5, 0]], [[0.5, 0]])[0]
+    turns = 2 * PI * np.arange(-3, 3)
+    assert space.is_free(np.column_stack([3.0 + turns, turns])).all()
+    for turn in turns:
+        assert states(space, ((3.0 + turn, 0), (3.3 + turn, 1)), ((turn, 0), (1 + turn, 1))) == [FREE, BLOCKED]
 
 
-def test_an_arm_goes_the_short_way_and_counts_modulo_turns():
-    q = np.array([[3.0, 0.1], [-3.0, 0.2]])
-    np.testing.assert_array_equal(ARM.is_free(q), ARM.is_free(q + np.array([2 * PI, -6 * PI])))
-    assert states(ARM, ((3.0, -0.1), (3.05, 0.1))) == states(ARM, ((3.0 - 4 * PI, -0.1), (3.05 - 4 * PI, 0.1)))
-    seam = ClearanceSpace(TURNS, lambda q: np.abs(q[:, 0]) - 2, 1)
-    assert seam.are_free([[3.0, 0]], [[-3.0, 0]])[0] and states(seam, ((3.0, 0), (3.3, 1))) == [FREE]
-
-
-def around_a_sphere(x, goal, center, radius):
-    """Lengths of shortest paths around a sphere: two tangents and an arc, in the plane of its center and the ends."""
-    a, b = x - center, goal - center
-    far, near = np.linalg.norm(a, axis=1), np.linalg.norm(b)
-    angle = np.arccos(np.clip(a @ b / (far * near), -1, 1)) - np.arccos(radius / far) - np.arccos(radius / near)
-    tangents = np.sqrt(far**2 - radius**2) + np.sqrt(near**2 - radius**2)
-    return np.where(angle > 0, tangents + radius * angle, np.linalg.norm(x - goal, axis=1))
-
-
-@pytest.mark.full
-def test_bounds_of_a_drone_hold_the_exact_length_around_a_sphere():
-    center, goal = np.array([2, 2, 1.5]), np.array([0.4, 1.9, 1.4])
-    space = ClearanceSpace(HALL, lambda q: np.linalg.norm(q - center, axis=1) - 0.8, 1)
-    plr = solve_eikonal(space, goal, max_leaves=600)
-    x = HALL.lo + np.random.default_rng(3).random((4000, 3)) * HALL.width
-    x = x[space.is_free(x)]
-    distance = around_a_sphere(x, goal, center, 0.8)
-    lower, upper = map(np.asarray, plr.bounds(x))
-    assert (distance > np.linalg.norm(x - goal, axis=1) + 1e-9).mean() > 0.1
-    assert (lower <= distance + 1e-6).all() and (distance <= upper + 1e-6).all()
-    assert (lower > 0.5 * distance).mean() > 0.7 and np.isfinite(upper).mean() > 0.2
-
-
-def test_clearances_in_32_bits_prove_no_more_than_they_know():
+def test_clearances_of_32_bits_allow_for_rounding():
     def in_single(q):
         return jnp.linalg.norm(jnp.asarray(q, jnp.float32) - 1e3, axis=1) - 1.0
 
@@ -165,29 +57,19 @@ def test_clearances_in_32_bits_prove_no_more_than_they_know():
     assert space.are_free(lo, lo + np.array([1, 0])).tolist() == [False, True]
 
 
-WRONG = {  # constants, what axes are blamed, and what they need at least
-    "of the last axis": ([1.0, 1.0, 0.2], 2),
-    "of all": (0.4, None),
-    "none of the first": ([0.0, 1.0, 1.0], 0),
-}
-
-
-@pytest.mark.parametrize(("lipschitz", "axis"), WRONG.values(), ids=WRONG)
-def test_constants_that_are_too_small_are_noticed(lipschitz, axis):
+@pytest.mark.parametrize(("lipschitz", "axis"), [([1.0, 1.0, 0.2], 2), (0.4, r"\d"), ([0.0, 1.0, 1.0], 0)])
+def test_too_small_lipschitz_constants_raise(lipschitz, axis):
     space = ClearanceSpace(HALL, of_drone, lipschitz)
     lo, hi = random_boxes(np.random.default_rng(5), HALL, 200, 3)
-    with pytest.raises(
-        ValueError, match=r"lipschitz must bound how fast the clearance changes, but the clearance is .* at \["
-    ):
+    with pytest.raises(ValueError, match=r"lipschitz must bound how fast the clearance changes, .* is .* at \["):
         space.are_free(lo, hi)
-    blamed = r"Axis \d needs" if axis is None else f"Axis {axis} needs"
-    with pytest.raises(ValueError, match=rf"at \[.* and .* at \[.*{blamed} at least 0\.\d+\.$"):
+    with pytest.raises(ValueError, match=rf"at \[.* and .* at \[.*Axis {axis} needs at least 0\.\d+\.$"):
         space.classify(lo, hi)
-    with pytest.raises(ValueError, match=blamed):
+    with pytest.raises(ValueError, match=f"Axis {axis} needs"):
         solve_eikonal(space, (0.1, 0.1, 0.1), max_leaves=500)
 
 
-def test_the_least_constants_are_those_of_the_two_configurations():
+def test_errors_name_the_least_lipschitz_constants():
     steep = ClearanceSpace(((0, 0), (4, 4)), lambda q: 3 * q[:, 0] - q[:, 1], [1, 0.5])
     with pytest.raises(ValueError) as error:
         steep.are_free([[1.0, 1.0]], [[2.0, 0.5]])
@@ -197,40 +79,7 @@ def test_the_least_constants_are_those_of_the_two_configurations():
     )
     with pytest.raises(ValueError, match=r"differ by 3, where .* allows 1\. Axis 0 needs at least 3\.$"):
         steep.are_free([[1.0, 1.0]], [[2.0, 1.0]])
-    # True ones are not accused, however tight.
+    # Exact constants raise no error.
     tight = ClearanceSpace(((0, 0), (4, 4)), lambda q: 3 * q[:, 0] - q[:, 1], [3, 1])
     lo, hi = random_boxes(np.random.default_rng(6), tight.domain, 2000, 20)
     assert (np.bincount(tight.classify(lo, hi), minlength=3) > 100).all() and tight.are_free(lo, hi).any()
-
-
-def of_other(**changed):
-    arguments = {"domain": HALL, "clearance": of_drone, "lipschitz": 1.0, "motion_cost": None} | changed
-    return ClearanceSpace(**arguments)
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"domain": 3}, r"domain must be a Box or its corners \(lo, hi\), got 3"),
-        ({"clearance": 3}, r"clearance must be a function of configurations \(n, dof\), got 3"),
-        ({"clearance": lambda q: q}, r"clearance must give one number per point, shape \(1,\), got \(1, 3\)"),
-        ({"clearance": lambda q: q[:, 0] * np.nan}, r"clearance must return finite numbers, got nan at \[0.0, 0.0"),
-        ({"lipschitz": -1.0}, "lipschitz must be a finite number of at least 0, got -1.0"),
-        ({"lipschitz": [1, 1, -1]}, r"lipschitz must be at least 0 along each axis, got \[1.0, 1.0, -1.0\]"),
-        ({"lipschitz": [1, 1]}, r"lipschitz must be one point of shape \(3,\), got shape \(2,\)"),
-        ({"lipschitz": np.inf}, "lipschitz must be a finite number"),
-        ({"lipschitz": None}, "lipschitz must be a finite number of at least 0, got None"),
-        ({"motion_cost": MotionCost((((0, 1), 1.0),))}, "motion_cost must be a MotionCost of 3 axes, as the domain"),
-        ({"motion_cost": 1.0}, "motion_cost must be a MotionCost of 3 axes, as the domain has, got 1.0"),
-    ],
-)
-def test_a_callers_mistakes(changed, message):
-    with pytest.raises(ValueError, match=message):
-        of_other(**changed)
-
-
-def test_a_clearance_that_is_not_finite_somewhere_is_named():
-    space = of_other(clearance=lambda q: np.where(q[:, 0] > 2, np.inf, 1.0))
-    with pytest.raises(ValueError, match=r"clearance must return finite numbers, got inf at \[3.0, 0.5, 0.5\]"):
-        space.is_free([[1.0, 0.5, 0.5], [3.0, 0.5, 0.5]])

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+from eikonal_helpers import use_few_nodes
 from space_helpers import Climb, SteadyCurrent
 
-from plr_jax import PlaneSpace, Workspace, solve_eikonal
-from plr_jax.spaces import CostMap, DirectionalCost, LipschitzCost, cost_bounds
+from plr_jax import CostMap, DirectionalCost, LipschitzCost, PlaneSpace, Workspace, solve_eikonal
+from plr_jax.spaces import cost_bounds
 
 
 def bumpy(q):
@@ -13,7 +14,7 @@ def bumpy(q):
 BUMPY = LipschitzCost(bumpy, np.hypot(3, 1), 0.5)
 
 
-def test_bounds_hold_all_samples_and_are_near_them_in_small_boxes():
+def test_lipschitz_bounds_contain_samples_and_shrink_with_boxes():
     assert isinstance(BUMPY, CostMap)
     rng = np.random.default_rng(0)
     lo = rng.uniform(-2, 2, (200, 2))
@@ -28,49 +29,13 @@ def test_bounds_hold_all_samples_and_are_near_them_in_small_boxes():
     assert (upper - lower <= np.hypot(3, 1) * diagonal + 1e-12).all()
 
 
-def test_what_functions_round_in_32_bits_is_allowed_for():
+def test_bounds_allow_for_rounding_to_32_bits():
     x = np.random.default_rng(0).random((2_000, 2))
     ends = x - 1e-9, x + 1e-9
     single = LipschitzCost(lambda q: bumpy(q).astype(np.float32), np.hypot(3, 1), 0.5)
     lower, upper = single.bounds(*ends)
     assert ((lower <= bumpy(x)) & (bumpy(x) <= upper)).all() and (upper - lower).max() < 1e-4
     np.testing.assert_array_equal(LipschitzCost(lambda q: np.full(len(q), np.float32(0.7)), 0.0, 0.7)(x), 0.7)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((3.0, 1.0, 1.0), r"cost_fn must be a function of configurations \(n, dof\), got 3.0"),
-        ((bumpy, -1.0, 1.0), "lipschitz must"),
-        ((bumpy, np.nan, 1.0), "lipschitz must"),
-        ((bumpy, np.inf, 1.0), "lipschitz must"),
-        ((bumpy, "much", 1.0), "lipschitz must"),
-        ((bumpy, 1.0, 0.0), "least must"),
-        ((bumpy, 1.0, -2.0), "least must"),
-        ((bumpy, 1.0, np.nan), "least must"),
-    ],
-)
-@pytest.mark.usefixtures("unchecked_types")
-def test_bad_arguments_are_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        LipschitzCost(*arguments)
-
-
-@pytest.mark.parametrize(
-    ("cost_fn", "message"),
-    [
-        (lambda q: 1.0, r"one number per point, shape \(3,\), got \(\)"),
-        (lambda q: q, r"one number per point, shape \(3,\), got \(3, 2\)"),
-        (lambda q: np.array([1.0, 0.1, 1.0]), "finite numbers of at least 0.5, got 0.1 at"),
-        (lambda q: np.array([1.0, np.nan, 1.0]), "got nan at"),
-        (lambda q: np.array([1.0, 1.0, np.inf]), "got inf at"),
-    ],
-)
-def test_functions_that_return_something_else_are_refused(cost_fn, message):
-    with pytest.raises(ValueError, match=message):
-        LipschitzCost(cost_fn, 1.0, 0.5)(np.zeros((3, 2)))
-    with pytest.raises(ValueError, match=message):
-        LipschitzCost(cost_fn, 1.0, 0.5).bounds(np.zeros((3, 2)), np.ones((3, 2)))
 
 
 HILL = Climb(lambda q: np.stack([np.sin(q[:, 0]), q[:, 1]], axis=1) / 2, rate=1.5, lipschitz=0.5, steepest=2.0)
@@ -83,7 +48,7 @@ def climbing_cost(q, v):
 
 
 @pytest.mark.parametrize(("cost", "truth"), [(HILL, climbing_cost), (CURRENT, lambda q, v: CURRENT.time(v))])
-def test_bounds_of_directional_costs_hold_for_motions_all_ways_everywhere_in_boxes(cost, truth):
+def test_directional_bounds_contain_costs_of_motions(cost, truth):
     assert isinstance(cost, DirectionalCost)
     rng = np.random.default_rng(0)
     lo = rng.uniform(-1.5, 1.2, (300, 2))
@@ -97,30 +62,10 @@ def test_bounds_of_directional_costs_hold_for_motions_all_ways_everywhere_in_box
         assert (least + pull <= value + 1e-12).all() and (value <= most + pull + 1e-12).all()
 
 
-@pytest.mark.full
-def test_a_steady_current_is_crossed_in_the_known_time():
-    goal = np.array([0.7, 0.6])
-    plr = solve_eikonal(SQUARE, goal, cost_map=CURRENT, max_leaves=1_000)
-    x = np.random.default_rng(0).random((5_000, 2))
-    time = CURRENT.time(goal - x)
-    lower, upper = (np.asarray(bound) for bound in plr.bounds(x))
+def test_solver_bounds_contain_travel_time_in_current(monkeypatch):
+    use_few_nodes(monkeypatch)
+    goal, x = np.array([0.7, 0.6]), np.random.default_rng(0).random((2_000, 2))
+    plr = solve_eikonal(SQUARE, goal, cost_map=CURRENT, max_leaves=50).numpy()
+    time, (lower, upper) = CURRENT.time(goal - x), plr.bounds(x)
     assert (lower <= time).all() and (time <= upper).all()
-    assert np.abs(np.asarray(plr(x)) - time).mean() < 0.02 * time.mean()
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("pulls", "message"),
-    [
-        (3, "pulls must be two arrays of vectors and two of numbers, got 3"),
-        ((np.zeros((1, 3)), np.zeros((1, 2)), np.ones(1), np.ones(1)), r"finite vectors of shape \(1, 2\)"),
-        ((np.zeros((1, 2)), np.full((1, 2), np.nan), np.ones(1), np.ones(1)), r"finite vectors of shape \(1, 2\)"),
-        ((np.zeros((1, 2)), np.zeros((1, 2)), 2 * np.ones(1), np.ones(1)), "least nowhere above most"),
-        ((np.zeros((1, 2)), np.zeros((1, 2)), np.ones(2), np.ones(1)), "one number per point"),
-    ],
-)
-def test_pulls_that_are_none_are_refused(pulls, message):
-    cost = SteadyCurrent((0.2, -0.1))
-    cost.pulls = lambda lo, hi: pulls
-    with pytest.raises(ValueError, match=message):
-        cost_bounds(SQUARE.motion_cost, cost, np.zeros((1, 2)), np.ones((1, 2)))
+    assert np.abs(plr(x) - time).mean() < 0.04 * time.mean()

@@ -1,21 +1,9 @@
 import numpy as np
 import pytest
-from eikonal_helpers import check_between
-from space_helpers import random_boxes, states
+from space_helpers import states
 from voxel_helpers import passes, random_volume, state_of
 
-from plr_jax import (
-    Box,
-    CellState,
-    ConfigurationSpace,
-    DiscRobot,
-    PlaneSpace,
-    SeesBoxes,
-    VoxelGraph,
-    VoxelSpace,
-    Workspace,
-    solve_eikonal,
-)
+from plr_jax import CellState, ConfigurationSpace, SeesBoxes, VoxelSpace
 from plr_jax.plr.tree import Cells
 
 BLOCKED, FREE, MIXED = CellState
@@ -23,18 +11,18 @@ CHECKERS = np.array([[True, False], [False, True]])
 
 
 def half_steps(rng, free, n):
-    """Points at multiples of a half, many of them on faces, edges and corners."""
+    """Return points at multiples of a half, many of them on faces, edges and corners."""
     return rng.integers(0, 2 * np.array(free.shape) + 1, (n, free.ndim)) / 2
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 4])
-def test_motions_pass_as_arithmetic_without_rounding_has_it(dim):
+def test_free_motions_equal_exact_arithmetic(dim):
     rng = np.random.default_rng(dim)
     counts = np.zeros(2, int)
-    for _ in range(25):
+    for _ in range(10):
         free = random_volume(rng, dim, share=0.2 + 0.3 * rng.random())
         q0, q1 = half_steps(rng, free, 24), half_steps(rng, free, 24)
-        # A third of any direction, so that most crossings are of one face; a third through what rounding blurs.
+        # A third in any direction, crossing mostly single faces; a third through corners, where rounding matters.
         q0[8:] = rng.random((16, dim)) * free.shape
         q1[8:16] = rng.random((8, dim)) * free.shape
         q1[16:] = np.round(q0[16:]) + (np.round(q0[16:]) - q0[16:]) * rng.choice([1, 2], (8, 1))
@@ -42,14 +30,14 @@ def test_motions_pass_as_arithmetic_without_rounding_has_it(dim):
         expected = [passes(free, a, b) for a, b in zip(q0, q1, strict=True)]
         assert answers.tolist() == expected
         counts += np.bincount(answers, minlength=2)
-    assert counts.min() > 30
+    assert counts.min() > 10
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 4])
-def test_boxes_are_what_all_their_samples_are(dim):
+def test_states_of_boxes_equal_their_samples(dim):
     rng = np.random.default_rng(dim)
     found = []
-    for _ in range(30 if dim < 4 else 10):
+    for _ in range(8 if dim < 4 else 3):
         free = random_volume(rng, dim, 4 if dim < 4 else 2)
         lo = half_steps(rng, free, 8) - 0.5
         hi = lo + rng.integers(1, 4 if dim < 4 else 3, lo.shape) / 2
@@ -59,33 +47,22 @@ def test_boxes_are_what_all_their_samples_are(dim):
     assert set(found) == set(CellState)
 
 
-def test_edges_and_corners_in_which_voxels_touch_leave_no_passage():
+def test_no_path_passes_edges_where_voxels_touch():
     plane = VoxelSpace(CHECKERS)
-    assert states(plane, (0, 0, 1, 1), (0, 0, 0.9, 1), (0.5, 0.5, 1.5, 1.5), (1, 0, 2, 1)) == [
-        MIXED,
-        FREE,
-        MIXED,
-        BLOCKED,
-    ]
-    ends = np.array([[0.5, 0.5], [0.5, 0.5], [1.0, 1.0]]), np.array([[1.5, 1.5], [1.0, 1.0], [1.0, 1.0]])
+    boxes = (0, 0, 1, 1), (0, 0, 0.9, 1), (0.5, 0.5, 1.5, 1.5), (1, 0, 2, 1)
+    assert states(plane, *boxes) == [MIXED, FREE, MIXED, BLOCKED]
+    ends = [[0.5, 0.5], [0.5, 0.5], [1.0, 1.0]], [[1.5, 1.5], [1.0, 1.0], [1.0, 1.0]]
     assert plane.are_free(*ends).tolist() == [False, True, True]
-    assert plane.is_free([[1, 1], [1.0, 0.5], [1.5, 0.5], [0, 0], [2, 0]]).tolist() == [
-        True,
-        True,
-        False,
-        True,
-        False,
-    ]
-    # Above, all is free: the upper end of the edge is no contact, but may be passed.
-    free = np.stack([CHECKERS, np.ones((2, 2), bool)], axis=2)
-    space = VoxelSpace(free)
+    q = [[1, 1], [1.0, 0.5], [1.5, 0.5], [0, 0], [2, 0]]
+    assert plane.is_free(q).tolist() == [True, True, False, True, False]
+    # If all is free above, paths may pass the upper end of the edge.
+    space = VoxelSpace(np.stack([CHECKERS, np.ones((2, 2), bool)], axis=2))
     assert states(space, (0, 0, 0, 1, 1, 0.5), (0, 0, 1, 1, 1, 2), (0, 0, 0, 0.9, 1, 1)) == [MIXED, FREE, FREE]
-    q0, q1 = (
-        np.array([[0.5, 0.5, 0.5], [0.5, 0.5, 1.0], [1, 1, 0]]),
-        np.array([[1.5, 1.5, 0.5], [1.5, 1.5, 1], [1, 1, 2]]),
-    )
-    assert space.are_free(q0, q1).tolist() == [False, True, True]
-    # Two that touch in a corner alone.
+    ends = [[0.5, 0.5, 0.5], [0.5, 0.5, 1.0], [1, 1, 0]], [[1.5, 1.5, 0.5], [1.5, 1.5, 1], [1, 1, 2]]
+    assert space.are_free(*ends).tolist() == [False, True, True]
+
+
+def test_no_path_passes_corners_where_voxels_touch():
     free = np.zeros((2, 2, 2), bool)
     free[0, 0, 0] = free[1, 1, 1] = True
     assert not VoxelSpace(free).are_free([[0.5, 0.5, 0.5]], [[1.5, 1.5, 1.5]])[0]
@@ -93,67 +70,35 @@ def test_edges_and_corners_in_which_voxels_touch_leave_no_passage():
     assert VoxelSpace(free).are_free([[0.5, 0.5, 0.5]], [[1.5, 1.5, 1.5]])[0]
 
 
-@pytest.mark.parametrize("radius", [0.0, 0.3])
-def test_in_the_plane_it_is_the_plane(radius):
-    rng = np.random.default_rng(1)
-    free = rng.random((9, 6)) > 0.25
-    bounds = Box((-1, 2), (3.5, 5))
-    space = VoxelSpace(free, bounds, radius * 0.5)
-    workspace = Workspace.from_mask(free.T, resolution=0.5, origin=(-1, 2), tolerance=0)
-    plane = PlaneSpace(workspace) if radius == 0 else PlaneSpace(workspace, DiscRobot(radius * 0.5))
-    lo, hi = random_boxes(rng, Box((-1, 2), (3, 6)), 400, 4)
-    hi = np.minimum(hi, bounds.hi)
-    fine = (lo < hi).all(axis=1)
-    ours, theirs = space.classify(lo[fine], hi[fine]), plane.classify(lo[fine], hi[fine])
-    differs = ours != theirs
-    assert not differs.any() if radius == 0 else (ours[differs] == MIXED).all() and differs.mean() < 0.05
-    q0 = bounds.lo + rng.random((400, 2)) * bounds.width
-    q1 = np.clip(q0 + rng.normal(size=(400, 2)), bounds.lo, bounds.hi)
-    np.testing.assert_array_equal(space.is_free(q0), plane.is_free(q0))
-    answers = space.are_free(q0, q1)
-    np.testing.assert_array_equal(answers, plane.are_free(q0, q1))
-    assert 20 < answers.sum() < 380
-
-
-def test_a_ball_slides_along_walls_and_through_passages_as_wide_as_it():
+def test_balls_touch_walls_of_tight_passages():
     free = np.ones((4, 3, 3), bool)
     free[1:3, 0] = free[1:3, 2] = False
     space = VoxelSpace(free, radius=0.5)
     assert space.are_free([[0.5, 1.5, 0.5]], [[3.5, 1.5, 0.5]])[0]
     assert not space.are_free([[0.5, 1.5, 0.5]], [[3.5, 1.51, 0.5]])[0]
-    # Past an edge, at exactly its distance: a tangent of the cylinder around it.
+    # Past an edge at exactly the radius: a tangent of the cylinder around the edge.
     free = np.ones((6, 6, 3), bool)
     free[2, 2] = False
-    reach = np.array([1.0, 1.0, 0.0]) / np.sqrt(2)
-    across = np.array([1.0, -1.0, 0.2]) * 0.7
-    edge = np.array([3.0, 3.0, 1.5])
-    space = VoxelSpace(free, radius=1.0)
-    tangent = edge + reach * np.array([[1.0], [1 - 1e-6]])
-    assert space.are_free(tangent - across, tangent + across).tolist() == [True, False]
+    across, out = np.array([0.7, -0.7, 0.14]), np.array([[1.0], [1 - 1e-6]]) / np.sqrt(2)
+    tangent = np.array([3.0, 3.0, 1.5]) + out * [1.0, 1.0, 0.0]
+    assert VoxelSpace(free, radius=1.0).are_free(tangent - across, tangent + across).tolist() == [True, False]
 
 
-def test_voxels_of_unequal_sides_fill_their_bounds():
+def test_voxels_of_unequal_sides_fill_the_bounds():
     free = np.ones((2, 5, 1), bool)
     free[1, 2] = False
     space = VoxelSpace(free, ((0, -1, 3), (4, 0, 3.1)), radius=0.02)
     assert space.domain.width.tolist() == pytest.approx([4, 1, 0.1])
-    assert space.is_free(
-        [[2.5, -0.5, 3.05], [2.5, -0.62, 3.05], [2.5, -0.61, 3.05], [1.97, -0.5, 3.05]]
-    ).tolist() == [
-        False,
-        True,
-        False,
-        True,
-    ]
+    q = [[2.5, -0.5, 3.05], [2.5, -0.62, 3.05], [2.5, -0.61, 3.05], [1.97, -0.5, 3.05]]
+    assert space.is_free(q).tolist() == [False, True, False, True]
     assert isinstance(space, ConfigurationSpace) and isinstance(space, SeesBoxes)
     assert space.motion_cost.lengths([[0, -1, 3]], [[3, -1, 3]], space.domain) == 3
-    assert repr(space).startswith("VoxelSpace(2 x 5 x 1 voxels, Box(")
     with pytest.raises(ValueError, match="read-only"):
         space.free[0, 0, 0] = False
 
 
-def test_faces_are_where_cells_have_them_whatever_the_sides():
-    """Walls flush with the cells of a partition stay flush where sides are no binary fractions."""
+def test_walls_on_faces_of_cells_stay_there_after_rounding():
+    """Walls flush with cells of a partition stay flush if sides are not binary fractions."""
     free = np.kron(np.random.default_rng(0).random((16, 4)) < 0.5, np.ones((3, 3))) > 0
     free[0, 0] = True
     cells = Cells.root(2)
@@ -167,76 +112,29 @@ def test_faces_are_where_cells_have_them_whatever_the_sides():
         np.testing.assert_array_equal(space.classify(*cells.boxes(space.domain)), of_units)
 
 
-def test_what_is_not_finite_or_outside_is_not_free():
-    space = VoxelSpace(np.ones((2, 2), bool))
-    q = np.array([[np.nan, 1], [np.inf, 1], [2.1, 1], [1, -1e-12], [2, 2], [1e300, 0]])
-    assert space.is_free(q).tolist() == [False, False, False, False, True, False]
-    for radius in (0.0, 0.1):
-        space = VoxelSpace(np.ones((2, 2), bool), radius=radius)
-        assert not space.are_free(q[:4], np.ones((4, 2))).any() and not space.are_free(np.ones((4, 2)), q[:4]).any()
-        assert states(space, (2, 0, 3, 1), (-3, -3, 5, 5), (1.5, 0, 2.5, 1)) == [BLOCKED, MIXED, MIXED]
+@pytest.mark.parametrize("radius", [0.0, 0.1])
+def test_points_and_boxes_outside_are_not_free(radius):
+    space, one = VoxelSpace(np.ones((2, 2), bool), radius=radius), np.ones((5, 2))
+    q = np.array([[np.nan, 1], [np.inf, 1], [2.1, 1], [1, -1e-12], [1e300, 0]])
+    assert not (space.is_free(q) | space.are_free(q, one) | space.are_free(one, q)).any()
+    assert states(space, (2, 0, 3, 1), (-3, -3, 5, 5), (1.5, 0, 2.5, 1)) == [BLOCKED, MIXED, MIXED]
 
 
-@pytest.mark.full
-def test_boxes_are_seen_from_where_all_their_free_samples_are():
+def test_seen_boxes_have_only_visible_samples():
     rng = np.random.default_rng(0)
     counts = np.zeros(2, int)
-    for _ in range(20):
+    for _ in range(8):
         free = random_volume(rng, 3, 4)
         space = VoxelSpace(free)
         lo = half_steps(rng, free, 40) - 0.25
         hi = lo + rng.integers(1, 5, lo.shape) / 4
         q = np.where(rng.random(lo.shape) < 0.5, lo, hi)
         sees = space.sees_boxes(q, lo, hi)
-        x = lo[:, None] + rng.integers(0, 5, (40, 60, 3)) / 4 * (hi - lo)[:, None]
-        x = x.reshape(-1, 3)
-        visible = (space.are_free(x, np.repeat(q, 60, axis=0)) | ~space.is_free(x)).reshape(40, 60).all(axis=1)
+        x = (lo[:, None] + rng.integers(0, 5, (40, 60, 3)) / 4 * (hi - lo)[:, None]).reshape(-1, 3)
+        free = space.is_free(x)
+        visible = (space.are_free(x, np.repeat(q, 60, axis=0)) | ~free).reshape(40, 60).all(axis=1)
         assert visible[sees].all()
-        some_free = space.is_free(x).reshape(40, 60).any(axis=1)
-        counts += [sees.sum(), (visible & some_free & space.is_free(q) & ~sees).sum()]
+        counts += [sees.sum(), (visible & free.reshape(40, 60).any(axis=1) & space.is_free(q) & ~sees).sum()]
     assert counts[0] > 2 * counts[1]
     assert not VoxelSpace(CHECKERS).sees_boxes([[1, 1]], [[0.5, 0.5]], [[1, 1]])[0]
     assert not VoxelSpace(np.ones((2, 2), bool), radius=0.1).sees_boxes([[1, 1]], [[0.5, 0.5]], [[1, 1]])[0]
-
-
-@pytest.mark.full
-def test_bounds_of_a_volume_hold_the_lengths_of_paths():
-    free = np.ones((8, 8, 4), bool)
-    free[3] = free[:, 4] = False
-    free[3, 1:3, 1:3] = free[6, 4, 2:] = free[1, 4, 0] = True
-    space, goal = VoxelSpace(free), (1.5, 1.5, 1.5)
-    plr = solve_eikonal(space, goal, max_leaves=1000)
-    graph = VoxelGraph(free, goal)
-    x = np.argwhere(free) + 0.5
-    length = graph(x)
-    # A path over voxels is one of any angle, at most so much longer.
-    lower, upper = (np.asarray(bound, np.float64) for bound in plr.bounds(x))
-    assert (lower <= length + 1e-9).all() and lower.mean() > 0.5 * length.mean()
-    straight = np.linalg.norm(x - goal, axis=1)
-    assert (upper >= straight - 1e-9).all() and (upper <= length + 1.5).all() and (lower <= upper).all()
-    seen = space.are_free(x, np.broadcast_to(goal, x.shape))
-    check_between(plr, x[seen], straight[seen])
-
-
-@pytest.mark.usefixtures("unchecked_types")
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: VoxelSpace(CHECKERS.astype(int)), r"booleans of 1 to 4 axes.* got int64 of shape \(2, 2\)"),
-        (lambda: VoxelSpace(np.ones((1,) * 5, bool)), "1 to 4 axes"),
-        (lambda: VoxelSpace(np.True_), "1 to 4 axes"),
-        (lambda: VoxelSpace(np.ma.masked_array(CHECKERS, CHECKERS)), "some masked"),
-        (lambda: VoxelSpace(np.zeros((2, 2), bool)), "at least one free voxel"),
-        (lambda: VoxelSpace(CHECKERS[:0]), "at least one free voxel"),
-        (lambda: VoxelSpace(CHECKERS, ((0,), (1,))), "bounds must have 2 axes"),
-        (lambda: VoxelSpace(CHECKERS, Box((0, 0), (1, 1), (True, False))), "must not have periodic axes"),
-        (lambda: VoxelSpace(CHECKERS, ((1e9, 0), (1e9 + 1e-6, 1))), "sides of at least"),
-        (lambda: VoxelSpace(CHECKERS, radius=-1), "radius must be"),
-        (lambda: VoxelSpace(CHECKERS, radius=1e200), "radius must be at most"),
-        (lambda: VoxelSpace(CHECKERS, radius=1e-12), "radius must be 0 for a point, or at least"),
-        (lambda: solve_eikonal(VoxelSpace(CHECKERS), (1.5, 0.5)), "must be a free configuration"),
-    ],
-)
-def test_bad_input_is_refused(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
