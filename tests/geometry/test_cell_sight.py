@@ -99,7 +99,7 @@ def test_cells_without_walls_are_one_piece(seed):
     cell, listed, by_all = corners_of_cells(found)
     for k in np.flatnonzero(by_all)[:20]:
         inside = points_of(rng, found.pieces[:, found.cell == cell[k]], 5).reshape(-1, 2)
-        assert visibility.table.sees(np.full(len(inside), listed[k]), inside).all()
+        assert workspace.is_visible(inside, visibility.corners.points[np.full(len(inside), listed[k])]).all()
 
 
 def test_wall_along_the_side_of_a_box_is_outside():

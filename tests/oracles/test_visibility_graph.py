@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import json
 import math
 
 import numpy as np
@@ -216,3 +217,32 @@ def test_polyanya_arena_lengths(data_dir):
     oracle = VisibilityGraph(scenes.read_polygons(folder / "arena_polygons.json"), rows[0, 2:4])
     found = [oracle.with_goal(row[2:4])(row[None, :2])[0] for row in rows]
     np.testing.assert_allclose(found, rows[:, 4], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["dao/den009d", "da2/ht_store"])
+def test_movingai_lengths_lie_between_straight_and_octile(data_dir, name):
+    scenario = scenes.read_scen(data_dir / "movingai" / f"{name}.map.scen")
+    workspace = scenes.read_polygons(data_dir / "movingai" / f"{name}_polygons.json")
+    distance = VisibilityGraph(workspace, scenario.goals[0]).between(scenario.starts, scenario.goals)
+    assert (distance >= np.linalg.norm(scenario.starts - scenario.goals, axis=1) - 1e-9).all() and len(distance) >= 70
+    assert (distance <= scenario.octile_lengths + 2e-3).all()
+    # Steps in eight directions are 8.3 % longer at most, but at corners.
+    assert distance.sum() > 0.92 * scenario.octile_lengths.sum()
+
+
+@pytest.mark.parametrize("file", ["cases_2.7.2.json", "cases_2021.json"])
+@pytest.mark.parametrize("name", ["grid_env", "poly_env", "overlap_poly_env", "separated_env"])
+def test_extremitypathfinder_lengths_and_paths(data_dir, file, name):
+    data = json.loads((data_dir / "extremitypathfinder" / file).read_text())[name]
+    if name == "grid_env":
+        cells = [box(x, y, x + 1, y + 1) for x, y in data["blocked_cells"]]
+        workspace = Workspace(((0, 0), (data["size_x"], data["size_y"])), cells, squeeze=True)
+    else:
+        workspace = Workspace.from_polygons([{"outer": data["boundary"], "holes": data["holes"]}], squeeze=True)
+    for case in data["cases"]:
+        oracle = VisibilityGraph(workspace, case["goal"])
+        distance, path = oracle([case["start"]])[0], oracle.shortest_path(case["start"])
+        assert distance == pytest.approx(np.inf if case["length"] is None else case["length"], abs=1e-6)
+        if case["length"] is not None:
+            lines = (shapely.LineString([*each, each[-1]]) for each in (path.tolist(), case["path"]))
+            assert shapely.hausdorff_distance(*lines) < 1e-9
