@@ -290,7 +290,7 @@ def main() -> None:
                 print(f"{where}: {was} -> {mutation.text.strip()} (noticed by: {tier})", flush=True)
             print(count, file=sys.stderr, flush=True)
     noticed = count["quick"] + count["full"]
-    print(f"noticed: {noticed} of {len(drawn)}, {noticed / len(drawn):.0%}")
+    print(f"noticed: {noticed} of {len(drawn)}, {noticed / max(len(drawn), 1):.0%}")
     print(f"of these by the quick tier: {count['quick']} of {noticed}, {count['quick'] / max(noticed, 1):.0%}")
 
 
