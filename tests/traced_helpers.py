@@ -9,7 +9,7 @@ from grid_helpers import drawn
 
 from plr_jax import grid_distance
 
-SHAPE, LEVELS, POINTS = (4, 9), 40, 40  # few rows, for each of which code is compiled
+SHAPE, LEVELS, POINTS = (4, 9), 25, 40  # few rows, for each of which code is compiled
 ROOM = drawn("....#....", ".##.#....", ".#..##...", "...#..#..")  # right of column 4 nothing leads to the center
 CENTER = [2.5, 2.5]
 NOWHERE = [[-0.1, 3], [3, 4.01], [1.5, 1.5], [5.5, 0.5], [np.inf, 1], [1, -np.inf], [1e30, 1]]

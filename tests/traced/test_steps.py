@@ -14,7 +14,7 @@ def around(free, point):
     return [tuple(cell) for cell in cells[(np.abs(cells[:, ::-1] + 0.5 - point) <= 0.5).all(axis=1)].tolist()]
 
 
-@pytest.mark.parametrize("moves, tolerance", [(4, 0), (8, 1e-6)])
+@pytest.mark.parametrize("moves, tolerance", [(8, 1e-6), pytest.param(4, 0, marks=pytest.mark.full)])
 def test_distances_equal_dijkstra_from_all_cells_that_hold_the_goal(moves, tolerance):
     _, cells, distances, _ = answers(moves)
     for level, (free, goal, x) in enumerate(zip(*(each[:LEVELS] for each in all_levels()), strict=True)):
@@ -24,7 +24,7 @@ def test_distances_equal_dijkstra_from_all_cells_that_hold_the_goal(moves, toler
         np.testing.assert_allclose(distances[level], [expected] * 3, rtol=tolerance)
 
 
-@pytest.mark.parametrize("moves", [4, 8])
+@pytest.mark.parametrize("moves", [8, pytest.param(4, marks=pytest.mark.full)])
 def test_rows_wider_than_a_word(moves):
     free = np.random.default_rng(3).random((9, 70)) > 0.25
     free[4, 30:34] = True
