@@ -212,14 +212,9 @@ def compiled(pairs, folder):
     header = pairs.c_header("here")
     (folder / "here.h").write_text(header.text)
     signatures = {
-        "many": (
-            "void",
-            "const uint32_t *a, const uint32_t *b, int32_t *s, size_t n",
-            "here_steps_of_pairs(a, b, s, n)",
-        ),
+        "many": ("void", "uint32_t *a, uint32_t *b, int32_t *s, size_t n", "here_steps_of_pairs(a, b, s, n)"),
         "opened": ("int", "const void *data, size_t size", "return here_open(data, size)"),
         "checked": ("int", "void", "return here_check()"),
-        "units": ("int32_t", "uint32_t a, uint32_t b", "return here_units(a, b)"),
     }
     code = ['#include "here.h"']
     for name, (of, arguments, call) in signatures.items():
@@ -282,9 +277,8 @@ def test_c_headers_refuse_other_tables_and_are_c_plus_plus(tmp_path):
     assert taken == 1 and library.checked() == 0
     del room
     if (plus := shutil.which("c++")) is not None:
-        (tmp_path / "a.cpp").write_text(
-            '#include "here.h"\n#include "here.h"\nint main() { return here_steps(0, 1); }\n'
-        )
+        code = '#include "here.h"\n#include "here.h"\nint main() { return here_steps(0, 1); }\n'
+        (tmp_path / "a.cpp").write_text(code)
         subprocess.run([plus, *STRICT, "-Wno-unused-function", "-fsyntax-only", tmp_path / "a.cpp"], check=True)
     with pytest.raises(ValueError, match="a C identifier"):
         pairs[0].c_header("1")

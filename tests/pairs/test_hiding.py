@@ -36,9 +36,8 @@ def test_near_walls_are_found_and_few_others(leaves, corners, walls):
     found = np.zeros((len(leaf), len(walls)), bool)
     found[entry, wall] = True
     assert found.sum() == len(entry) and (np.diff(entry) >= 0).all()
-    apart = shapely.distance(
-        hulls(boxes, leaf, points[listed])[:, None], shapely.linestrings(walls.reshape(-1, 2, 2))
-    )
+    lines = shapely.linestrings(walls.reshape(-1, 2, 2))
+    apart = shapely.distance(hulls(boxes, leaf, points[listed])[:, None], lines)
     assert found[apart < 0.99 * margin].all()
     assert not found[apart > 3 * margin].all()
     assert found[apart > 3 * margin].mean() < 0.01
@@ -60,6 +59,7 @@ def test_corners_behind_an_inward_and_an_outward_wall_are_hidden(n):
     boxes, leaf, listed, points, walls = random_case(2, 9, 6, 400)
     walls[:, 2:] = walls[:, :2] + 0.15 * (walls[:, 2:] - walls[:, :2])
     near = NearWalls.of(boxes, leaf, listed, points, walls, 1e-6, (9, 8))
+    assert NearWalls.of(boxes, leaf, listed, points, walls[:8], 1e-6, (9, 8)) is None  # most are near
     rng = np.random.default_rng(3)
     entry = rng.integers(len(leaf), size=n)
     x = boxes[0][leaf[entry]] + rng.random((n, 2)) * (boxes[1] - boxes[0])[leaf[entry]]

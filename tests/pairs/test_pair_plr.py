@@ -84,24 +84,12 @@ def test_batches_broadcast(maze):
     assert maze(x[0, :0], y[0, 0]).shape == maze(np.zeros((0, 2)), goals).shape == (0,)
 
 
-@pytest.mark.full
-def test_tables_are_made_once_when_first_needed(maze):
-    x, y = two_batches(MAZE, 100, seed=4)
-    expected = maze(x, y)
-    many = [np.tile(points, (200, 1)) for points in (x, y)]  # more than NumPy answers
+def test_tables_are_made_once_and_are_a_tree_of_arrays(maze):
     pairs = pairs_from_bytes(maze.to_bytes())
-    assert "tables" not in vars(pairs) and repr(pairs) == repr(maze)
-    assert "tables" not in vars(pairs.with_label("new"))
-    np.testing.assert_allclose(pairs(*many), np.tile(expected, 200), rtol=3e-7, atol=6e-8)
-    tables = vars(pairs)["tables"]
-    jax.eval_shape(pairs, x, y)
-    assert vars(pairs)["tables"] is tables is pairs.with_label("new").tables
-
-
-def test_pairs_are_a_tree_of_arrays(maze):
-    pairs = pairs_from_bytes(maze.to_bytes())
+    assert repr(pairs) == repr(maze) and "tables" not in vars(pairs) and "tables" not in vars(pairs.with_label("new"))
     jax.eval_shape(lambda: pairs.tables.step)  # tables that are built while a function is traced
     assert not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(vars(pairs)["tables"]))
+    assert pairs.with_label("new").tables is pairs.tables
     moved = jax.tree.map(jnp.asarray, pairs)
     assert moved.to_bytes() == maze.to_bytes() and moved.with_label("new").tables is moved.tables
     np.testing.assert_array_equal(moved(INSIDE, 1 - INSIDE), maze(INSIDE, 1 - INSIDE))

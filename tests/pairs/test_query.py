@@ -113,17 +113,6 @@ def test_long_lists_are_searched_to_their_ends():
 
 
 @pytest.mark.full
-def test_many_pairs_of_a_real_map_are_bounded(data_dir):
-    workspace = scenes.read_workspace(data_dir / "jupedsim" / "arena.wkt")
-    pairs, width = construct_pairs(workspace), workspace.bounds.width.max()
-    assert pairs.num_corners > 200 and len(pairs.tables.walls.boxes) > 8
-    x, y = two_batches(workspace, 3_000, seed=5)
-    truth, (lower, upper) = exact(workspace, x, y), np.asarray(jax.jit(pairs.bounds)(x, y), np.float64)
-    assert (lower <= truth).all() and (truth <= upper).all() and np.isfinite(upper).mean() > 0.9
-    np.testing.assert_allclose(jax.jit(pairs.__call__)(x, y), truth, atol=2e-5 * width)  # some are near walls
-
-
-@pytest.mark.full
 def test_lengths_in_arena_equal_published_lengths(data_dir):
     folder = data_dir / "polyanya_arena"
     pairs = construct_pairs(scenes.read_polygons(folder / "arena_polygons.json"), max_bytes=32_768)

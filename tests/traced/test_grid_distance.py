@@ -35,24 +35,6 @@ def test_a_field_out_of_a_compiled_batch_answers_as_one_map():
     np.testing.assert_allclose(jax.tree.map(lambda each: each[0], fields).cells, cells[0])
 
 
-@pytest.mark.full
-@pytest.mark.parametrize("moves", ["any-angle", 4])
-def test_scan_carries_fields_and_checkpoint_recomputes_them(moves):
-    @jax.jit
-    @jax.checkpoint
-    def total(path, field):
-        def step(field, x):
-            return grid_distance(ROOM, x, moves=moves), field(x)
-
-        return jax.lax.scan(step, field, path)[1].sum()
-
-    path = jnp.array([[0.5, 0.5], [0.5, 3.5]])
-    value, gradient = jax.value_and_grad(total)(path, grid_distance(ROOM, GOAL, moves=moves))
-    pairs = grid_distance(ROOM, None, moves=moves)
-    assert value == pytest.approx(float(pairs(GOAL, path[0]) + pairs(path[0], path[1])), rel=1e-6)
-    assert jnp.isfinite(gradient).all()
-
-
 @pytest.mark.parametrize("moves", MOVES)
 def test_tracing_promotes_no_ranks_and_types_and_keeps_64_bits(moves):
     def answers(free, goal, x):
@@ -78,10 +60,7 @@ def test_tracing_promotes_no_ranks_and_types_and_keeps_64_bits(moves):
         ({"free": ROOM.astype(float)}, r"got float32 of shape \(4, 9\): is it `grid == 0`"),
         ({"free": np.zeros((0, 3), bool)}, "at least one cell"),
         ({"free": "maze"}, "free must be an array of booleans"),
-        (
-            {"goal": [1, 2, 3]},
-            r"goal must be real numbers of shape \(..., 2\), rows \(x, y\), got int32 of shape \(3,\)",
-        ),
+        ({"goal": [1, 2, 3]}, r"goal must be real numbers of shape .*, rows \(x, y\), got int32 of shape \(3,\)"),
         ({"goal": [[1, 2], [3, 4]]}, r"goal must be one point of shape \(2,\), got shape \(2, 2\): use jax.vmap"),
         ({"goal": [True, False]}, "goal must be real numbers"),
         ({"goal": "there"}, "goal must be points"),
@@ -89,10 +68,7 @@ def test_tracing_promotes_no_ranks_and_types_and_keeps_64_bits(moves):
         ({"moves": None}, 'moves must be "any-angle", 4 or 8, got None'),
         ({"max_corners": 0}, "max_corners must be an integer >= 1, got 0"),
         ({"moves": 4, "max_corners": 9}, "max_corners requires any-angle paths, got 9 with moves=4: leave it out"),
-        (
-            {"free": np.ones((128, 128), bool)},
-            "at most 4,096 corners, got 8,065 on 128 x 128 cells: pass max_corners, or use moves=8",
-        ),
+        ({"free": np.ones((128, 128), bool)}, "at most 4,096 corners, got 8,065 on 128 x 128 cells"),
         ({"free": np.ones((500, 500), bool), "moves": 8}, "at most 159,640 cells for moves=8, got 500 x 500"),
     ],
 )
@@ -115,10 +91,7 @@ def traced_call(call):
     ("call", "message"),
     [
         (lambda field, _: field([1.0, 2.0, 3.0]), r"x must be real numbers of shape .* got float32 of shape \(3,\)"),
-        (
-            lambda _, pairs: pairs(np.ones((3, 2)), np.ones((4, 2))),
-            r"x and y must broadcast, got shapes \(3, 2\) and \(4, 2\)",
-        ),
+        (lambda _, pairs: pairs(np.ones((3, 2)), np.ones((4, 2))), r"broadcast, got shapes \(3, 2\) and \(4, 2\)"),
     ],
 )
 def test_wrong_points_raise(call, message):
@@ -128,12 +101,8 @@ def test_wrong_points_raise(call, message):
 
 @pytest.mark.parametrize("x", [(3, 2), np.array([3, 2]), jnp.array([3, 2], jnp.int8)])
 def test_integer_points_give_one_warning_for_a_call(x):
-    for call in (
-        lambda *_: grid_distance(ROOM, x),
-        lambda field, _: field(x),
-        lambda field, _: jax.jit(field)(x),
-        lambda _, pairs: pairs(x, x),
-    ):
+    of_fields = lambda *_: grid_distance(ROOM, x), lambda field, _: field(x), lambda field, _: jax.jit(field)(x)
+    for call in (*of_fields, lambda _, pairs: pairs(x, x)):
         with pytest.warns(UserWarning, match="corners of cells.*add 0.5 to .column, row.") as warned:
             traced_call(call)
         assert len(warned) == 1
