@@ -11,7 +11,8 @@ from plr_jax import grid_distance
 
 SHAPE, LEVELS, POINTS = (4, 9), 25, 40  # few rows, for each of which code is compiled
 ROOM = drawn("....#....", ".##.#....", ".#..##...", "...#..#..")  # right of column 4 nothing leads to the center
-CENTER = [2.5, 2.5]
+CENTER = [2.5, 2.6]
+SNAKE = drawn("..#...#..", "..#.#.#..", "..#.#.#..", "....#....")
 NOWHERE = [[-0.1, 3], [3, 4.01], [1.5, 1.5], [5.5, 0.5], [np.inf, 1], [1, -np.inf], [1e30, 1]]
 SOMEWHERE = [[0, 0], [0, 4], [1, 2.5], CENTER]
 NOT_NUMBERS = [[np.nan, 1], [1, np.nan]]
@@ -36,16 +37,17 @@ def random_points(seed, levels=LEVELS, shape=SHAPE):
 
 
 def all_levels():
-    """Return maps, goals and points: of random levels, of a block in an empty room, of a room with bad goals."""
+    """Return maps, goals and points: of random levels, of a block, of a snake, of a room with bad goals."""
     free, goals = random_levels(2)
     block = np.ones(SHAPE, bool)
     block[1:3, 2:4] = False
-    at_block, in_room = [(2, 3), (2, 1), (4, 1), (5, 2.5)], NOWHERE + SOMEWHERE + NOT_NUMBERS
+    at_block, in_snake = [(2, 3), (2, 1), (4, 1), (5, 2.5)], [(8.5, 0.6), (7.5, 2.5), (3.5, 1.4)]
+    in_room = NOWHERE + SOMEWHERE + NOT_NUMBERS
     rooms = 1 + len(BAD_GOALS)
-    others = [np.resize(at_block, (POINTS, 2)), *[np.resize(in_room, (POINTS, 2))] * rooms]
+    others = [np.resize(points, (POINTS, 2)) for points in (at_block, in_snake, *[in_room] * rooms)]
     return (
-        np.concatenate([free, [block], [ROOM] * rooms]),
-        np.concatenate([goals, [(1, 3.5), CENTER], BAD_GOALS]).astype(np.float32),
+        np.concatenate([free, [block, SNAKE], [ROOM] * rooms]),
+        np.concatenate([goals, [(1, 3.5), (0.5, 0.6), CENTER], BAD_GOALS]).astype(np.float32),
         np.concatenate([random_points(3), others]).astype(np.float32),
     )
 

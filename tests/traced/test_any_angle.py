@@ -70,6 +70,14 @@ def test_gradient_at_a_corner_follows_the_path_of_that_corner():
     np.testing.assert_allclose(of_goal, 10 * unit(np.subtract(BLOCK_GOAL, LAST_TURN)).sum(axis=0), atol=1e-4)
 
 
+def test_gradient_in_goal_passes_many_corners():
+    free, goal, x = (each[LEVELS + 1] for each in all_levels())
+    x, goal = x.astype(float), goal.astype(float)
+    ahead, behind = ([truth(free, goal + step, x).sum() for step in sign * np.eye(2)] for sign in (STEP, -STEP))
+    expected = np.subtract(ahead, behind) / (2 * STEP)
+    np.testing.assert_allclose(answers("any-angle")[3][1][LEVELS + 1], expected, atol=1e-2)
+
+
 @pytest.mark.full
 def test_gradients_of_pairs_follow_first_and_last_turns():
     def gradients(x):

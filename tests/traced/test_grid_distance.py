@@ -14,7 +14,7 @@ MOVES = ["any-angle", 8]
 
 @pytest.mark.parametrize("moves", ["any-angle", 8, pytest.param(4, marks=pytest.mark.full)])
 def test_points_and_goals_outside_or_blocked_are_inf_and_nan_stays(moves):
-    cells, distances, gradients = (jax.tree.map(lambda each: each[LEVELS + 1 :], a) for a in answers(moves)[1:])
+    cells, distances, gradients = (jax.tree.map(lambda each: each[LEVELS + 2 :], a) for a in answers(moves)[1:])
     points = NOWHERE + SOMEWHERE + NOT_NUMBERS
     is_somewhere = np.array([point in SOMEWHERE for point in points])
     is_nan = np.array([point in NOT_NUMBERS for point in points])
