@@ -2,7 +2,7 @@
 
 import numpy as np
 import shapely
-from piece_helpers import TEN, box
+from piece_helpers import box
 from shapely import affinity
 
 from plr_jax import Box, VisibilityGraph, Workspace, scenes
@@ -10,7 +10,6 @@ from plr_jax.pairs.stored import Outline, PairsFileData
 from plr_jax.plr.tree import Cells, tree_of
 
 MAZE = scenes.maze().workspace
-WALL = Workspace(TEN, [box(4, 0, 6, 8)])
 
 
 def two_batches(workspace, n, seed=0):
@@ -34,20 +33,6 @@ def joined(rooms, n=40, squeeze=False):
         obstacles += [affinity.translate(part, *shift) for part in shapely.get_parts(inside) if part.area > 0]
     x, y = np.concatenate([two_batches(room, n) + shift for room, shift in zip(rooms, shifts, strict=True)], axis=1)
     return Workspace(((0, 0), (size, size)), obstacles, squeeze=squeeze), x, y
-
-
-def check_exact_and_bounded(pairs, workspace, x, y, tolerance=3e-6, loose=0.0):
-    """Check that distances are exact to rounding and within bounds; return the share of finite upper bounds.
-
-    Lower bounds are close except for a share ``loose``, where a path through a contact would be shorter.
-    """
-    truth, scale = exact(workspace, x, y), workspace.bounds.width.max()
-    reached = np.isfinite(truth)
-    np.testing.assert_allclose(pairs(x, y), truth, atol=tolerance * scale)
-    lower, upper = (np.asarray(bound, np.float64) for bound in pairs.bounds(x, y))
-    assert (lower <= truth).all() and (truth <= upper).all()
-    assert np.mean(lower[reached] < truth[reached] - 1e-4 * scale) <= loose
-    return np.isfinite(upper[reached]).mean()
 
 
 def stored_ring(points, domain, joined=(), cells=None, lists=None, rounding=0.0):

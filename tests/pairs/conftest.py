@@ -1,7 +1,7 @@
-"""Fixtures of tests of pairs: pairs of the maze and of one wall, built once, so that few queries are compiled."""
+"""Fixtures of tests of pairs: the pairs of the maze, and answers of compiled functions for small batches too."""
 
 import pytest
-from pair_helpers import MAZE, WALL
+from pair_helpers import MAZE
 
 from plr_jax import construct_pairs
 from plr_jax.pairs import pair_plr
@@ -12,19 +12,14 @@ def maze():
     return construct_pairs(MAZE, max_bytes=1024)
 
 
-@pytest.fixture(scope="session")
-def wall():
-    return construct_pairs(WALL, max_bytes=512)
-
-
 @pytest.fixture
 def compiled(monkeypatch):
     """Make the compiled function answer small batches too, instead of NumPy."""
     monkeypatch.setattr(pair_plr, "_FEW_TESTS", 0)
 
 
-@pytest.fixture(params=["few", "compiled"])
+@pytest.fixture(params=["few", pytest.param("compiled", marks=pytest.mark.full)])
 def either_way(request):
-    """Run a test twice: with small batches answered in NumPy, and by the compiled function."""
+    """Run a test with small batches answered in NumPy; in the full tier also by the compiled function."""
     if request.param == "compiled":
         request.getfixturevalue("compiled")

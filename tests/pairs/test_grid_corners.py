@@ -1,50 +1,54 @@
 """Corners of grids: which see each other, which cells are taut at which corners, and distances between corners."""
 
-import jax.numpy as jnp
+import jax
 import numpy as np
 import pytest
 from grid_helpers import dijkstra, drawn, mosaic
 
 from plr_jax.pairs import grid_corners
-from plr_jax.pairs.grid_corners import (
-    FAR,
-    CornerLabels,
-    CornerTable,
-    corner_cells,
-    corner_distances,
-    corners_in_sight,
-)
+from plr_jax.pairs.grid_corners import CornerLabels, CornerTable, corner_cells, corner_distances, corners_in_sight
+
+BLOCK = drawn(".....", ".....", "..#..", ".....", ".....")
+
+
+def corridor(columns):
+    """Return a corridor with a block at each end."""
+    free = np.pad(np.concatenate([BLOCK, BLOCK]), ((0, 0), (0, columns)), constant_values=True)
+    free[2, columns] = False
+    return free
 
 
 def lengths(free, connectivity):
-    """Distances of all corners, in units."""
+    """Return the distances of all corners, in units."""
     corners = np.arange(np.count_nonzero(corner_cells(free)), dtype=np.int32)
-    found = corner_distances(free, connectivity)
-    return np.asarray(found.between(jnp.asarray(corners)[:, None], jnp.asarray(corners)[None]))
+    return corner_distances(free, connectivity).between(corners[:, None], corners[None])
 
 
 @pytest.fixture(params=[grid_corners.MOST_IN_TABLE, 0], ids=["table", "labels"])
 def kept(request, monkeypatch):
-    """Distances as they are kept of few corners, and of many."""
+    """Run a test with distances stored as for few corners, and as for many."""
     monkeypatch.setattr(grid_corners, "MOST_IN_TABLE", request.param)
 
 
 @pytest.mark.usefixtures("kept")
 @pytest.mark.parametrize("connectivity", [4, 8])
-def test_distances_of_corners_are_those_of_a_search(connectivity):
+def test_corner_distances_equal_dijkstra(connectivity):
     free = mosaic(connectivity, 2, 12)
     found, places = lengths(free, connectivity), np.argwhere(corner_cells(free))
     step = 1 if connectivity == 4 else 985
     for row, place in zip(found, places.tolist(), strict=True):
         truth = dijkstra(free, tuple(place), connectivity)[tuple(places.T)]
-        np.testing.assert_array_equal(row >= FAR, np.isinf(truth))
-        np.testing.assert_allclose(row[row < FAR] / step, truth[row < FAR], rtol=1e-6)
+        np.testing.assert_array_equal(row >= grid_corners.FAR, np.isinf(truth))
+        np.testing.assert_allclose(row[np.isfinite(truth)] / step, truth[np.isfinite(truth)], rtol=1e-6)
+    if connectivity == 8:
+        corners = np.arange(len(places), dtype=np.int32)
+        between = jax.jit(corner_distances(free, connectivity).between)
+        np.testing.assert_array_equal(between(corners[:, None], corners[None]), found)
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])
 def test_centers_are_near_and_differences_small(connectivity):
-    long = np.pad(np.concatenate([BLOCK, BLOCK]), ((0, 0), (0, 300)), constant_values=True)
-    long[2, 300] = False
+    long = corridor(300)
     found = corner_distances(long, connectivity)
     assert isinstance(found, CornerTable)
     assert found.differences.dtype == (np.int8 if connectivity == 4 else np.int16)
@@ -52,17 +56,18 @@ def test_centers_are_near_and_differences_small(connectivity):
     assert lengths(long, connectivity).max() > (300 if connectivity == 4 else 300 * 985)
 
 
-@pytest.mark.usefixtures("kept")
-def test_paths_that_are_too_long_are_refused():
-    long = np.pad(BLOCK, ((0, 0), (0, 2**20)), constant_values=True)
-    long[2, 2**20] = False
-    assert lengths(long, 4).max() > 2**20
-    for free in (long, np.ones((1, 2**20), bool)):
+# Paths of 65 steps, to which the grid's legs of 130 steps are added. Labels need room for sums of two lengths.
+@pytest.mark.parametrize(("steps", "fits"), [(100, False), (180, False), (300, True)])
+def test_too_long_paths_raise(kept, monkeypatch, steps, fits):
+    monkeypatch.setattr(grid_corners, "FAR", steps * 985)
+    if fits:
+        assert lengths(corridor(60), 8).max() > 60 * 985
+    else:
         with pytest.raises(ValueError, match="are too long"):
-            corner_distances(free, 8)
+            corner_distances(corridor(60), 8)
 
 
-def test_a_corner_of_a_long_corridor_has_few_ancestors(monkeypatch):
+def test_corners_of_a_spiral_have_few_ancestors(monkeypatch):
     monkeypatch.setattr(grid_corners, "MOST_IN_TABLE", 0)
     spiral = np.zeros((121, 121), bool)  # one cell wide, from the middle out
     row, column, length = 60, 60, 2
@@ -76,15 +81,12 @@ def test_a_corner_of_a_long_corridor_has_few_ancestors(monkeypatch):
     assert len(found.ancestor) < 12 * len(found.first)
 
 
-def test_tables_that_take_too_much_are_refused_before_they_are_made(kept, monkeypatch):
+def test_too_large_tables_raise_before_they_are_made(kept, monkeypatch):
     free = np.random.default_rng(0).random((30, 30)) > 0.2
     for limit, most in (("_MOST_BYTES", 1000), ("_MOST_WORK", 100)):
         with monkeypatch.context() as patch, pytest.raises(ValueError, match="too many corners for tables"):
             patch.setattr(grid_corners, limit, most)
             corner_distances(free, 4)
-
-
-BLOCK = drawn(".....", ".....", "..#..", ".....", ".....")
 
 
 @pytest.mark.parametrize("connectivity", [4, 8])

@@ -1,5 +1,6 @@
 """What hides points: all walls between boxes and corners, hardly any others; and occluders, inside obstacles."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -28,23 +29,22 @@ def hulls(boxes, leaf, corner):
 
 
 @pytest.mark.parametrize(("leaves", "corners", "walls"), [(1, 3, 5), (3, 1, 40), (21, 7, 60), (70, 5, 33)])
-def test_every_wall_that_comes_near_is_told_and_few_others(leaves, corners, walls):
+def test_near_walls_are_found_and_few_others(leaves, corners, walls):
     boxes, leaf, listed, points, walls = random_case(leaves, leaves, corners, walls)
     margin = 1e-3
     entry, wall = near_entries(boxes, leaf, listed, points, walls, margin, len(walls))
     found = np.zeros((len(leaf), len(walls)), bool)
     found[entry, wall] = True
     assert found.sum() == len(entry) and (np.diff(entry) >= 0).all()
-    apart = shapely.distance(
-        hulls(boxes, leaf, points[listed])[:, None], shapely.linestrings(walls.reshape(-1, 2, 2))
-    )
+    lines = shapely.linestrings(walls.reshape(-1, 2, 2))
+    apart = shapely.distance(hulls(boxes, leaf, points[listed])[:, None], lines)
     assert found[apart < 0.99 * margin].all()
     assert not found[apart > 3 * margin].all()
     assert found[apart > 3 * margin].mean() < 0.01
 
 
 @pytest.mark.parametrize("block", [1, 130, 1000])
-def test_corners_are_looked_at_in_blocks_of_any_size(monkeypatch, block):
+def test_blocks_of_any_size_find_the_same_walls(monkeypatch, block):
     case = random_case(5, 21, 7, 60)
     together = near_entries(*case, 1e-3, 60)
     monkeypatch.setattr(hiding, "_BLOCK", block)
@@ -54,27 +54,12 @@ def test_corners_are_looked_at_in_blocks_of_any_size(monkeypatch, block):
         assert all(len(each) == 0 for each in near_entries(*none, 1e-3, 0))
 
 
-def test_the_walls_of_an_entry_are_read_at_its_place():
-    boxes, leaf, listed, points, walls = random_case(1, 9, 6, 400)
-    walls[:, 2:] = walls[:, :2] + 0.05 * (walls[:, 2:] - walls[:, :2])
-    pairs = near_entries(boxes, leaf, listed, points, walls, 1e-6, 400)
-    near = NearWalls.of(boxes, leaf, listed, points, walls, 1e-6, (9, 8))
-    assert (
-        near is not None and NearWalls.of(boxes, leaf, listed, points, walls[:8], 1e-6, (9, 8)) is None
-    )  # most are near
-    place = np.arange(len(leaf)) - np.searchsorted(leaf, leaf)
-    for entry, first in enumerate(np.asarray(near.first)[leaf, place]):
-        own = walls[pairs[1][pairs[0] == entry]].astype(np.float32)
-        begin = first % 2**31
-        np.testing.assert_array_equal(np.asarray(near.ends).T[begin : begin + len(own)], own)
-        assert (first >= 2**31) == (len(own) > 4)
-
-
-@pytest.mark.parametrize("n", [40, 2000])  # all walls at once, and few walls first
-def test_corners_are_hidden_by_obstacles_of_an_inward_and_an_outward_wall(n):
+@pytest.mark.parametrize("n", [pytest.param(40, marks=pytest.mark.full), 2000])  # all walls at once; few first
+def test_corners_behind_an_inward_and_an_outward_wall_are_hidden(n):
     boxes, leaf, listed, points, walls = random_case(2, 9, 6, 400)
     walls[:, 2:] = walls[:, :2] + 0.15 * (walls[:, 2:] - walls[:, :2])
     near = NearWalls.of(boxes, leaf, listed, points, walls, 1e-6, (9, 8))
+    assert NearWalls.of(boxes, leaf, listed, points, walls[:8], 1e-6, (9, 8)) is None  # most are near
     rng = np.random.default_rng(3)
     entry = rng.integers(len(leaf), size=n)
     x = boxes[0][leaf[entry]] + rng.random((n, 2)) * (boxes[1] - boxes[0])[leaf[entry]]
@@ -88,13 +73,13 @@ def test_corners_are_hidden_by_obstacles_of_an_inward_and_an_outward_wall(n):
     crosses = (left_of(a, b, p) != left_of(a, b, q)) & (sides != left_of(p, q, b))
     expected = (crosses & (sides > 0)).any(axis=1) & (crosses & (sides < 0)).any(axis=1)
     numbers = (jnp.asarray(each.astype(np.uint32)) for each in (leaf[entry], place))
-    found = near.hide(*numbers, *(jnp.asarray(each, jnp.float32) for each in (x, corner)))
+    found = jax.jit(near.hide)(*numbers, *(jnp.asarray(each, jnp.float32) for each in (x, corner)))
     np.testing.assert_array_equal(found, expected)
     assert 0.05 < expected.mean() < 0.95 and near.most > 32
 
 
 @pytest.mark.parametrize("limit", ["_MOST_TESTS", "_MOST_PAIRS"])
-def test_more_than_memory_should_hold_are_not_found(monkeypatch, limit):
+def test_too_many_near_walls_give_none(monkeypatch, limit):
     case = random_case(5, 21, 7, 60)
     entry, _ = near_entries(*case, 1e-3, 60)
     most = int(np.bincount(entry).max())
@@ -110,7 +95,7 @@ def ends_of(workspace, depth=1e-5):
     return rows[:, :4].reshape(-1, 2, 2) + middle
 
 
-def test_occluders_lie_inside_obstacles_and_hide_most_of_what_is_hidden():
+def test_occluders_lie_inside_obstacles_and_hide_most_pairs():
     workspace = scenes.floor_plan().workspace
     ends = ends_of(workspace)
     assert 8 < len(ends) < 128
@@ -123,24 +108,24 @@ def test_occluders_lie_inside_obstacles_and_hide_most_of_what_is_hidden():
     assert not (told & ~hidden).any() and told.sum() > 0.8 * hidden.sum()
 
 
-def test_there_are_no_occluders_without_obstacles_and_of_none_that_are_deep_enough():
+def test_no_occluders_without_deep_obstacles():
     empty = Workspace(Box((0, 0), (1, 1)))
     assert len(ends_of(empty)) == len(ends_of(scenes.thin_maze().workspace, depth=0.01)) == 0
 
 
 @pytest.mark.usefixtures("unchecked_types")
-def test_rounding_puts_no_point_behind_an_occluder_that_is_beyond_its_end():
-    workspace = scenes.floor_plan().workspace
+def test_occluders_hide_no_points_beyond_their_ends():
+    workspace, hides = scenes.floor_plan().workspace, jax.jit(is_across_occluder)
     rows = occluders_of(workspace.free_space, workspace.bounds, 1e-5, 1000).astype(np.float32)
     rng = np.random.default_rng(0)
     for row in rows[:8]:
         a, b = row[:4].reshape(2, 2)
         near, far = rng.uniform(0.001, 1, (2, 2000, 1)).cumsum(axis=0)
         noise = 24e-7 * rng.normal(size=(2, 2000, 2)) * rng.integers(0, 20, (2000, 1))  # of a width of 24
-        x, y = (
-            (b + share * (b - a) + each).astype(np.float32) for share, each in zip((near, far), noise, strict=True)
-        )
-        group = jnp.asarray(padded(row[None], 16)[None])
-        assert not is_across_occluder(group, x, y).any() and not is_across_occluder(group, y, x).any()
+        x, y = (b + share * (b - a) + each for share, each in zip((near, far), noise, strict=True))
+        # The last segment crosses the occluder in the middle.
         middle, across = (a + b) / 2, np.array([a[1] - b[1], b[0] - a[0]])
-        assert is_across_occluder(group, (middle - across)[None], (middle + across)[None]).all()
+        x, y = (np.vstack(each).astype(np.float32) for each in ((x, middle - across), (y, middle + across)))
+        group = jnp.asarray(padded(row[None], 16)[None])
+        for found in (hides(group, x, y), hides(group, y, x)):
+            assert found[-1] and not found[:-1].any()

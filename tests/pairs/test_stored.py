@@ -27,7 +27,7 @@ def outline(workspace):
 @pytest.mark.parametrize("squeeze", [False, True])
 @pytest.mark.parametrize("kind", WORKSPACES)
 @pytest.mark.parametrize("seed", range(3))
-def test_the_outline_is_the_boundary_of_free_space_and_is_read_as_it_was_written(kind, seed, squeeze):
+def test_outline_is_the_boundary_of_free_space_and_is_read_as_written(kind, seed, squeeze):
     workspace = kind(np.random.default_rng(seed), squeeze)
     found, vertex = outline(workspace)
     boundary, finest = workspace.boundary, 10 * 2.0**-24
@@ -44,7 +44,7 @@ def test_the_outline_is_the_boundary_of_free_space_and_is_read_as_it_was_written
         np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
 
 
-def test_walls_that_move_back_grow_free_space_and_others_shrink_it():
+def test_moved_walls_grow_or_shrink_free_space():
     found, _ = outline(Workspace(TEN, [box(4, 4, 6, 6)]))
     for distance in (0.25, -0.5):
         moved = {tuple(point) for point in found.moved_points(distance).tolist()}
@@ -53,7 +53,7 @@ def test_walls_that_move_back_grow_free_space_and_others_shrink_it():
 
 
 @pytest.mark.parametrize("squeeze", [False, True])
-def test_walls_that_touch_part_only_where_paths_may_squeeze_through(squeeze):
+def test_touching_walls_are_open_only_with_squeeze(squeeze):
     found, _ = outline(Workspace(TEN, [box(2, 2, 5, 5), box(5, 5, 8, 8)], squeeze=squeeze))
     assert found.may_squeeze == squeeze and found.is_contact.sum() == (0 if squeeze else 2)
     # Corners (5, 5) move into both obstacles. Walls from the contact, there and back, part the sides.
@@ -64,7 +64,7 @@ def test_walls_that_touch_part_only_where_paths_may_squeeze_through(squeeze):
     assert {(4.9, 4.9), (5.1, 5.1)} <= ends and (5.0, 5.0) not in ends
 
 
-def test_ends_of_thin_obstacles_stay_where_their_sides_would_change_places():
+def test_ends_of_thin_obstacles_stay_when_walls_move():
     found, _ = outline(Workspace(TEN, [box(5, 0, 5.25, 8)]))
     assert sorted(found.positions[found.ends_sight(0.2)].tolist()) == [[5, 8], [5.25, 8]]
     assert not found.ends_sight(0.1).any()
@@ -78,7 +78,7 @@ def stored(maze):
     return maze.stored
 
 
-def test_distances_between_corners_are_those_over_the_edges(monkeypatch):
+def test_distances_between_corners_equal_shortest_paths_over_edges(monkeypatch):
     rng = np.random.default_rng(0)
     points = rng.uniform(0, 1, (12, 2))
     edges = np.argwhere(np.triu(rng.random((12, 12)) < 0.2, 1))
@@ -102,7 +102,7 @@ def check_read_as_written(stored):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_file_is_read_as_it_was_written(seed):
+def test_files_are_read_as_written(seed):
     rng, cells, count = np.random.default_rng(seed), Cells.root(2), 9 + 50 * (seed % 2)
     for _ in range(seed * 3):
         row, rest = rng.integers(len(cells)), np.arange(len(cells))
@@ -113,11 +113,11 @@ def test_a_file_is_read_as_it_was_written(seed):
     check_read_as_written(stored_ring(rng.integers(0, 99, (count, 2)), (100, 100), joined, cells, lists, 0.5))
 
 
-def test_the_last_of_all_pairs_have_numbers_of_their_own():
+def test_edges_between_last_corners_are_read_as_written():
     check_read_as_written(serpentine(8192, [(0, 1), (8189, 8190), (0, 8191), (8190, 8191)]))
 
 
-def test_more_than_tables_and_files_may_hold_is_refused(stored, monkeypatch):
+def test_files_of_too_large_tables_raise(stored, monkeypatch):
     ring = stored_ring([(0, 0), (9, 0), (9, 9)], (9, 9), cells=Cells.root(2).split(np.zeros(1, int)))
     ring = replace(ring, leaf=np.repeat([0, 1], 3), listed=np.tile([0, 1, 2], 2))
     monkeypatch.setattr("plr_jax.pairs.stored._MOST_ENTRIES_A_BYTE", 0)
@@ -144,7 +144,7 @@ def check_refused(file, message, **changes):
             PairsFileData.from_bytes(data)
 
 
-def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
+def test_malformed_files_raise(stored):
     layers = first, lists = Container.from_bytes(stored.to_bytes()).layers
     check_refused(stored, None)
 
@@ -168,7 +168,7 @@ def test_files_of_other_kinds_and_with_more_data_are_refused(stored):
 
 
 @pytest.mark.full
-def test_files_of_plr_jax_0_1_are_read_and_those_that_are_cut_off_are_not(maze):
+def test_files_of_plr_jax_0_1_are_read_and_cut_files_raise(maze):
     """Three layers, of which the second one holds the joined pairs."""
     data = (Path(__file__).parent / "maze_of_0_1.plr").read_bytes()
     old, marks = PairsFileData.from_bytes(data), Header.read(data).marks

@@ -5,7 +5,7 @@ import numpy as np
 from plr_jax.pairs.tables import NO_WAY, STEEPEST, _bounds_to_leaves
 
 
-def test_bounds_to_leaves_are_below_all_paths_and_near_the_shortest():
+def test_bounds_to_leaves_are_below_and_near_shortest_paths():
     rng, (leaves, longest, size) = np.random.default_rng(0), (8, 4, 12)
     corners, middles = rng.random((size, 2)), rng.random((leaves, 2))
     halves, distances = rng.uniform(0.01, 0.1, (leaves, 2)), rng.random((size, size)) + 0.5

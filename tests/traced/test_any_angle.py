@@ -1,3 +1,5 @@
+"""Any-angle paths on traced grids, compared with the visibility graph of the same map."""
+
 from functools import partial
 
 import jax
@@ -5,62 +7,101 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from grid_helpers import drawn
-from traced_helpers import random_levels, random_points
+from traced_helpers import LEVELS, all_levels, answers, random_levels, random_points
 
 from plr_jax import VisibilityGraph, Workspace, grid_distance
 
-FREE, GOALS = random_levels(2)
-X = random_points(3)
-
-
-def cell_centers(shape):
-    return np.indices(shape)[::-1].reshape(2, -1).T + 0.5
-
-
-CENTERS = cell_centers(FREE.shape[1:])
+STEP = 1e-5
 
 
 def truth(free, goal, x):
     return VisibilityGraph(Workspace.from_mask(free, tolerance=0), goal)(x)
 
 
+def cell_centers(shape):
+    return np.indices(shape)[::-1].reshape(2, -1).T + 0.5
+
+
 @pytest.fixture(scope="module")
 def exact():
-    return [truth(f, g, np.vstack([CENTERS, x])) for f, g, x in zip(FREE, GOALS, X, strict=True)]
+    """Return exact distances of random levels: of cells; of points, also moved along both axes."""
+    free, goals, x = (each[:LEVELS] for each in all_levels())
+    shifts = STEP * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])[:, None]
+    centers = cell_centers(free.shape[1:])
+    found = [
+        truth(f, g, np.concatenate([centers, *(each + shifts)]))
+        for f, g, each in zip(free, goals, x.astype(float), strict=True)
+    ]
+    cells, points = np.split(np.stack(found), [len(centers)], axis=1)
+    return cells.reshape(free.shape), points.reshape(LEVELS, 5, -1)
 
 
-def both(free, goal, x):
-    field = grid_distance(free, goal)
-    return jnp.concatenate([field.cells.ravel(), field(x)])
+def test_distances_equal_the_visibility_graph(exact):
+    _, cells, distances, _ = answers("any-angle")
+    np.testing.assert_allclose(cells[:LEVELS], exact[0], atol=1e-5)
+    np.testing.assert_allclose(distances[:LEVELS], np.stack([exact[1][:, 0]] * 3, axis=1), atol=1e-5)
 
 
-def test_equals_the_visibility_graph_at_centers_and_anywhere(exact):
-    np.testing.assert_allclose(jax.jit(jax.vmap(both))(FREE, GOALS, X), exact, atol=1e-5)
+def test_gradients_equal_differences_of_exact_distances(exact):
+    center, *ends = exact[1].swapaxes(0, 1)
+    gradients, smooth = np.asarray(answers("any-angle")[3][0])[:LEVELS], 0
+    for axis, (ahead, behind) in enumerate((ends[:2], ends[2:])):
+        with np.errstate(invalid="ignore"):
+            is_smooth = np.isfinite(center) & (np.abs(ahead + behind - 2 * center) < 1e-3 * STEP)
+            differences = (ahead - behind) / (2 * STEP)
+        np.testing.assert_allclose(gradients[..., axis][is_smooth], differences[is_smooth], atol=2e-3)
+        smooth += is_smooth.sum()
+    assert smooth > center.size / 2 and not gradients[np.isinf(center)].any()
 
 
-def test_pairs_equal_it_as_well_both_ways_round(exact):
-    def pairs(free, goal, x):
-        distances = grid_distance(free, None)
-        return jnp.stack([distances(x, goal), distances(goal, x)])
+# Around a block from (2, 1) to (4, 3): three of its corners, two of which see the goal, and a point.
+BLOCK_X = np.array([(2, 3), (2, 1), (4, 1), (5, 2.5)])
+FIRST_TURN, LAST_TURN, BLOCK_GOAL = [(1, 3.5), (1, 3.5), (2, 1), (4, 3)], [(2, 3), (2, 1), (2, 1), (4, 3)], (1, 3.5)
 
-    ours = np.asarray(jax.jit(jax.vmap(pairs))(FREE, GOALS, X))
-    there = np.stack(exact)[:, len(CENTERS) :]
-    np.testing.assert_allclose(ours, np.stack([there, there], axis=1), atol=1e-5)
+
+def unit(vectors):
+    return vectors / np.hypot(*vectors.T)[:, None]
+
+
+def test_gradient_at_a_corner_follows_the_path_of_that_corner():
+    of_x, of_goal = (gradient[LEVELS] for gradient in answers("any-angle")[3])
+    np.testing.assert_allclose(of_x[:4], unit(BLOCK_X - FIRST_TURN), atol=1e-6)
+    # The points are repeated ten times.
+    np.testing.assert_allclose(of_goal, 10 * unit(np.subtract(BLOCK_GOAL, LAST_TURN)).sum(axis=0), atol=1e-4)
+
+
+def test_gradient_in_goal_passes_many_corners():
+    free, goal, x = (each[LEVELS + 1] for each in all_levels())
+    x, goal = x.astype(float), goal.astype(float)
+    ahead, behind = ([truth(free, goal + step, x).sum() for step in sign * np.eye(2)] for sign in (STEP, -STEP))
+    expected = np.subtract(ahead, behind) / (2 * STEP)
+    np.testing.assert_allclose(answers("any-angle")[3][1][LEVELS + 1], expected, atol=1e-2)
 
 
 @pytest.mark.full
-def test_a_grid_whose_corners_have_fewer_places_equals_it_too():
-    free, goals = random_levels(4, levels=4, size=18)
-    x = random_points(5, levels=4, size=18)
-    ours = jax.jit(jax.vmap(lambda f, g, x: grid_distance(f, g)(x)))(free, goals, x)
-    np.testing.assert_allclose(ours, [truth(*each) for each in zip(free, goals, x, strict=True)], atol=2e-5)
+def test_gradients_of_pairs_follow_first_and_last_turns():
+    def gradients(x):
+        pairs, goal = grid_distance(all_levels()[0][LEVELS], None), jnp.array(BLOCK_GOAL)
+        return jax.grad(pairs, argnums=(0, 1))(x, goal), jax.grad(pairs, argnums=(1, 0))(goal, x)
+
+    for of_x, of_goal in jax.jit(jax.vmap(gradients))(jnp.asarray(BLOCK_X, jnp.float32)):
+        np.testing.assert_allclose(of_x, unit(BLOCK_X - FIRST_TURN), atol=1e-6)
+        np.testing.assert_allclose(of_goal, unit(np.subtract(BLOCK_GOAL, LAST_TURN)), atol=1e-6)
 
 
-def test_rows_wider_than_a_word():
-    free = np.random.default_rng(6).random((5, 40)) > 0.2
-    free[2, 2] = True
-    x = np.random.default_rng(7).uniform((0, 0), (40, 5), (50, 2))
-    np.testing.assert_allclose(grid_distance(free, [2.5, 2.5])(x), truth(free, [2.5, 2.5], x), atol=5e-5)
+@pytest.mark.full
+def test_fewer_places_than_lattice_corners_suffice():
+    free, goals = random_levels(4, levels=4, shape=(18, 18))
+    x = random_points(5, levels=4, shape=(18, 18))
+    x[0] = cell_centers((18, 18))[:: 324 // len(x[0])][: len(x[0])]
+
+    def answers(free, goal, x):
+        field = grid_distance(free, goal)
+        return field(x), field.cells
+
+    distances, cells = jax.jit(jax.vmap(answers))(free, goals, x)
+    np.testing.assert_allclose(distances, [truth(*each) for each in zip(free, goals, x, strict=True)], atol=2e-5)
+    np.testing.assert_allclose(cells[0].ravel()[:: 324 // len(x[0])][: len(x[0])], distances[0], atol=2e-5)
 
 
 def test_a_grid_of_one_row():
@@ -68,80 +109,20 @@ def test_a_grid_of_one_row():
     np.testing.assert_allclose(cells, [[0, 1, np.inf, np.inf]])
 
 
-def test_more_corners_than_places_are_said_and_never_answered():
-    free, x, goal = drawn(".....", ".#.#.", "....."), jnp.array([2.5, 2.5]), jnp.array([0.5, 0.5])
+def test_rows_wider_than_a_word_and_more_corners_than_places():
+    free = np.random.default_rng(6).random((3, 40)) > 0.05
+    free[1, 2] = True
+    blocked = ~np.pad(free, 1, constant_values=True)  # beyond the grid no corner is inside
+    around = sum(np.roll(blocked, shift, (0, 1))[2:-1, 2:-1].astype(int) for shift in np.ndindex(2, 2))
+    number, x = (around == 1).sum(), np.random.default_rng(7).uniform((0, 0), (40, 3), (50, 2))
 
     @partial(jax.jit, static_argnums=0)
     def answers(max_corners):
-        field, pairs = (grid_distance(free, end, max_corners=max_corners) for end in (goal, None))
-        return field.is_complete, pairs.is_complete, jnp.append(field.cells.ravel(), pairs(x, goal))
+        field, pairs = (grid_distance(free, goal, max_corners=max_corners) for goal in ([2.5, 1.5], None))
+        return field.is_complete, pairs.is_complete, field(x)
 
-    *are_complete, values = answers(7)
-    assert not any(are_complete) and np.isnan(values).all()
-    *are_complete, values = answers(8)
-    assert all(are_complete)
-    np.testing.assert_allclose(values, truth(free, goal, np.vstack([cell_centers(free.shape), x])), rtol=1e-6)
-
-
-# Gradients.
-
-
-@pytest.fixture
-def in_doubles():
-    with jax.enable_x64(True):
-        yield
-
-
-@pytest.mark.full
-def test_gradients_are_differences(in_doubles):
-    """But where paths are about to change: there differences on both sides differ."""
-    step, spread = 1e-5, np.random.default_rng(8).uniform(0.05, 0.95, (2, len(FREE), 2))
-    cells = np.stack([np.random.default_rng(9).permutation(np.argwhere(free))[:1].repeat(2, 0)[:2] for free in FREE])
-    cells[:, 1] = [np.argwhere(free)[-1] for free in FREE]
-    x, goals = (cells[:, k, ::-1] + spread[k] for k in range(2))
-    value = jax.jit(jax.vmap(lambda free, x, goal: grid_distance(free, goal)(x)))
-    gradient = jax.jit(jax.vmap(jax.grad(lambda free, x, goal: grid_distance(free, goal)(x), argnums=(1, 2))))
-    center, ours, smooth = value(FREE, x, goals), gradient(FREE, x, goals), 0
-    for axis in np.eye(2):
-        for end in (0, 1):
-            there, back = (
-                value(FREE, x + s * axis * (end == 0), goals + s * axis * (end == 1)) for s in (step, -step)
-            )
-            is_smooth = np.isfinite(center) & (np.abs(there + back - 2 * center) < 1e-3 * step)
-            smooth += is_smooth.sum()
-            differences = np.where(is_smooth, (there - back) / (2 * step), 0)
-            np.testing.assert_allclose(np.where(is_smooth, ours[end] @ axis, 0), differences, atol=1e-4)
-    assert smooth > 2 * len(FREE)
-    assert all(np.isfinite(each).all() for each in ours)
-    assert not any(each[np.isinf(center)].any() for each in ours)
-
-
-@pytest.mark.full
-def test_gradients_of_pairs_are_those_to_a_goal(in_doubles):
-    free = drawn(".....", ".###.", "...#.")
-    x, y = jnp.array([0.3, 0.4]), jnp.array([4.5, 2.6])
-    of_pairs = jax.grad(grid_distance(free, None), argnums=(0, 1))
-    to_goal = jax.grad(lambda x, y: grid_distance(free, y)(x), argnums=(0, 1))
-    ours, there = jax.jit(lambda x, y: (of_pairs(x, y), to_goal(x, y)))(x, y)
-    np.testing.assert_allclose(ours, there)
-    np.testing.assert_allclose(ours[1], (y - np.array([4, 1])) / np.hypot(0.5, 1.6))
-
-
-@pytest.mark.full
-def test_a_gradient_at_a_corner_is_that_of_its_own_path():
-    """Around a block from (2, 2) to (4, 4): the points that paths go to first, and through last, by hand."""
-    free, goal = jnp.ones((6, 6), bool).at[2:4, 2:4].set(False), jnp.array([1, 4.5])
-    x = jnp.array([(2.0, 4.0), (2.0, 2.0), (4.0, 2.0), (5.0, 3.5)])  # three corners, two of which see the goal
-    first = jnp.array([(1, 4.5), (1, 4.5), (2, 2), (4, 4)])
-    last = jnp.array([(2, 4), (2, 2), (2, 2), (4, 4)])
-
-    @jax.jit
-    @partial(jax.vmap, in_axes=(0, None))
-    def gradients(x, goal):
-        pairs = grid_distance(free, None)
-        to_goal = jax.grad(lambda x, goal: grid_distance(free, goal)(x), argnums=(0, 1))(x, goal)
-        return to_goal, jax.grad(pairs, argnums=(0, 1))(x, goal), jax.grad(pairs, argnums=(1, 0))(goal, x)
-
-    for of_x, of_goal in gradients(x, goal):
-        np.testing.assert_allclose(of_x, (x - first) / np.hypot(*(x - first).T)[:, None], atol=1e-6)
-        np.testing.assert_allclose(of_goal, (goal - last) / np.hypot(*(goal - last).T)[:, None], atol=1e-6)
+    *are_complete, distances = answers(int(number))
+    assert all(are_complete) and distances[np.isfinite(distances)].max() > 32
+    np.testing.assert_allclose(distances, truth(free, [2.5, 1.5], x), atol=5e-5)
+    *are_complete, distances = answers(int(number) - 1)
+    assert not any(are_complete) and np.isnan(distances).all()
