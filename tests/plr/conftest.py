@@ -1,5 +1,7 @@
 """Fixtures of tests of PLRs: leaf models and PLRs of the walled square, each built once."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from plr_helpers import UNIT, points, walled
@@ -13,10 +15,15 @@ def leaf(request):
     return request.param
 
 
-@pytest.fixture(scope="session")
+@cache
+def walled_plr(leaf):
+    return construct(walled, UNIT, leaf=leaf, max_leaves=100)
+
+
+@pytest.fixture
 def plr(leaf):
     """A PLR of the walled square."""
-    return construct(walled, UNIT, leaf=leaf, max_leaves=100)
+    return walled_plr(leaf)
 
 
 @pytest.fixture(scope="session")

@@ -46,7 +46,7 @@ def test_all_models_represent_planes_exactly(leaf, dim):
 # Planes: what a query answers, how they are rounded to few bits, and how they are written.
 
 
-@pytest.mark.parametrize("leaf", ["plane"], scope="session")
+@pytest.mark.parametrize("leaf", ["plane"])
 def test_answers_are_the_plane_of_the_containing_leaf(plr, x):
     np.testing.assert_allclose(plr(x), evaluate_by_search(plr, x), atol=1e-6)
     gradient = jax.vmap(jax.grad(plr))(jnp.asarray(x))

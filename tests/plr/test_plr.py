@@ -33,7 +33,7 @@ def test_points_of_any_batch_shape(plr):
         np.testing.assert_allclose(np.ravel(plr(x)), np.ravel(plr(x.reshape(-1, 2))), rtol=1e-6)
 
 
-@pytest.mark.parametrize("leaf", ["plane"], scope="session")
+@pytest.mark.parametrize("leaf", ["plane"])
 def test_saving_arrays_of_several_plrs_raises(plr, tmp_path, unchecked_types):
     """Once, the file held only the first PLR."""
     several = jax.tree.map(lambda *arrays: jnp.stack(arrays), plr, plr)
@@ -43,7 +43,7 @@ def test_saving_arrays_of_several_plrs_raises(plr, tmp_path, unchecked_types):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("leaf", ["plane"], scope="session")
+@pytest.mark.parametrize("leaf", ["plane"])
 def test_plrs_of_one_size_class_share_a_program(plr, leaf, x):
     evaluate_points(plr.tables, x)
     compiled = evaluate_points._cache_size()
@@ -64,7 +64,7 @@ def test_answers_are_finite_at_free_points_and_inf_outside(plr):
     assert np.isnan(plr(np.array([[np.nan, 0.5], [0.5, np.nan], [np.nan, 7.0], [np.inf, np.nan]]))).all()
 
 
-@pytest.mark.parametrize("leaf", ["plane"], scope="session")
+@pytest.mark.parametrize("leaf", ["plane"])
 def test_unreachable_leaves_beside_free_ones_are_finite(leaf):
     plr = construct(lambda x: np.where(x[:, 0] < 0.1, cone(x), np.inf), UNIT, leaf=leaf, max_leaves=150)
     assert np.isfinite(plr(np.array([[0.1 + 1e-6, 0.5]]))).all()
@@ -85,7 +85,7 @@ def test_corners_of_any_domain_are_inside(lo, width):
     np.testing.assert_array_equal(PLR.stack([plr])(corners[:, None]), 1)
 
 
-@pytest.mark.parametrize("leaf", ["plane"], scope="session")
+@pytest.mark.parametrize("leaf", ["plane"])
 @pytest.mark.parametrize("dtype", ["bfloat16", "int8", "uint8", "int32"])
 def test_points_of_any_type_under_strict_promotion(plr, dtype):
     """Answers are of 32 bits, for lists, JAX and NumPy; floats have gradients of their type."""
