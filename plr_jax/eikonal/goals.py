@@ -82,8 +82,9 @@ def carried_goals(
     digit = np.arange(bits + _CHECK_BITS if num_goals > 2 else 1)
     has = known.ravel()[order]
     load = np.where(has[:, None] < 0, 0.0, 2.0 * ((code[has][:, None] >> digit) & 1) - 1)
-    axis, row = np.nonzero(shares)
-    steps = csr_array((-shares[axis, row], (row, np.stack(cheapest)[axis, row])), (len(order),) * 2)
+    axis, i = np.nonzero(shares)
+    # Before 1.17.1, SciPy's triangular solver takes 32-bit indices only.
+    steps = csr_array((-shares[axis, i], np.array([i, np.stack(cheapest)[axis, i]], np.int32)), (len(order),) * 2)
     averaged = spsolve_triangular(csr_array(eye_array(len(order)) + steps), load, unit_diagonal=True)
     read = ((averaged > 0) << digit).sum(axis=1)
     found = read & ((1 << bits) - 1)
