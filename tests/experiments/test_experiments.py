@@ -31,6 +31,7 @@ def test_smallest_experiment_of_each_family_runs(words, tmp_path, monkeypatch):
     name, *sections = words
     options = ["--only", *sections] if sections else []
     monkeypatch.setattr(sys, "argv", [name, "--smoke", "--output", str(tmp_path), *options])
+    monkeypatch.delitem(sys.modules, f"experiments.{name}", raising=False)  # imported by another family
     runpy.run_module(f"experiments.{name}", run_name="__main__")
     record = json.loads((tmp_path / f"{name}.json").read_text())
     assert record["smoke"] and record["experiment"] == name
