@@ -91,7 +91,7 @@ def fan_workspace(rng, squeeze=False):
 
 
 WORKSPACES = (general_workspace, lattice_workspace, fan_workspace)
-SEEDS = [*range(6), *(pytest.param(seed, marks=pytest.mark.full) for seed in range(6, 24))]
+SEEDS = [*range(6), *(pytest.param(seed, marks=pytest.mark.full) for seed in range(6, 48))]
 
 
 def random_workspace(seed):

@@ -191,3 +191,12 @@ def test_every_start_with_a_path_reaches_the_goal(seed):
         descent = descended(field, workspace, starts, goal)
         np.testing.assert_array_equal(descent.reached, np.isfinite(distance))
         assert (descent.lengths >= distance - 1e-7).all()
+
+
+@pytest.mark.parametrize("squeeze", [True, False])
+def test_paths_pass_contacts_only_if_workspace_squeezes(squeeze):
+    workspace = Workspace(TEN, [box(0, 4, 5, 5), box(5, 5, 9, 6)], squeeze=squeeze)
+    exact, starts = VisibilityGraph(workspace, (4, 8)), np.array([[7.0, 2.0], [5.5, 4.5], [1.0, 1.0]])
+    descent = descended(exact, workspace, starts, (4, 8))
+    np.testing.assert_allclose(descent.lengths, exact(starts), rtol=1e-9)
+    assert ((5.0, 5.0) in set(map(tuple, descent.paths[0].tolist()))) == squeeze

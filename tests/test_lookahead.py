@@ -11,6 +11,7 @@ from space_helpers import rectangle as box
 from plr_jax import (
     LipschitzCost,
     MotionCost,
+    PlanarArm,
     PlaneSpace,
     RectangleRobot,
     RigidBodySpace,
@@ -142,3 +143,15 @@ def test_body_turns_to_fit_through_a_door():
     # From the other start, the body turns by half a turn in all.
     assert descent.costs[1] >= 2.0 + 0.3 * math.pi - 1e-6
     assert (descent.costs >= np.asarray(plr.lower(starts))).all()
+
+
+@pytest.mark.full
+def test_arm_goes_around_an_obstacle_and_through_the_seams():
+    arm = PlanarArm(Workspace(((-2, -2), (2, 2)), [box(0.5, 0.5, 1.0, 1.0)]), [0.8, 0.6], (0, 0))
+    goal, rng = np.array([1.8, 0.0]), np.random.default_rng(0)
+    q = rng.uniform(-math.pi, math.pi, (60, 2))
+    starts = q[arm.is_free(q)][:20]
+    plr = solve_eikonal(arm, goal, max_leaves=1000)
+    descent, lower = descended(plr, arm, starts, goal), np.asarray(plr.lower(starts))
+    assert (descent.costs >= lower).all() and np.median(descent.costs / lower) < 1.05
+    assert any(np.abs(np.diff(path, axis=0)).max() > math.pi for path in descent.paths)

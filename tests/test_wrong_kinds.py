@@ -72,6 +72,11 @@ def test_argument_of_wrong_type_is_named(tmp_path, monkeypatch):
         (lambda: lifelong(TASK, 5, 1), "next_goal must be a function, got 5"),
         (lambda: lifelong(TASK, cone, 1, plan=5), "plan must be a function, got 5"),
         (lambda: UNIT.grid("x"), "resolution must be an integer >= 1, got 'x'"),
+        (lambda: pj.construct(lambda x: None, UNIT), r"must be real numbers of shape \(192,\), got None"),
+        (lambda: pj.Workspace(VOXELS), r"an array of shape \(2, 2, 2\). For volumes, use"),
+        (lambda: pj.Roadmap.from_workspace(VOXELS[0], (1, 1), 5), r"For pixels, use Workspace.from_mask\(free\)"),
+        (lambda: pj.RasterCost(VOXELS * 1.0, UNIT), r"raster of 2 axes"),
+        (lambda: pj.GridField(VOXELS * 1.0, UNIT), r"grid of 2 axes.*, the last one along x"),
     ]:
         monkeypatch.chdir(tmp_path)
         with pytest.raises(ValueError, match=message):

@@ -1,6 +1,7 @@
 import io
 import json
 import re
+import warnings
 from itertools import count
 
 import numpy as np
@@ -9,7 +10,7 @@ from cli_helpers import done, mistake, run
 from PIL import Image
 
 from plr_jax import VisibilityGraph, construct, load, save, scenes
-from plr_jax.cli.app import progress
+from plr_jax.cli.app import finish_or_stop, progress
 from plr_jax.geometry.cell_sight import CellSources
 
 MAZE = scenes.maze().workspace
@@ -185,3 +186,12 @@ def test_radius_grows_obstacles(path, drawn):
     assert np.abs(plr.numpy()(x) - VisibilityGraph(workspace, (0.06, 0.07))(x)).max() <= plr.max_error
     done("plot", path, "--kind", "error", "-o", path.with_suffix(".png"))
     assert drawn == [("error", len(workspace.obstacles), [0.06, 0.07])]
+
+
+def test_other_warnings_do_not_interrupt():
+    def noisy():
+        warnings.warn("of something else", RuntimeWarning, stacklevel=1)
+        return 7
+
+    with pytest.warns(RuntimeWarning, match="of something else"):
+        assert finish_or_stop(noisy) == (7, False)

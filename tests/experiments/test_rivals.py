@@ -6,10 +6,10 @@ import pytest
 from experiments import compare_summaries
 from experiments.baselines._brute_distance import MAZE, BruteDistance
 from experiments.benchmarks._numba_loop import numba_loop
-from experiments.solving import _rivals, _speed_map
+from experiments.solving import _cars, _rivals, _speed_map
 from experiments.summaries import _given, _node_tables
 from experiments.summaries._given import Given
-from plr_jax import BuildOptions, Euclidean, PlaneSpace, VisibilityGraph, Workspace, construct, scenes
+from plr_jax import BuildOptions, Euclidean, PlaneSpace, ReedsShepp, VisibilityGraph, Workspace, construct, scenes
 
 pytestmark = pytest.mark.full
 
@@ -104,3 +104,10 @@ def test_bounds_hold_between_obstacles_that_nearly_touch():
     plr, x = construct(oracle, workspace.bounds, max_leaves=16, certified=True), workspace.sample_free(2_000, 0)
     distance, (lower, upper) = oracle(x), plr.bounds(x)
     assert (lower <= distance).all() and (distance <= upper).all()
+
+
+def test_table_of_a_car_folds_reflections():
+    oracle = ReedsShepp((0, 0, 0), 1.0)
+    poses = np.array([(0.0, 0, 0), (-25, 25, -np.pi), (12.5, -7.5, np.pi / 4), (12.5, 7.5, np.pi)])
+    table = _cars.lookup_table(oracle, (21, 11, 8))
+    np.testing.assert_allclose(_cars.looked_up(table, poses), oracle(poses), atol=1e-5)

@@ -100,6 +100,14 @@ def test_cells_without_walls_are_one_piece(seed):
     for k in np.flatnonzero(by_all)[:20]:
         inside = points_of(rng, found.pieces[:, found.cell == cell[k]], 5).reshape(-1, 2)
         assert workspace.is_visible(inside, visibility.corners.points[np.full(len(inside), listed[k])]).all()
+    # Each cell lists all corners that some point of it sees along a line with both walls of the corner on one side.
+    x = (lo[:, None] + rng.random((30, 8, 2)) * (hi - lo)[:, None]).reshape(-1, 2)
+    corners, contacts = visibility.corners.points, workspace.boundary.vertices[workspace.boundary.contacts]
+    seen = workspace.is_visible(np.repeat(x, len(corners), axis=0), np.tile(corners, (len(x), 1))).reshape(len(x), -1)
+    seen &= visibility.corners.is_tangent_to(np.arange(len(corners)), x[:, None])
+    seen &= (workspace.clearance(x) > 1e-6)[:, None] & ~(corners[:, None] == contacts).all(axis=2).any(axis=1)
+    point, corner = np.nonzero(seen)
+    assert len(corner) and set(zip(point // 8, corner, strict=True)) <= set(zip(cell, listed, strict=True))
 
 
 def test_wall_along_the_side_of_a_box_is_outside():

@@ -6,7 +6,7 @@ import scipy.ndimage
 import shapely
 
 from plr_jax import VisibilityGraph, Workspace
-from plr_jax.geometry.masks import CLEARANCE, region_of_mask, without_specks
+from plr_jax.geometry.masks import CLEARANCE, placed_region, region_of_mask, rounded_one_by_one, without_specks
 
 TOLERANCES = (0.25, 0.5, 0.8, 1.5)
 
@@ -111,3 +111,12 @@ def test_diagonal_pixels_are_passed_only_by_squeezing():
     for squeeze in (False, True):
         oracle = VisibilityGraph(Workspace.from_mask(drawn(".#", "#."), squeeze=squeeze), (0.5, 0.5))
         assert np.isfinite(oracle(np.array([[1.5, 1.5]])))[0] == squeeze
+
+
+def test_region_rounded_vertex_by_vertex_equals_set_precision_of_shapely():
+    rng = np.random.default_rng(0)
+    free = np.kron(rng.random((15, 20)) < 0.7, np.ones((2, 2), bool)) | (rng.random((30, 40)) < 0.1)
+    region = placed_region(free, 5e-5, (3e5, 5e6, 2), row0="bottom", tolerance=0.5, drop_specks=0)
+    grid = 2.0 ** np.floor(np.log2(5e-5 / 4e3))
+    rounded, expected = rounded_one_by_one(region, grid), shapely.set_precision(region, grid)
+    assert rounded.is_valid and shapely.equals_exact(rounded.normalize(), expected.normalize())

@@ -118,6 +118,7 @@ def test_headings_are_periodic_and_every_pose_is_reachable(car):
     oracle, poses = car(GOAL, RADIUS), random_poses(500)
     for turns in (-1, 3):
         np.testing.assert_allclose(oracle(poses + np.array([0, 0, 2 * PI * turns])), oracle(poses), atol=1e-7)
+    assert oracle.shortest_path(oracle.goal) == []
     assert car((1, 2, 0.5), 3)([(1, 2, 0.5 + 2 * PI)]) < 1e-15 and 0 <= oracle([(0, 0, 1e300)])[0] < 30
     for bad in (np.nan, np.inf, -np.inf):
         np.testing.assert_array_equal(oracle(np.where(np.eye(3), bad, 1.0)), [np.inf] * 3)

@@ -208,3 +208,14 @@ def test_roadmap_can_be_pickled():
     for tests in ({"is_visible": NOTHING.is_visible}, {"resolution": 0.1}):
         oracle, x = Roadmap(UNIT, NOTHING.is_free, (0.1, 0.1), 50, **tests), free_points(NOTHING, 40)
         np.testing.assert_array_equal(pickle.loads(pickle.dumps(oracle))(x), oracle(x))
+
+
+def test_queries_and_blocked_motions_need_few_tests():
+    asked = []
+    oracle = roadmap(NOTHING, is_visible=lambda a, b: asked.append(len(a)) or np.ones(len(a), bool), num_samples=60)
+    asked.clear()
+    oracle(free_points(NOTHING, 50))
+    assert asked == [50]
+    oracle, tested = motion_tests(0.01, lambda x: (x[:, 0] <= 4.0) | (x[:, 0] >= 5.0))
+    starts = np.linspace(1.0, 4.0, 100)[:, None]
+    assert not oracle.is_visible(starts, 9.0 - starts).any() and sum(map(len, tested)) <= 400

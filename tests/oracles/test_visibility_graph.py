@@ -81,13 +81,13 @@ def test_graph_joins_visible_corners():
     np.testing.assert_allclose(ORACLE.distances[[0, right, left]], [0, UP, UP + 2])
 
 
-LATTICE = np.argwhere(np.ones((7, 7))).astype(float)
+LATTICE = np.argwhere(np.ones((11, 11))).astype(float)
 
 
-def unit_lattice_workspace(rng, squeeze=False):
+def unit_lattice_workspace(rng, squeeze=False, side=6):
     """Return unit cells blocked at random: collinear corners and point contacts everywhere."""
-    blocked = np.argwhere(rng.random((6, 6)) < 0.3)
-    return Workspace(((0, 0), (6, 6)), [box(x, y, x + 1, y + 1) for x, y in blocked], squeeze=squeeze)
+    blocked = np.argwhere(rng.random((side, side)) < 0.3)
+    return Workspace(((0, 0), (side, side)), [box(x, y, x + 1, y + 1) for x, y in blocked], squeeze=squeeze)
 
 
 def plain_distances(workspace, x, goal):
@@ -127,22 +127,23 @@ def test_distances_equal_a_complete_visibility_graph(kind, seed):
     [
         (977, True, 1.0, 1.0, 50.0),
         (2286, False, 0.3, 10**-1.5, -70.0),
+        (3223, True, 2.0, 10**-0.5, 30.0),
         (0, True, 4e-12, 10.0, 1.905448586686731),
         (1, False, 4e-12, 10.0, 1.905448586686731),
     ],
 )
 def test_distances_survive_turning_scaling_and_shifting(seed, squeeze, turn, scale, shift):
     """Off the axes, walls are collinear and touch only up to rounding."""
-    workspace = unit_lattice_workspace(np.random.default_rng(seed), squeeze)
+    workspace = unit_lattice_workspace(np.random.default_rng(seed), squeeze, side=10)
     rotation = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
 
     def moved(points):
         return np.asarray(points, dtype=float) @ rotation.T + scale * shift
 
     holes = [moved(shapely.get_coordinates(o)[:-1]) for o in workspace.obstacles]
-    other = Workspace.from_polygons([{"outer": moved(box(0, 0, 6, 6)), "holes": holes}], squeeze=squeeze)
+    other = Workspace.from_polygons([{"outer": moved(box(0, 0, 10, 10)), "holes": holes}], squeeze=squeeze)
     x = np.vstack([LATTICE[workspace.is_free(LATTICE)], workspace.sample_free(10, seed)])
-    for goal in x[::20]:
+    for goal in x[::40]:
         expected = VisibilityGraph(workspace, goal)(x)
         np.testing.assert_allclose(VisibilityGraph(other, moved(goal))(moved(x)) / scale, expected, atol=1e-6)
 
@@ -239,6 +240,13 @@ def test_extremitypathfinder_lengths_and_paths(data_dir, file, name):
         workspace = Workspace(((0, 0), (data["size_x"], data["size_y"])), cells, squeeze=True)
     else:
         workspace = Workspace.from_polygons([{"outer": data["boundary"], "holes": data["holes"]}], squeeze=True)
+    assert data["cases"]
+    for start, goal in data.get("invalid_queries", []):
+        if workspace.is_free([goal])[0]:
+            assert np.isinf(VisibilityGraph(workspace, goal)([start])[0])
+        else:
+            with pytest.raises(ValueError, match="goal"):
+                VisibilityGraph(workspace, goal)
     for case in data["cases"]:
         oracle = VisibilityGraph(workspace, case["goal"])
         distance, path = oracle([case["start"]])[0], oracle.shortest_path(case["start"])

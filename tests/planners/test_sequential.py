@@ -120,3 +120,12 @@ def test_other_problems_have_no_sequential_path():
         Problem(ROOM, [DiscRobot(0.2)] * 9, nine, [(x, 6) for x, _ in nine]),
     ):
         assert sequential_path(problem) is None
+
+
+def test_discs_of_unequal_radii_pass_a_door():
+    room = Workspace(((0, 0), (10, 10)), [shapely.box(4, 0, 6, 4.4), shapely.box(4, 5.6, 6, 10)])
+    for radii in ((0.3, 0.55), (0.55, 0.3)):
+        problem = Problem(room, list(map(DiscRobot, radii)), [(1, 5), (9, 5)], [(9, 5), (1, 5)])
+        path = sequential_path(problem)
+        assert path is not None and validate(problem, path).valid
+        assert validate(problem, with_early_departures(problem, path)).valid

@@ -282,3 +282,9 @@ def test_contradicting_file_raises(message, tmp_path):
     entry = json.loads((tmp_path / "a.json").read_text())
     for changes in CONTRADICTIONS[message]:
         assert_refused(json.dumps({**entry, **changes}), message, tmp_path)
+
+
+def test_repr_names_status_costs_and_nodes():
+    stats = Stats(1234, seconds={"a": 0.5, "b": 1.0})
+    text = "Solution(TIME_LIMIT: cost 12.35, makespan 7, lower bound 10, 1,234 nodes, 1.5 s)"
+    assert repr(Solution(None, 12.3456, 7.0, 10.0, Status.TIME_LIMIT, stats, PROBLEM.starts[None])) == text
