@@ -38,7 +38,7 @@ COMPARISONS = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">", ast.Eq: "
 PYTEST = ["-m", "pytest", "-n", "0", "-q", "-p", "mutations", "-p", "no:cacheprovider", "-m", "full or not full"]
 PROCESSES = os.cpu_count() or 1
 SECONDS = 40  # of each tier, tests are chosen for a change until their durations sum to this
-FILES = 25  # test files that are collected for a change and a tier, at most: collecting them takes time, too
+FILES = 12  # test files that are collected for a change and a tier, at most: collecting them takes time, too
 LONGEST = 600  # seconds after which tests hang, so that the change counts as noticed
 
 
@@ -238,18 +238,18 @@ def is_noticed(folder: str, tier: str, chosen: list[str]) -> bool:
 
 
 @cache
-def tracked_files() -> list[str]:
+def tracked_names() -> list[str]:
+    """Return the files and folders at the top level that git knows."""
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True)
-    return [file for file in listed.stdout.splitlines() if (ROOT / file).exists()]
+    return sorted({Path(file).parts[0] for file in listed.stdout.splitlines() if (ROOT / file).exists()})
 
 
 def noticed_by(mutation: Mutation, tests: list[Test]) -> str:
     """Return which tier notices a change: "quick", "full" or "none"."""
     with tempfile.TemporaryDirectory() as folder:
-        for file in tracked_files():
-            copy = Path(folder) / file
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(ROOT / file, copy)
+        for name in tracked_names():  # with the times of files, so that Python does not compile them again
+            copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
+            copy(ROOT / name, Path(folder) / name)
         target = Path(folder) / mutation.path.relative_to(ROOT)
         source = target.read_bytes()
         target.write_bytes(source[: mutation.begin] + mutation.text.encode() + source[mutation.end :])

@@ -6,8 +6,8 @@ import shapely
 from eikonal_helpers import EMPTY, ROOM, BoxSpace, check_between, check_bounds, use_few_nodes
 from space_helpers import BOUNDS, Slow, random_workspace, rectangle
 
-from plr_jax import Box, VisibilityGraph, Workspace, from_bytes, solve_eikonal
-from plr_jax.spaces import CellState, LipschitzCost, PlaneSpace, RasterCost, VoxelSpace
+from plr_jax import Box, DiscRobot, RectangleRobot, VisibilityGraph, Workspace, from_bytes, solve_eikonal
+from plr_jax.spaces import CellState, LipschitzCost, PlaneSpace, RasterCost, RigidBodySpace, VoxelSpace
 
 TOUCHING = rectangle(1, 1.5, 2, 2.25), rectangle(2, 0.75, 3, 1.5)  # in a dyadic point
 ONCE, TWICE = (Workspace(BOUNDS, TOUCHING, squeeze=squeeze) for squeeze in (False, True))
@@ -220,3 +220,32 @@ def test_bounds_hold_if_most_cells_are_blocked():
     x = np.random.default_rng(0).uniform((0, 0.97), (1, 1), (3000, 2))
     check_between(plr, x, np.linalg.norm(x - (0.5, 0.99), axis=1))
     assert (space.classify(*plr.leaf_boxes) == CellState.BLOCKED).any()
+
+
+def test_bounds_contain_cost_of_a_turning_body():
+    space, goal = RigidBodySpace(Workspace(((0, 0), (3, 2))), RectangleRobot(0.4, 0.2)), np.array([2.0, 1.0, 3.0])
+    q = np.random.default_rng(0).uniform((0.4, 0.4, -3.1), (2.6, 1.6, 3.1), (500, 3))
+    truth = space.motion_cost.lengths(q, np.tile(goal, (500, 1)), space.domain)  # all straight motions are free
+    _, lower, upper = check_between(solve_eikonal(space, goal, max_leaves=200), q, truth)
+    assert lower.mean() > 0.6 * truth.mean() and np.isfinite(upper).mean() > 0.9
+
+
+def test_bounds_contain_distance_of_discs():
+    workspace, goal, radius = Workspace(BOUNDS, [rectangle(1.9, 0, 2.1, 1.5)]), (0.6, 0.6), 0.3
+    plr = solve_eikonal(PlaneSpace(workspace, DiscRobot(radius)), goal, max_leaves=150)
+    x = workspace.inflate(radius).sample_free(1000, 0)
+    # Inflated corners are polygons inside of the arcs that a disc follows.
+    below, above = (VisibilityGraph(workspace.inflate(share * radius), goal)(x) for share in (1, 1.005))
+    lower, upper = plr.numpy().bounds(x)
+    assert (lower <= above + 1e-9).all() and (upper >= below - 1e-9).all() and np.isfinite(upper).mean() > 0.8
+
+
+@pytest.mark.parametrize(
+    ("workspace", "goal"),
+    [(TWICE, (2.0, 1.5)), (ROOM, (4.0, 3.0)), (ROOM, (2.3, 0.0)), (ROOM, (1.37, 1.0))],
+    ids=["in a passage", "in a corner of the domain", "where a wall meets the domain", "on a wall"],
+)
+@pytest.mark.filterwarnings("ignore:At .* of the corners of cells")  # few leaves
+def test_bounds_hold_if_goals_touch_walls(workspace, goal):
+    plr = solve_eikonal(PlaneSpace(workspace), goal, max_leaves=60)
+    assert np.isfinite(check_bounds(plr, workspace, goal, n=1000)[2]).mean() > 0.5

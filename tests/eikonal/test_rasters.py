@@ -322,3 +322,10 @@ def test_coordinates_in_degrees_warn(by):
         raster = raster.assign_coords(spatial_ref=((), 0, {"crs_wkt": 'GEOGCS["WGS 84"]'}))
     with pytest.warns(UserWarning, match="seem to be degrees.* project the raster"):
         cost_distance(raster, [(0, 0)])
+
+
+def test_own_slope_costs_count_uphill_and_downhill():
+    options = {"heights": 2.0 * np.arange(9)[None], "slope_cost": lambda slope: np.where(slope > 0, 3.0, 1.0)}
+    for from_sources, expected in ((False, 8), (True, 24)):
+        found = cost_distance(np.ones((1, 9)), FIRST, **options, from_sources=from_sources)
+        assert found.distance[0, 8] == pytest.approx(expected)

@@ -48,6 +48,7 @@ def test_nothing_is_proven_of_a_space_without_proofs():
     distance = VisibilityGraph(ROOM, GOAL)(x)
     assert np.abs(plr.numpy()(x) - distance).mean() < 0.05 * distance.mean()
     assert plr.max_error is None
+    assert solve_eikonal(FreeOnly(PlaneSpace(ROOM)), GOAL, max_leaves=50, certified=False).max_error is None
     with pytest.raises(ValueError, match="Nothing is proven"):
         plr.bounds(x)
 
@@ -136,6 +137,7 @@ def test_points_behind_contacts_answer_inf(space):
 
 def test_estimates_refine_leaves_where_they_serve_most(monkeypatch):
     """A road of one cell leads through expensive cells."""
+    assert solve._MAX_LEAVES == 2_000  # as documented
     monkeypatch.setattr(solve, "_MAX_LEAVES", 30)
     values = np.full((60, 60), 10.0)
     values[30] = 1.0

@@ -81,6 +81,7 @@ def test_batches_broadcast(maze):
     assert maze(x[0, :0], y[0, 0]).shape == maze(np.zeros((0, 2)), goals).shape == (0,)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 def test_tables_are_made_once_and_are_a_tree_of_arrays(maze):
     pairs = pairs_from_bytes(maze.to_bytes())
     assert repr(pairs) == repr(maze) and "tables" not in vars(pairs) and "tables" not in vars(pairs.with_label("new"))
@@ -176,9 +177,16 @@ def test_leaves_are_halved_or_joined_for_one_goal(maze):
 def test_corners_that_lead_nowhere_are_no_sources(data_dir):
     workspace = scenes.read_workspace(data_dir / "jupedsim" / "arena.wkt")  # with contacts and slivers
     goal, x = workspace.sample_free(1, 1)[0], workspace.sample_free(5000, 2)
-    plr = construct_pairs(workspace).to(goal)
-    error = np.abs(np.asarray(plr(x)) - VisibilityGraph(workspace, goal)(x))
+    pairs = construct_pairs(workspace)
+    error = np.abs(np.asarray(pairs.to(goal)(x)) - VisibilityGraph(workspace, goal)(x))
     assert error.mean() < 1e-3
+    # The first point of each pair is 1e-9 to 1e-6 beside a wall at the end of which a slit begins.
+    x = [(49.521819585782964, 60.27599892689271), (49.521865085323995, 60.28508064139136)]
+    x += [(49.52183551767964, 60.279178935609494), (49.523288979204466, 60.569285880)]
+    y = [(58.755567397358625, 50.20885404118824), (58.96630933718653, 52.35301974687714)]
+    y += [(60.85424855338122, 58.04282701548594), (55.72046457295163, 60.5199417119682)]
+    expected = VisibilityGraph(workspace, goal).between(np.array(x), np.array(y))
+    np.testing.assert_allclose(pairs.numpy()(x, y), expected, atol=2e-5 * workspace.bounds.width.max())
 
 
 def test_wrong_points_raise(maze):
@@ -230,3 +238,12 @@ def test_lines_along_a_wall_end_at_a_touching_tip():
     x = np.array([(8, 3 + above) for above in (1e-3, 6e-3, 0.1, 3)])
     assert np.isinf(pairs(x, (8, 4e-9))).all()
     np.testing.assert_allclose(pairs(x, x[:1]), x[:, 1] - 3.001, atol=1e-6)
+
+
+def test_pairs_far_away_need_64_bit_points():
+    origin = np.full(2, 1e8 + 1)
+    left, right = origin + np.array([(0.2, 1), (1.8, 1)])
+    far = construct_pairs(Workspace((origin, origin + 2), [origin + box(0.9, 0.5, 1.1, 1.5)]), max_bytes=500)
+    assert far(left, right) == pytest.approx(2 * math.hypot(0.7, 0.5) + 0.2, abs=1e-4)
+    with pytest.raises(ValueError, match="too coarse"):
+        far(jnp.asarray(left), jnp.asarray(right))

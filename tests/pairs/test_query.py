@@ -110,6 +110,8 @@ def test_long_lists_are_searched_to_their_ends():
     x, y = two_batches(workspace, 800)
     for ends in (y, pairs.prepared(y)):
         np.testing.assert_allclose(pairs(x, ends), exact(workspace, x, y), atol=1e-5)
+    x, y = two_batches(workspace, 3000, 5)  # over 1,024 pairs under jit, walls are tested by the boxes of groups
+    np.testing.assert_allclose(jax.jit(pairs.__call__)(x, y), exact(workspace, x, y), atol=1e-5)
 
 
 @pytest.mark.full
@@ -170,3 +172,11 @@ def test_both_sides_are_seen_where_obstacle_touches_bounds():
     assert (lower <= truth).all() and (truth <= upper).all()
     across = np.array([(1.0, 700.0)]), np.array([(1.0, 100.0)])  # what touches is no gap
     np.testing.assert_allclose(pairs(*across), exact(workspace, *across), rtol=1e-6)
+
+
+def test_boxes_of_groups_contain_their_walls():
+    walls = construct_pairs(triangles(), max_bytes=4200).tables.walls
+    ends, boxes = np.asarray(walls.groups).reshape(len(walls.groups), -1, 2, 2), np.asarray(walls.boxes)
+    is_wall = (np.abs(ends).max(axis=(2, 3)) < 1e29) & (ends[:, :, 0] != ends[:, :, 1]).any(axis=2)
+    inside = np.abs(ends - boxes[:, None, None, :2]) <= boxes[:, None, None, 2:]
+    assert len(boxes) > 4 and inside.all(axis=(2, 3))[is_wall].all()

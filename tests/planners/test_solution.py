@@ -106,7 +106,7 @@ def test_fastest_robot_moves_at_unit_speed(seed):
 
 def test_free_turn_is_made_at_once_after_start():
     free = Problem(ROOM, [RectangleRobot(2, 1)], [(3, 3, 0)], [(7, 3, 1)], rotation_weight=0)
-    path = np.array([[(3, 3, 0)], [(3, 3, 1)], [(7, 3, 1)]])
+    path = np.array([[(3.0, 3, 0)], [(3, 3, 1)], [(7, 3, 1)]])
     at = make_solution(free, path, 0.0, Status.SOLVED, Stats(1), path).path_at([0, 1e-300, 2, 4])
     np.testing.assert_array_equal(at[:, 0], [(3, 3, 0), (3, 3, 1), (5, 3, 1), (7, 3, 1)])
 

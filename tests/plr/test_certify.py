@@ -235,7 +235,7 @@ def test_bounds_and_slopes_under_jit(maze):
     bounds, lower, slope = answers(plr, x)
     np.testing.assert_allclose(bounds, plr.bounds(x), rtol=1e-6)
     np.testing.assert_array_equal(lower, bounds[0])
-    leaf = leaf_of(plr, x)
+    leaf = leaf_of(plr, np.asarray(x))
     is_sloped = (np.asarray(lower) > 0) & ~plr.unreachable[leaf]  # bounds are at least 0
     assert is_sloped.sum() > 100
     np.testing.assert_allclose(slope[is_sloped], plr.slope[leaf][is_sloped], rtol=1e-5, atol=1e-6)

@@ -365,3 +365,10 @@ def test_every_prefix_of_the_order_of_splits_is_a_tree():
     order = growth.split_order(tree)
     assert order.tolist() == [0, 2, 1, 4] and len(tree) == 3
     assert [tree.leaves_of_splits(order[:n]).tolist() for n in range(3)] == [[0], [1, 2], [1, 3, 4]]
+
+
+@pytest.mark.parametrize(("dim", "most"), [(3, 0.02), (6, 0.1)])
+def test_planes_approximate_cones_in_many_dimensions(dim, most):
+    x = np.random.default_rng(0).random((2000, dim))
+    plr = construct(lambda x: cone(3 * x - 1), Box(np.zeros(dim), np.ones(dim)), max_leaves=300)
+    assert np.abs(plr.numpy()(x) - cone(3 * x - 1)).mean() < most

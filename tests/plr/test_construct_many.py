@@ -1,5 +1,6 @@
 """Many PLRs at once, executors and checkpoints: bytes depend neither on workers nor on interruptions."""
 
+import pickle
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from multiprocessing import get_context
@@ -118,7 +119,10 @@ def test_bytes_do_not_depend_on_groups_and_threads(oracles, proven, monkeypatch)
 
 
 class Failing(Executor):
-    """An executor in which the part with this number fails; then it may take no more parts."""
+    """An executor in which the part with this number fails; then it may take no more parts.
+
+    It pickles tasks and results, as processes do.
+    """
 
     def __init__(self, number: int, error: BaseException, takes_more=True):
         self.left, self.error, self.takes_more = number, error, takes_more
@@ -131,7 +135,8 @@ class Failing(Executor):
         if self.left == -1:
             future.set_exception(self.error)
         else:
-            future.set_result(fn(*args, **kwargs))
+            fn, args, kwargs = pickle.loads(pickle.dumps((fn, args, kwargs)))
+            future.set_result(pickle.loads(pickle.dumps(fn(*args, **kwargs))))
         return future
 
 

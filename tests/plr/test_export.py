@@ -8,7 +8,7 @@ import pytest
 from jax import export
 from portable_helpers import case
 
-from plr_jax import stack
+from plr_jax import construct_pairs, scenes, stack
 
 pytestmark = pytest.mark.usefixtures("unchecked_types")  # which know no symbolic sizes
 
@@ -24,6 +24,7 @@ FULL = [
     (2, lambda: case("maze of cones").waypoint),
     (2, lambda: jax.vmap(jax.grad(case("maze of cones")))),
     (2, lambda: two_models),
+    (2, lambda: lambda x: construct_pairs(scenes.maze().workspace, max_bytes=300)(x, x[:, ::-1])),
 ]
 
 

@@ -398,7 +398,7 @@ def test_javascript_modules_answer_as_numpy(name, tmp_path):
 
 @needs_node
 @pytest.mark.full
-@pytest.mark.parametrize("name", ["maze of cones", "far cones"])
+@pytest.mark.parametrize("name", ["maze of cones", "far cones", "cones of exits"])
 def test_javascript_reads_files_of_cones(name, tmp_path):
     plr = case(name)
     text = "\n".join([js_file_reader(), js_cone_reader()])

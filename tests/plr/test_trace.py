@@ -124,7 +124,7 @@ def test_paths_bend_where_two_walls_touch():
     wall = np.array([(-1, -1e-4), (1, -1e-4), (1, 1e-4), (-1, 1e-4)])
     shut = Workspace(bounds, [*wedges, contact + wall])
     assert trace(plr, above_left_wedge, shut).status.tolist() == [CROSSES_WALL]
-    through = construct(VisibilityGraph(Workspace(bounds), at(80, 3.0)), bounds, leaf="cone", max_leaves=1)
+    through = construct(VisibilityGraph(Workspace(bounds), at(80, 3.0)), room.bounds, leaf="cone", max_leaves=1)
     assert trace(through, below_contact, room).status.tolist() == [CROSSES_WALL]
 
 

@@ -1,6 +1,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from eikonal_helpers import check_between, use_few_nodes
 from space_helpers import of_drone, random_boxes, states
 
 from plr_jax import Box, CellState, ClearanceSpace, MotionCost, solve_eikonal
@@ -83,3 +84,26 @@ def test_errors_name_the_least_lipschitz_constants():
     tight = ClearanceSpace(((0, 0), (4, 4)), lambda q: 3 * q[:, 0] - q[:, 1], [3, 1])
     lo, hi = random_boxes(np.random.default_rng(6), tight.domain, 2000, 20)
     assert (np.bincount(tight.classify(lo, hi), minlength=3) > 100).all() and tight.are_free(lo, hi).any()
+
+
+@pytest.mark.filterwarnings("ignore:At .* of the corners of cells")  # few leaves
+def test_solver_bounds_contain_lengths_around_a_sphere(monkeypatch):
+    use_few_nodes(monkeypatch)
+    center, goal, r = np.array([2, 2, 1.5]), np.array([0.4, 1.9, 1.4]), 0.8
+    space = ClearanceSpace(HALL, lambda q: np.linalg.norm(q - center, axis=1) - r, 1)
+    x = np.random.default_rng(3).random((2000, 3)) * HALL.width
+    x = x[space.is_free(x)]
+    far, near = np.linalg.norm(x - center, axis=1), np.linalg.norm(goal - center)
+    angle = np.arccos((x - center) @ (goal - center) / (far * near)) - np.arccos(r / far) - np.arccos(r / near)
+    around = np.sqrt(far**2 - r**2) + np.sqrt(near**2 - r**2) + r * angle
+    distance = np.where(angle > 0, around, np.linalg.norm(x - goal, axis=1))
+    _, lower, upper = check_between(solve_eikonal(space, goal, max_leaves=200), x, distance, 1e-6)
+    assert (angle > 0).mean() > 0.1 and (lower > 0.5 * distance).all() and np.isfinite(upper).mean() > 0.05
+
+
+@pytest.mark.parametrize("corner", [(1e-3, 0.1, 7.0), (-1e6, -0.3, -1e-9), (-PI, 1e5, 123.4)])
+def test_cells_at_faces_of_any_domain_are_inside(corner, monkeypatch):
+    use_few_nodes(monkeypatch)
+    lo = np.array(corner)
+    space = ClearanceSpace((lo, lo + np.array([0.1, 1e3, 1.7])), lambda q: np.ones(len(q)), 0)
+    assert np.isfinite(solve_eikonal(space, lo, max_leaves=8).max_error)

@@ -2,10 +2,11 @@ from itertools import product
 
 import numpy as np
 import pytest
+from eikonal_helpers import EMPTY, use_few_nodes
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
-from plr_jax import Box, RasterCost
+from plr_jax import Box, RasterCost, solve_eikonal
 from plr_jax.spaces import CostMap
 from plr_jax.spaces._raster_cost import SparseTable
 
@@ -256,3 +257,14 @@ def test_data_arrays_are_placed_by_their_coordinates():
         RasterCost(raster, ((0, 0), (3, 2)))
     with pytest.raises(ValueError, match=r"must have the dimensions y and x, got \('band', 'y', 'x'\)"):
         RasterCost(raster.expand_dims("band"))
+
+
+@pytest.mark.parametrize("interpolation", ["bilinear", "nearest"])
+def test_solver_bounds_contain_cost_across_stripes(interpolation, monkeypatch):
+    use_few_nodes(monkeypatch)
+    cost = RasterCost(np.tile(np.linspace(1, 3, 16)[:, None], (1, 16)), UNIT, interpolation)
+    plr, y = solve_eikonal(EMPTY, (0.5, 0.0), cost_map=cost, max_leaves=60).numpy(), (np.arange(4000) + 0.5) / 4000
+    along = np.cumsum(cost(np.column_stack([0 * y + 0.5, y])))[:-1] / 4000
+    lower, upper = plr.bounds(np.column_stack([0 * y + 0.5, y + 0.5 / 4000])[:-1])
+    assert (lower <= along + 1e-3).all() and (along <= upper + 1e-3).all()
+    assert (upper - lower)[-1] < 0.4 * along[-1]
