@@ -1,6 +1,6 @@
 """Measure the size of the code base.
 
-``python tests/house.py`` prints lines of code, small functions, structural tricks, and what a first call runs.
+``python tests/house.py`` prints lines of code, small functions, circles of imports, and what a first call runs.
 ``python tests/house.py FOLDER ...`` prints only lines and functions of these folders, within a second.
 ``python tests/house.py --tests [ARGUMENT ...]`` runs pytest with these arguments, without compiled functions of an
 earlier run, and prints the CPU seconds (user and system, all processes) and the wall time.
@@ -11,10 +11,8 @@ imports.
 """
 
 import ast
-import inspect
 import io
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -134,15 +132,7 @@ def main() -> None:
         print_size((ROOT / folder).resolve(), reads)
     if sys.argv[1:]:
         return
-    package = "\n".join(path.read_text() for path in (ROOT / "plr_jax").rglob("*.py"))
-    for trick in (r"\bvars\(", r"object\.__new__", r"__signature__", r"def __getattr__"):
-        print(f"{trick}: {len(re.findall(trick, package))}")
     print("circles of imports:", import_circles())
-    from plr_jax import construct
-    from plr_jax.plr.leaves.base import LeafModel
-
-    print("abstract members of LeafModel:", len(LeafModel.__abstractmethods__))
-    print("parameters of construct:", len(inspect.signature(construct).parameters))
     for name, (before, call) in CALLS.items():
         program = before + COUNT.format(call=call)
         run = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)

@@ -260,25 +260,21 @@ def noticed_by(mutation: Mutation, tests: list[Test]) -> str:
     return "none"
 
 
-def python_files(path: Path, pattern: str) -> list[Path]:
-    return sorted(path.resolve().rglob(pattern)) if path.is_dir() else [path.resolve()]
-
-
 def main() -> None:
     """Print the changes that only the full tier or no test notices, and the shares of both tiers."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--number", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lines", type=Path, required=True, help="folder that keeps which lines tests run")
-    parser.add_argument("--within", type=Path, default=ROOT / "plr_jax", help="the part of the package to change")
-    parser.add_argument("--tests", type=Path, default=ROOT / "tests", help="the part of the tests to run")
+    parser.add_argument("--within", type=Path, default=ROOT / "plr_jax", help="the folder of the package to change")
+    parser.add_argument("--tests", type=Path, default=ROOT / "tests", help="the folder of tests to run")
     arguments = parser.parse_args()
     arguments.lines.mkdir(exist_ok=True)
     with ThreadPoolExecutor(PROCESSES) as threads:
-        paths = sorted(python_files(arguments.tests, "test_*.py"), key=lambda path: -path.stat().st_size)
+        paths = sorted(arguments.tests.resolve().rglob("test_*.py"), key=lambda path: -path.stat().st_size)
         found = threads.map(lambda path: tests_of_file(path, arguments.lines), paths)
         tests = [test for of_file in found for test in of_file]
-        changed = python_files(arguments.within, "*.py")
+        changed = sorted(arguments.within.resolve().rglob("*.py"))
         everything = [mutation for path in changed for mutation in mutations_of(path)]
         drawn = random.Random(arguments.seed).sample(everything, min(arguments.number, len(everything)))
         count = {"quick": 0, "full": 0, "none": 0}

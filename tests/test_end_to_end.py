@@ -61,7 +61,6 @@ def test_free_points_at_bounds_have_finite_answers(corner):
     oracle = plr_jax.VisibilityGraph(workspace, goal)
     plane, cone = (plr_jax.construct(oracle, (lo, hi), leaf=leaf, max_bytes=300) for leaf in ("plane", "cone"))
     pairs = plr_jax.construct_pairs(workspace)
-    metric = plr_jax.construct_metric_pairs(lambda x, y: np.linalg.norm(x - y, axis=1), (lo, hi), max_leaves=8)
     host = {
         "visibility": oracle,
         "between": lambda x: oracle.between(x, np.tile(goal, (len(x), 1))),
@@ -73,7 +72,6 @@ def test_free_points_at_bounds_have_finite_answers(corner):
         "cone": cone,
         "pairs": lambda x: pairs(x, goal.astype(np.float32)) + pairs(goal.astype(np.float32), x),
         "pairs, to": pairs.to(goal),
-        "metric": lambda x: metric(x, (jnp if isinstance(x, jax.Array) else np).asarray(goal, x.dtype)),
     }
     steps = np.array([-1e-5, -5e-6, -1e-6, -1e-9, -1e-16, 0, 1e-16, 1e-9])[:, None, None] * (hi - lo)
     ends = np.concatenate([lo + steps, hi - steps]).reshape(-1, 2)

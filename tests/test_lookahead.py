@@ -8,18 +8,9 @@ from descent_helpers import descended
 from space_helpers import Climb, Slow, far_from
 from space_helpers import rectangle as box
 
-from plr_jax import (
-    LipschitzCost,
-    MotionCost,
-    PlanarArm,
-    PlaneSpace,
-    RectangleRobot,
-    RigidBodySpace,
-    Workspace,
-    descend,
-    solve_eikonal,
-)
+from plr_jax import RectangleRobot, Workspace, descend, solve_eikonal
 from plr_jax._lookahead import PathCosts, unit_motions
+from plr_jax.spaces import LipschitzCost, MotionCost, PlanarArm, PlaneSpace, RigidBodySpace
 
 SQUARE = Workspace(((0, 0), (2, 2)))
 SLOWNESS = 2.0

@@ -8,14 +8,7 @@ from cli_helpers import done, mistake, run
 from PIL import Image
 
 import plr_jax
-from plr_jax import (
-    Box,
-    VisibilityGraph,
-    construct,
-    load,
-    save,
-    scenes,
-)
+from plr_jax import Box, VisibilityGraph, construct, load, save, scenes
 from plr_jax.cli.build import _LEAVES
 from plr_jax.plr.leaves import leaf_names
 

@@ -88,10 +88,7 @@ def with_holes(holes):
         (lambda: Workspace.from_mask(np.indices((700, 700)).sum(axis=0) % 2 == 0), "at most 262,144 corners"),
         (lambda: Workspace.from_mask(EYE, drop_specks=0.5), "drop_specks must be an integer"),
         (lambda: Workspace.from_mask(EYE, 0), "resolution must be a positive"),
-        (
-            lambda: Workspace.from_mask(EYE, 1e307),
-            r"up to 1e\+100, got pixels of side .* choose a larger unit",
-        ),
+        (lambda: Workspace.from_mask(EYE, 1e307), r"up to 1e\+100, got pixels of side .* choose a larger unit"),
         (lambda: Workspace.from_mask(EYE, origin=(1e300, 0)), "as far out as .* choose a larger unit"),
         (lambda: Workspace.from_mask(EYE, 1e-9, (1e6, 1e6)), "at least 8e-06 at .*, got 1e-09: choose an or"),
         (lambda: Workspace.from_mask(EYE, tolerance=-1), "tolerance must be"),

@@ -47,8 +47,7 @@ MORE_PLANS = [(0, 42), (1, 2), (1, 67), (1, 97), (1, 187)]
 # Plans whose pairs were wrong: tips of thin obstacles, thin walls at thick ones, details finer than 32-bit floats,
 # goals in line with a thin wall that hangs from a tip.
 @pytest.mark.parametrize(
-    ("seed", "number"),
-    [(0, 27), (5, 11), *(pytest.param(*plan, marks=pytest.mark.full) for plan in MORE_PLANS)],
+    ("seed", "number"), [(0, 27), (5, 11), *(pytest.param(*plan, marks=pytest.mark.full) for plan in MORE_PLANS)]
 )
 def test_pairs_of_hostile_plans_equal_exact_oracle(seed, number):
     result = judge(hostile_plan(seed, number), ["pairs"])

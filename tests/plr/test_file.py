@@ -218,10 +218,7 @@ def test_trees_that_split_in_another_order_hold_only_planes():
         from_bytes(Container(UNIT, (layer,)).to_bytes())
 
 
-@pytest.mark.parametrize(
-    ("axes", "most"),
-    [([*range(8)] * 7, 280), ([0, 1] * 21, 160)],
-)
+@pytest.mark.parametrize(("axes", "most"), [([*range(8)] * 7, 280), ([0, 1] * 21, 160)])
 def test_small_files_of_huge_tables_raise_before_allocation(axes, most):
     """Files of 266 and 154 bytes once took up to 14 GB: all leaves but one are unreachable."""
     cells = chain(axes)
