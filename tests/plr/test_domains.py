@@ -9,19 +9,8 @@ import numpy as np
 import pytest
 from plr_helpers import UNIT
 
-from plr_jax import (
-    Box,
-    BuildOptions,
-    Euclidean,
-    VisibilityGraph,
-    Workspace,
-    certify,
-    construct,
-    evaluate,
-    from_bytes,
-    scenes,
-    stack,
-)
+from plr_jax import Box, BuildOptions, Euclidean, VisibilityGraph, Workspace, scenes
+from plr_jax.plr import certify, construct, evaluate, from_bytes, stack
 from plr_jax.plr._file import encode
 from plr_jax.plr._plr import leaf_of
 
