@@ -10,7 +10,7 @@ import shape_checks
 # The experiments are not installed. Append, so that the package under test stays the installed one.
 sys.path.append(str(Path(__file__).parent.parent))
 
-# One thread per process: xdist already starts a process per core, and waiting threads cost more than they save.
+# One thread per process: xdist already starts several processes, and waiting threads cost more than they save.
 # Set before anything imports JAX or NumPy, also for processes that tests start.
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 for _library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):

@@ -205,7 +205,7 @@ class Judge:
                 self.fail(f"{name}: wrong", goal, x[i], got[i], exact[i], allowed[0])
 
     def pairs(self, goal, x, got, exact, width):
-        """Count wrong distances of pairs; distances beside walls that 32 bits do not resolve may be too short."""
+        """Count wrong pair distances; too short ones beside walls that 32 bits do not resolve have their own name."""
         radius, slack = _NEAR_PAIRS * width, _SLACK_PAIRS * width
         may_lack = np.array([self._is_thin_at(point, radius) for point in [goal, *x]])
         may_lack = (may_lack[0] | may_lack[1:]) & (got < exact + slack)

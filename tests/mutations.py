@@ -6,8 +6,10 @@
 2. Draw operators, comparisons and constants of ``plr_jax``, and change one at a time in a copy.
 3. Run tests that run the changed line: first those of the quick tier, then those of the full tier.
 
-Changes that the quick tier does not notice are printed. If no test notices one, it is equivalent to the original, or
-a test is missing. ``--within plr_jax/pairs --tests tests/pairs`` measures one room.
+Step 1 is done again if the folder was made for another commit, so measure a clean checkout. Changes that the quick
+tier does not notice are printed. If no tier notices a change, the change is equivalent to the original, a test is
+missing or was beyond the limits, or only child processes run the line. ``--within plr_jax/pairs --tests tests/pairs``
+measures a part of the package. ``--control`` makes no change, so that no test should fail.
 
 Steps 1 and 3 run pytest with this file as a plugin.
 """
@@ -37,9 +39,10 @@ OPERATORS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.FloorD
 COMPARISONS = {ast.Lt: "<=", ast.LtE: "<", ast.Gt: ">=", ast.GtE: ">", ast.Eq: "!=", ast.NotEq: "=="}
 PYTEST = ["-m", "pytest", "-n", "0", "-q", "-p", "mutations", "-p", "no:cacheprovider", "-m", "full or not full"]
 PROCESSES = os.cpu_count() or 1
-SECONDS = 40  # of each tier, tests are chosen for a change until their durations sum to this
-FILES = 12  # test files that are collected for a change and a tier, at most: collecting them takes time, too
-LONGEST = 600  # seconds after which tests hang, so that the change counts as noticed
+NO_TESTS = 5  # exit status of pytest if it runs no test of a file, such as one whose library is absent
+TIER_SECONDS = 40  # of tests a change and tier; a test that would exceed this is skipped, except the first
+MAX_TEST_FILES = 12  # a change and tier: collecting a file takes time, too
+PYTEST_TIMEOUT = 600  # seconds; a run of pytest that takes longer counts as noticed
 
 
 class Mutation(NamedTuple):
@@ -52,9 +55,9 @@ class Mutation(NamedTuple):
 
 
 class Test(NamedTuple):
-    """A test function, its duration with all its parameters, and the lines of each package file that it runs.
+    """A test function in one tier: its duration over the parameters of this tier, and the package lines it runs.
 
-    A test is of the quick tier if any of its parameters is.
+    A function that has parameters in both tiers makes two tests.
     """
 
     name: str
@@ -111,7 +114,7 @@ def tests_of_file(path: Path, folder: Path) -> list[Test]:
         seconds.write_text("")
         environment = {**os.environ, "MUTATIONS_SECONDS": str(seconds)}
         run = subprocess.run(command, check=False, cwd=ROOT, env=environment, capture_output=True, text=True)
-        if run.returncode != 0:
+        if run.returncode not in (0, NO_TESTS):
             raise RuntimeError(f"{name} fails without any change: {run.stdout[-2000:]}{run.stderr[-2000:]}")
         ran = coverage.CoverageData(str(data))
         ran.read()
@@ -135,7 +138,10 @@ def tests_of_file(path: Path, folder: Path) -> list[Test]:
 
 
 def mutations_of(path: Path) -> Iterator[Mutation]:
-    """Yield all single changes of a file, except in annotations, error messages and strings."""
+    """Yield changes of simple operators, comparisons and constants.
+
+    Annotations, f-strings, ``raise`` and ``assert`` statements are left out.
+    """
     source = path.read_bytes()
     starts = [0]
     for line in source.splitlines(keepends=True):
@@ -157,7 +163,8 @@ def mutations_of(path: Path) -> Iterator[Mutation]:
         elif isinstance(node, ast.Constant) and type(node.value) in (bool, int, float):
             begin = starts[node.lineno - 1] + node.col_offset
             end = starts[node.end_lineno - 1] + node.end_col_offset
-            changed = (not node.value) if isinstance(node.value, bool) else node.value + 1
+            next_value = node.value + 1 if node.value + 1 != node.value else 2 * node.value
+            changed = (not node.value) if isinstance(node.value, bool) else next_value
             yield Mutation(path, begin, end, repr(changed))
         for name, value in ast.iter_fields(node):
             if name not in ("annotation", "returns"):
@@ -188,15 +195,15 @@ def line_of(mutation: Mutation) -> int:
 
 
 def chosen_tests(mutation: Mutation, tests: list[Test]) -> list[str]:
-    """Return the tests, within the limits, that run the changed line (or its module, if only imports run it).
+    """Return tests of the files that run the changed line, or any line of its module if only imports run it.
 
-    Tests of the same room come first, then faster ones. What a fixture or a cache computes is counted for the first
-    test of a file that needs it, so all other tests of the chosen files follow.
+    Tests that run the line come first, of them those of the same room, then faster ones. The other tests of these
+    files follow, since a fixture or a cache may have run the line before.
     """
     name = str(mutation.path.relative_to(ROOT))
     called = lines_in_functions(mutation.path)
     asked = {line_of(mutation)} if line_of(mutation) in called else called
-    room = Path(name).with_suffix("").parts[1:]
+    room = Path(name.replace("/_", "/")).with_suffix("").parts[1:]
 
     def order(test: Test) -> tuple[bool, int, float]:
         mirrored = Path(test.file.replace("test_", "")).with_suffix("").parts[1:]
@@ -205,9 +212,9 @@ def chosen_tests(mutation: Mutation, tests: list[Test]) -> list[str]:
 
     files: dict[str, None] = {}
     for test in sorted(tests, key=order):
-        if not order(test)[0] and len(files) < FILES:
+        if not order(test)[0] and len(files) < MAX_TEST_FILES:
             files[test.file] = None
-    chosen, left = [], float(SECONDS)
+    chosen, left = [], float(TIER_SECONDS)
     for test in sorted((test for test in tests if test.file in files), key=order):
         if not chosen or test.seconds <= left:
             chosen.append(test.name)
@@ -228,13 +235,11 @@ def is_noticed(folder: str, tier: str, chosen: list[str]) -> bool:
     command = [sys.executable, *PYTEST, "-x", *dict.fromkeys(name.split("::")[0] for name in chosen)]
     try:
         run = subprocess.run(
-            command, check=False, cwd=folder, env=environment, capture_output=True, text=True, timeout=LONGEST
+            command, check=False, cwd=folder, env=environment, capture_output=True, text=True, timeout=PYTEST_TIMEOUT
         )
     except subprocess.TimeoutExpired:
         return True
-    if run.returncode not in (0, 1, 2):  # 2: a test file cannot be imported
-        raise RuntimeError(f"The tests in {folder} did not run: {run.stdout[-2000:]}{run.stderr[-2000:]}")
-    return run.returncode != 0
+    return run.returncode not in (0, NO_TESTS)  # a crash, or a test file that cannot be imported, is noticed, too
 
 
 @cache
@@ -268,8 +273,11 @@ def main() -> None:
     parser.add_argument("--lines", type=Path, required=True, help="folder that keeps which lines tests run")
     parser.add_argument("--within", type=Path, default=ROOT / "plr_jax", help="the folder of the package to change")
     parser.add_argument("--tests", type=Path, default=ROOT / "tests", help="the folder of tests to run")
+    parser.add_argument("--control", action="store_true", help="change nothing, to see that tests pass in copies")
     arguments = parser.parse_args()
-    arguments.lines.mkdir(exist_ok=True)
+    commit = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, check=True, capture_output=True, text=True)
+    arguments.lines = arguments.lines.resolve() / commit.stdout.strip()
+    arguments.lines.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(PROCESSES) as threads:
         paths = sorted(arguments.tests.resolve().rglob("test_*.py"), key=lambda path: -path.stat().st_size)
         found = threads.map(lambda path: tests_of_file(path, arguments.lines), paths)
@@ -277,6 +285,8 @@ def main() -> None:
         changed = sorted(arguments.within.resolve().rglob("*.py"))
         everything = [mutation for path in changed for mutation in mutations_of(path)]
         drawn = random.Random(arguments.seed).sample(everything, min(arguments.number, len(everything)))
+        if arguments.control:
+            drawn = [mutation._replace(end=mutation.begin, text="") for mutation in drawn]
         count = {"quick": 0, "full": 0, "none": 0}
         for mutation, tier in zip(drawn, threads.map(lambda each: noticed_by(each, tests), drawn), strict=True):
             count[tier] += 1

@@ -11,8 +11,8 @@ import pytest
 
 from plr_jax.cli import main
 
-# Texts of statements in snippets that take more than a second by themselves, most of it in the compiler of XLA. The
-# quick tier leaves out these statements, and those that need their results; the full tier runs all.
+# A statement that contains one of these texts takes over a second, mostly in the compiler of XLA. The quick tier
+# leaves out the statement, and all that need its result; the full tier runs everything.
 SLOW = (
     "solve_eikonal(cost.space(",
     "solve_eikonal(space, ",
@@ -28,7 +28,7 @@ SLOW = (
     "cost_distance(minutes_a_meter, clinics, cell_size=30, bounds=True)",
     "cost_distance(minutes_a_meter, clinics, cell_size=30, max_bytes=8192)",
 )
-# Budgets in the quick tier, instead of larger ones.
+# Smaller budgets of bytes in the quick tier.
 SMALLER = {
     "max_bytes=1024": "max_bytes=512",
     "--max-bytes 8192": "--max-bytes 512",
@@ -44,7 +44,7 @@ def blocks(page: str, language: str) -> list[str]:
 def run_page(page: str, folder: Path, is_quick: bool) -> dict[str, object]:
     """Run the Python and shell blocks of a page from top to bottom; return the variables of Python.
 
-    Commands of other programs are left out.
+    Lines of shell blocks that do not call ``plr-jax``, or make an environment, are left out.
     """
     names: dict[str, object] = {"__name__": "page"}
     missing: set[str] = set()
@@ -63,7 +63,7 @@ def run_page(page: str, folder: Path, is_quick: bool) -> dict[str, object]:
 
 
 def run_python(code: str, names: dict[str, object], missing: set[str], slow: tuple[str, ...]) -> None:
-    """Run a block of Python with small numbers of points, without slow statements and those that need their names.
+    """Run a block of Python without slow statements and those that need their names, for samples of 16 points.
 
     Args:
         code: The block.
@@ -79,7 +79,10 @@ def run_python(code: str, names: dict[str, object], missing: set[str], slow: tup
 
 
 def propagate(statement: ast.stmt, tainted: set[str], is_tainted: bool = False) -> bool:
-    """Return whether a statement is tainted, as all are that use a tainted name; then so are the names it binds."""
+    """Return whether a statement is tainted, itself or by a name that it reads.
+
+    The names that a tainted statement binds become tainted; those that another statement binds are so no longer.
+    """
     nodes = list(ast.walk(statement))
     targets = [each.target for each in nodes if isinstance(each, ast.comprehension)]
     own = {node.id for target in targets for node in ast.walk(target) if isinstance(node, ast.Name)}

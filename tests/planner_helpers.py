@@ -39,7 +39,7 @@ def hallway(length):
 
 
 def nudged_team(robot):
-    """Return equal robots that meet in few cells of side 1, some with start and goal in the same cell.
+    """Return a team of equal robots whose starts and goals share few cells of side 1.
 
     One cell has both ends of a robot, the start of another and the goal of a third. Another has a wall between the
     ends of a robot. One robot starts at its goal.

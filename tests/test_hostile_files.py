@@ -12,7 +12,7 @@ NUM_FILES = 60
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_damaged_files_are_read_or_refused_by_name(name, tmp_path):
+def test_damaged_files_load_or_raise_error_naming_file(name, tmp_path):
     reader = READERS[name]
     valid, path = reader.valid(), tmp_path / f"file{reader.suffix}"
     for data in valid:

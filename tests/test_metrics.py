@@ -22,7 +22,7 @@ def always(answer):
 
 
 def report_of(answer, distance, x=None):
-    """Report of answers at points, by default (0, 0), (1, 0), ..., whose distances are given."""
+    """Return the error report of answers against distances, at ``x`` or at (0, 0), (1, 0), ..."""
     x = np.stack([np.arange(len(answer)), np.zeros(len(answer))], axis=1) if x is None else x
     return metrics.error_map(lambda x: np.array(answer), lambda x: np.array(distance), x)
 

@@ -269,7 +269,7 @@ def test_published_trajectories_are_valid_until_a_robot_is_moved(data_dir, probl
     problem = Problem(stated.workspace, [stated.robots[0]] * path.shape[1], path[0], path[-1])
     result = validate(problem, path)
     assert result.valid, result.message
-    assert 0.01 < result.clearance < 0.031  # at its rows, a trajectory keeps 0.02 or more
+    assert 0.01 < result.clearance < 0.031  # between its rows, a trajectory may keep less than 0.02
     assert result.clearance <= sampled_clearance(problem, path) + 1e-6
     if path.shape[1] > 1:
         path[30, 0] = path[30, 1]

@@ -102,7 +102,7 @@ def test_goal_outside_geojson_polygons_needs_bbox(path, tmp_path):
     assert '"bbox"' in done("build", "--help")
 
 
-def test_warnings_of_readers_are_lines(path, tmp_path, drawn):
+def test_reader_warning_prints_one_line_to_stderr(path, tmp_path, drawn):
     town = tmp_path / "town.geojson"
     ring = [[11.40, 48.10], [11.41, 48.10], [11.41, 48.11], [11.40, 48.10]]
     town.write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
@@ -154,7 +154,7 @@ def test_interrupt_before_first_leaf_writes_nothing(path, monkeypatch):
     assert (result.exit_code, result.stderr) == (130, "Interrupted.\n") and not path.exists()
 
 
-def test_leaf_bounds_are_narrower_and_need_a_proof(path):
+def test_leaf_bounds_narrow_query_bounds_of_proven_files(path):
     widths = []
     for options in ([], ["--leaf-bounds"]):
         done("build", "maze", "--leaf", "cone", "--max-bytes", 400, *options, "-o", path)

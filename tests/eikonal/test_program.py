@@ -125,7 +125,7 @@ def test_more_iterations_never_worsen_the_bound():
 
 
 @given(CELLS)
-def test_rescaling_integrates_one_over_the_steepest_factor(cells):
+def test_rescaling_slope_is_inverse_of_largest_factor(cells):
     """The integral is a sum over intervals of an eighth; no rescaled slope is too steep."""
     lowest, highest, factor = np.array(cells).T
     lowest, highest = np.minimum(lowest, highest), np.maximum(lowest, highest)

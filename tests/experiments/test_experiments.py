@@ -27,7 +27,7 @@ cost_distance mountain, volumes volumes, living maps doors, lifelong replanned, 
 
 @pytest.mark.parametrize("words", [family.split() for family in FAMILIES.split(",")], ids=lambda words: words[0])
 def test_smallest_experiment_of_each_family_runs(words, tmp_path, monkeypatch):
-    """Run it in this process, which has most functions compiled already."""
+    """Run each experiment in this process, where most functions are compiled already."""
     name, *sections = words
     options = ["--only", *sections] if sections else []
     monkeypatch.setattr(sys, "argv", [name, "--smoke", "--output", str(tmp_path), *options])

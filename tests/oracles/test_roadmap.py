@@ -185,7 +185,7 @@ def test_motions_across_the_seam_take_weighted_steps():
     oracle, tested = motion_tests(0.5, domain=Box([0.0], [10.0], [True]), weights=[0.5])
     assert oracle.is_visible(np.array([[9.0], [1.5]]), np.array([[2.0], [19.5]])).all()
     inner = np.concatenate(tested)[:, 0]
-    np.testing.assert_allclose(np.sort(inner), [0, 0.5, 1])  # at 10 and 11; at 0.5 on the way down to -0.5
+    np.testing.assert_allclose(np.sort(inner), [0, 0.5, 1])  # 9 to 12: at 10 and 11, which wrap; 1.5 to -0.5: at 0.5
 
 
 def test_each_motion_depends_on_its_own_samples_only():

@@ -248,7 +248,7 @@ def answered(library, start, end):
         *(pytest.param(free, False, marks=pytest.mark.full) for free in (ISLANDS, drawn("."), drawn("##"))),
     ],
 )
-def test_c_headers_answer_whole_steps(free, has_labels, connectivity, tmp_path, monkeypatch):
+def test_c_headers_return_path_lengths_rounded_down(free, has_labels, connectivity, tmp_path, monkeypatch):
     if has_labels:
         monkeypatch.setattr(grid_corners, "MOST_IN_TABLE", 0)
     graph = GridGraph(free, connectivity=connectivity)

@@ -108,7 +108,7 @@ def test_occluders_lie_inside_obstacles_and_hide_most_pairs():
     assert not (told & ~hidden).any() and told.sum() > 0.8 * hidden.sum()
 
 
-def test_no_occluders_without_deep_obstacles():
+def test_thin_or_absent_obstacles_yield_no_occluders():
     empty = Workspace(Box((0, 0), (1, 1)))
     assert len(ends_of(empty)) == len(ends_of(scenes.thin_maze().workspace, depth=0.01)) == 0
 

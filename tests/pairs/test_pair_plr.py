@@ -174,7 +174,7 @@ def test_leaves_are_halved_or_joined_for_one_goal(maze):
 
 
 @pytest.mark.full
-def test_corners_that_lead_nowhere_are_no_sources(data_dir):
+def test_distances_beside_slits_equal_visibility_graph(data_dir):
     workspace = scenes.read_workspace(data_dir / "jupedsim" / "arena.wkt")  # with contacts and slivers
     goal, x = workspace.sample_free(1, 1)[0], workspace.sample_free(5000, 2)
     pairs = construct_pairs(workspace)
@@ -201,7 +201,7 @@ def test_wrong_points_raise(maze):
         maze(np.ones((3, 2)), maze.prepared(np.ones((4, 2))))
 
 
-def test_attributes(maze):
+def test_pairs_report_domain_counts_and_memory(maze):
     assert isinstance(maze, PairPLR) and maze.domain == Box((0, 0), (1, 1))
     assert maze.num_corners == 12 and maze.num_leaves == len(maze.stored.cells)
     assert "num_corners=12" in repr(maze) and maze.resident_bytes > maze.num_bytes

@@ -9,7 +9,7 @@ def test_bounds_to_leaves_are_below_and_near_shortest_paths():
     rng, (leaves, longest, size) = np.random.default_rng(0), (8, 4, 12)
     corners, middles = rng.random((size, 2)), rng.random((leaves, 2))
     halves, distances = rng.uniform(0.01, 0.1, (leaves, 2)), rng.random((size, size)) + 0.5
-    corners[0] = middles[0]  # the distance has no slopes there
+    corners[0] = middles[0]  # the distance to this corner has no gradient there
     listed = np.stack([rng.permutation(size - 1)[:longest] for _ in range(leaves)])
     listed[1:3, 1:], listed[3], corners[-1] = size - 1, size - 1, np.inf  # padding
     distances[-1], distances[:, -1], distances[listed[4], 5] = np.inf, np.inf, np.inf

@@ -12,7 +12,7 @@ from plr_jax.planners import BLOptions, Status, bl_plan, driver, replan, straigh
 LARGE = Workspace(((0, 0), (1000, 1000)))
 
 
-# What is solved
+# Problems that must be solved, and the cost of their solutions
 
 
 @pytest.mark.parametrize(

@@ -167,7 +167,7 @@ def test_slices_are_evenly_spaced_with_one_color_scale():
     assert figure_texts(panels[0]) == [f"x ({unit})", f"y ({unit})", f"distance to the goal ({unit})"]
 
 
-def test_nearest_slice_moves_to_goal():
+def test_slice_nearest_goal_is_moved_through_goal():
     panels = plot.slices(Ramp(), count=4, goal=(1.5, 0.25, 1.1), resolution=20)
     assert titles(panels) == ["z = 0.5", "z = 1.1", "z = 2.5", "z = 3.5"]
     assert stars(panels) == [[], [[[1.5, 0.25]]], [], []]

@@ -85,7 +85,7 @@ def test_bounds_of_zero_and_infinity_can_be_stored(upper, proof):
     ("proof", "value"),
     [(Proof.LEAVES, -1.0), *((Proof.CLASSES, value) for value in (0.0, -0.0, np.nan, np.inf, -np.inf, 3.4e38))],
 )
-def test_invalid_largest_errors_raise(proof, value):
+def test_invalid_max_error_in_file_raises(proof, value):
     with pytest.raises(ValueError, match="states a largest error of"):
         read_certificate(BitReader(BitWriter().write_floats(np.array([value])).to_bytes()), proof, 0, 2)
 
@@ -141,7 +141,7 @@ def test_two_classes_have_the_least_mean_width(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_classes_stay_where_they_hold_after_an_update(seed):
-    """Most leaves are as before, some are new. With seed 0, a new leaf is worse than all before."""
+    """Some leaves change. With seed 0, a changed leaf exceeds the largest error before, so classes must change."""
     rng = np.random.default_rng(seed)
     error, rounding = rng.uniform(1e-4, 2e-4, 5_000), np.full(5_000, 1e-9)
     error[:20] = rng.uniform(0.05, 0.1, 20)

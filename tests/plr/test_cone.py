@@ -87,7 +87,7 @@ def test_mean_planes_equal_differences_of_cones(maze):
 
 @pytest.mark.parametrize(("name", "terms"), [("cone", 3), ("plane", 3), ("continuous", 4), ("smooth", 16)])
 def test_bounds_of_cone_minus_leaf_hold(name, terms):
-    """At random points of pieces in the leaf's box."""
+    """Check the bounds at random points of convex pieces of the leaf's box."""
     leaf, rng = leaf_model(name), np.random.default_rng(3)
     pieces = random_pieces(rng, 60, 1.5)
     lo, hi = pieces.min(axis=2).T - rng.random((60, 2)), pieces.max(axis=2).T + rng.random((60, 2))

@@ -309,7 +309,7 @@ def test_default_limits(given, expected):
         ({"dim": 40}, [(2048, 1)]),
     ],
 )
-def test_largest_depth_of_an_axis(given, expected):
+def test_default_max_axis_depth_follows_size_limits(given, expected):
     for max_bytes, depth in expected:
         assert limits(**given, max_bytes=max_bytes).max_axis_depth == depth
 

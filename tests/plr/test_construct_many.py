@@ -292,7 +292,7 @@ def test_killed_constructions_continue_from_their_checkpoint(roadmap, tmp_path):
         build(plr_jax.Euclidean((9, 1)), checkpoint=tmp_path / "whole")
 
 
-def test_folded_distances_continue_from_their_checkpoint(tmp_path):
+def test_build_over_folded_domain_resumes_from_checkpoint(tmp_path):
     car, box = (
         plr_jax.ReedsShepp(goal=(0, 0, 0), radius=1),
         plr_jax.Box((-3, -3, -np.pi), (3, 3, np.pi), (False, False, True)),

@@ -51,12 +51,12 @@ POINT, PLANE = np.diag([-1.0, -1.0, -1.0]), np.diag([-1.0, 1.0, 1.0])
         (Stated([[0.0, -1.0], [1.0, 0.0]]), SQUARE, None),
         (Stated(ALONG), Box((-1, -1), (1, 1), periodic=(False, True)), None),
         (lambda x: x[:, 0], SQUARE, None),
-        # Of reflections that do not commute the first is used; in a point and a plane they have two pivots.
+        # If reflections do not commute, the first one is used; here they have different centers.
         (Stated(ALONG, SLANTED), SQUARE, Box((-1, 0), (1, 1))),
         (Stated(POINT, PLANE), Box((-1, -1, -1), (1, 1, 1)), Box((0, 0, -1), (1, 1, 1))),
     ],
 )
-def test_windows_are_folded_onto_the_smallest_box(oracle, domain, box):
+def test_mirror_symmetries_fold_domain_to_smallest_box(oracle, domain, box):
     folding = folding_of(oracle, domain)
     if box is None:
         assert folding is None

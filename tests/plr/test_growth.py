@@ -14,7 +14,7 @@ def fit(distance_fn, cells=None, weight_fn=None, max_axis_depth=14):
     return sampler_of(distance_fn, UNIT, weight_fn, 64, max_axis_depth)(Cells.root(2) if cells is None else cells)
 
 
-def test_best_axis_is_that_of_the_bend_within_the_largest_depth():
+def test_best_axis_splits_largest_bend_below_max_depth():
     assert best_axis(fit(lambda x: np.abs(x[:, 0] - 0.5) + x[:, 1]))[0] == 0
     assert best_axis(fit(lambda x: np.abs(x[:, 1] - 0.5) + x[:, 0]))[0] == 1
     bend = lambda x: np.abs(x[:, 0] - 0.125) + 1e-3 * np.abs(x[:, 1] - 0.3)  # noqa: E731

@@ -158,7 +158,7 @@ def test_polygons_in_wkt_are_free_space(tmp_path):
         ("POLYGON Z ((0 0 5, 3 0 5, 3 3 6, 0 0 5))", 4.5),
         ("POLYGON ZM ((0 0 5 1, 3 0 5 2, 3 3 6 3, 0 0 5 1))", 4.5),
         ("POLYGON ((0 0, 3 0, 3 3, 0 0), EMPTY)", 4.5),
-        # Altitudes of some points only, and dimensions that are not those of the points.
+        # Points that differ in dimension from one another, or from the dimension that WKT declares.
         ("POLYGON ((0 0 5, 3 0, 3 3 -1.5E+2, 0 0))", 4.5),
         ("polygonz((0 0, 3 0 inf,3 3\t1 2 , 0 0 nan))", 4.5),
         ("MULTIPOLYGON (((0 0, 3 0, 3 3, 0 0)), ((6 6 1, 8 6 1, 8 8 1, 6 6 1)))", 6.5),

@@ -46,7 +46,7 @@ def test_pixels_below_free_threshold_are_free(tmp_path):
     for change, pixels in [
         (("negate: 0", "negate: 1"), 1),  # the black one
         (("negate: 0", "negate: true"), 1),
-        (("free_thresh: 0.196", "free_thresh: 0.197"), 8),  # 205 is (255 - 205) / 255 = 0.19608
+        (("free_thresh: 0.196", "free_thresh: 0.197"), 8),  # pixels of 205 are occupied by 50 / 255 = 0.19608
         (("free_thresh: 0.196\n", ""), 7),
         (("negate: 0\n", ""), 7),
         ((", 0.0]", "]"), 7),

@@ -220,7 +220,7 @@ def test_inflation_equals_nav2(unknown_is_free):
     np.testing.assert_allclose(cost.values, expected.values)
     assert cost.interpolation == "nearest" and 0 < cost.free.sum() < (costs < 253).sum()
     again = cost.inflated(radii[0], inflation_radius=radii[1], cost_scaling_factor=2.0, cost_travel_multiplier=3.0)
-    np.testing.assert_array_equal(again.values, cost.values)  # cells that inflation blocked are not lethal
+    np.testing.assert_array_equal(again.values, cost.values)  # cells that inflation blocked are not inflated again
 
 
 def test_inflation_radius_rounds_up_to_whole_cells():

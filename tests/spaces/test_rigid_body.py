@@ -15,7 +15,7 @@ AHEAD = rectangle(1, 0.5, 2, 2.5)
 @pytest.mark.parametrize(
     ("obstacles", "boxes", "expected"),
     [
-        # A body of 0.9 by 0.3 in a tunnel 0.5 wide: along it, across it, either; in the walls.
+        # A body of 0.9 by 0.3 in a tunnel 0.5 wide: free along it, blocked across it and in walls, else mixed.
         (TUNNEL.obstacles, [(1.5, 1.48, -0.05, 2.5, 1.52, 0.05), (1.5, 1.4, 1.4, 1.6, 1.6, 1.7)], [FREE, BLOCKED]),
         (TUNNEL.obstacles, [(0, 0, -ANY, 4, 3, ANY), (1.5, 1.4, 0, 1.6, 1.6, 1.7)], [MIXED, MIXED]),
         (TUNNEL.obstacles, [(0.02, 0.02, -ANY, 0.1, 0.1, ANY), (1.5, 0.5, -9, 1.6, 0.6, 9)], [BLOCKED, BLOCKED]),

@@ -193,6 +193,6 @@ def test_blocks_of_motion_costs_compare_by_value():
     assert cost == MotionCost((((1, 0), 1.0), ((2,), 3.0))) and len({cost, cost}) == 1
 
 
-def test_free_test_needs_no_proofs():
+def test_minimal_space_satisfies_free_test_protocol():
     ring = SimpleNamespace(domain=TURNING, motion_cost=MotionCost(PLANE_BLOCKS), is_free=lambda q: q[:, 0] > 1)
     assert isinstance(ring, FreeTest) and not isinstance(ring, ConfigurationSpace)

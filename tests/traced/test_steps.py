@@ -25,7 +25,7 @@ def test_distances_equal_dijkstra_from_all_cells_that_hold_the_goal(moves, toler
 
 
 @pytest.mark.parametrize("moves", [8, pytest.param(4, marks=pytest.mark.full)])
-def test_rows_wider_than_a_word(moves):
+def test_rows_of_several_words_equal_dijkstra(moves):
     free = np.random.default_rng(3).random((9, 70)) > 0.25
     free[4, 30:34] = True
     cells = grid_distance(free, [33.5, 4.5], moves=moves).cells
