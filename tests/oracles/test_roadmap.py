@@ -156,7 +156,7 @@ def test_roadmap_of_workspace_equals_roadmap_of_functions():
     workspace = Workspace(((0, 0), (1, 1)), [shapely.box(0.45, 0.0, 0.55, 0.8), shapely.box(0.45, 0.9, 0.55, 1.0)])
     short, x = Roadmap.from_workspace(workspace, (0.1, 0.1), 300, seed=2), free_points(GAP, 200)
     np.testing.assert_allclose(short(x), roadmap(GAP, seed=2)(x), rtol=1e-12)
-    assert short.domain == UNIT
+    assert short.domain == UNIT and short.dim == 2
 
 
 def motion_tests(resolution, is_free=lambda x: np.ones(len(x), bool), domain=LINE, **options):

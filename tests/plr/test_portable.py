@@ -126,6 +126,7 @@ def test_numpy_bounds_equal_those_of_jax():
     for mine, theirs in zip(f.bounds(x), plr.bounds(x), strict=True):
         assert same_bits(mine, theirs)
     assert f.max_error == plr.max_error and f.domain == plr.domain and f.dim == 2 and plain.max_error is None
+    assert f.to_bytes() == plr.to_bytes()
     for call, message in ((plain.bounds, "Nothing is proven"), (plain.waypoint, "have no sources")):
         with pytest.raises(ValueError, match=message):
             call(np.zeros((1, 5)))
