@@ -42,7 +42,7 @@ PROCESSES = os.cpu_count() or 1
 NO_TESTS = 5  # exit status of pytest if it runs no test of a file, such as one whose library is absent
 TIER_SECONDS = 40  # of tests a change and tier; a test that would exceed this is skipped, except the first
 MAX_TEST_FILES = 12  # a change and tier: collecting a file takes time, too
-PYTEST_TIMEOUT = 600  # seconds; a run of pytest that takes longer counts as noticed
+PYTEST_TIMEOUT = 300  # seconds; a run of pytest that takes longer counts as noticed
 
 
 class Mutation(NamedTuple):
