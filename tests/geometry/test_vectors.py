@@ -9,15 +9,15 @@ from plr_jax.geometry.vectors import arc, distance_to_segment, orientation, pseu
 
 @given(st.integers(0, 100_000))
 def test_orientation_signs_equal_those_of_integers(seed):
-    """Nearly parallel vectors, whose rounded cross product may have the wrong sign."""
-    rng = np.random.default_rng(seed)
-    u = rng.integers(-(2**40), 2**40, (200, 2))
-    v = np.rint(u * rng.choice([-1, 0.5, 1, 1.0 - 2.0**-30], (200, 1))).astype(np.int64)
-    v += rng.integers(-1, 2, (200, 2))
-    right = [a * d - b * c for (a, b), (c, d) in zip(u.tolist(), v.tolist(), strict=True)]
+    """Consecutive vectors of a continued fraction, whose cross product of 1 or -1 is lost in rounding."""
+    rng, u, v, pairs = np.random.default_rng(seed), *np.array([[0, 1], [1, 0]], object), []
+    while v[0] < 2**41:
+        u, v = v, u + int(rng.integers(1, 9)) * v
+        pairs += [(u, v), (v, u), (v, v)]
+    u, v = np.array(pairs, float).swapaxes(0, 1)
     unit = 2.0 ** rng.integers(-60, 60)
     found = orientation(*(unit * u.T), *(unit * v.T))
-    np.testing.assert_array_equal(np.sign(found), np.sign(np.array(right, float)))
+    np.testing.assert_array_equal(np.sign(found), [a * d - b * c for (a, b), (c, d) in pairs])
 
 
 def test_pseudo_angles_of_the_axes():
