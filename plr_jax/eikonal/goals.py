@@ -72,7 +72,7 @@ def carried_goals(
         fall = np.where(least < cost.ravel()[order], cost.ravel()[order] - least, 0.0)
         cheapest.append(np.where(before <= after, of_before, of_after)[order])
         share.append(np.where(known.ravel()[order] < 0, fall / side[axis] ** 2, 0.0))
-    shares = np.stack(share)
+    shares, neighbor = np.stack(share), np.stack(cheapest)
     total = shares.sum(axis=0)
     shares = np.divide(shares, total, out=np.zeros_like(shares), where=total > 0)
     # 2. Average the bits of goals, as 1 and -1. The signs are the bits of a goal that gets over half of the path, if
@@ -82,15 +82,15 @@ def carried_goals(
     digit = np.arange(bits + _CHECK_BITS if num_goals > 2 else 1)
     has = known.ravel()[order]
     load = np.where(has[:, None] < 0, 0.0, 2.0 * ((code[has][:, None] >> digit) & 1) - 1)
-    axis, i = np.nonzero(shares)
+    axis, row = np.nonzero(shares)
     # Before 1.17.1, SciPy's triangular solver takes 32-bit indices only.
-    steps = csr_array((-shares[axis, i], np.array([i, np.stack(cheapest)[axis, i]], np.int32)), (len(order),) * 2)
+    steps = csr_array((-shares[axis, row], np.array([row, neighbor[axis, row]], np.int32)), (len(order),) * 2)
     averaged = spsolve_triangular(csr_array(eye_array(len(order)) + steps), load, unit_diagonal=True)
     read = ((averaged > 0) << digit).sum(axis=1)
     found = read & ((1 << bits) - 1)
     is_code = (found < num_goals) & (code[np.minimum(found, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
     # 3. Elsewhere follow the largest shares.
-    best = np.stack(cheapest)[shares.argmax(axis=0), np.arange(len(order))]
+    best = neighbor[shares.argmax(axis=0), np.arange(len(order))]
     ahead = np.where(is_code | (total == 0), np.arange(len(order)), best)
     while (ahead != ahead[ahead]).any():
         ahead = ahead[ahead]
