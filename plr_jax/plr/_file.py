@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from plr_jax._arrays import sum_of_columns
 from plr_jax.geometry.box import Box
@@ -27,6 +27,7 @@ class DecodedFile:
     stored: Any
     certificate: Certificate | None = None
     folding: Folding | None = None  # mirror symmetries that map all points of the PLR's domain to ``domain``
+    cut_off: Bool[np.ndarray, "leaves"] | None = None  # leaves that answer ``inf``; None: no leaf does for certain
 
 
 def encode(contents: DecodedFile) -> bytes:
@@ -38,8 +39,11 @@ def encode(contents: DecodedFile) -> bytes:
     goals = contents.stored.sources.goals if isinstance(contents.leaf, Cone) else None
     if goals is not None:
         write_goals(body, goals)
+    has_cut_off = contents.cut_off is not None and bool(contents.cut_off.any())
+    if has_cut_off:
+        body.write_set(contents.cut_off)
     layer = Layer(code_of_leaf(contents.leaf), body.to_bytes(), int(proof))
-    return Container(domain, (layer,), contents.folding, names_goals=goals is not None).to_bytes()
+    return Container(domain, (layer,), contents.folding, "", goals is not None, has_cut_off).to_bytes()
 
 
 def body_of_leaves(contents: DecodedFile) -> BitWriter:
@@ -71,9 +75,10 @@ def decode(data: bytes) -> DecodedFile:
             raise ValueError("it names goals, but its leaves have no sources")
         goals = read_goals(body, int(np.count_nonzero(stored.sources.is_root)))
         stored = replace(stored, sources=replace(stored.sources, goals=goals))
+    cut_off = body.read_set(len(cells)) if container.has_cut_off else None
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    return DecodedFile(container.folded_domain, leaf, tree, stored, certificate, container.folding)
+    return DecodedFile(container.folded_domain, leaf, tree, stored, certificate, container.folding, cut_off)
 
 
 def decode_cells(data: bytes) -> Cells:
@@ -95,8 +100,9 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
 
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
-    """Return the coefficients of each leaf's function; a leaf that cannot reach the goal gets a neighbor's plane."""
-    # The neighbor, if any, shares the largest face, edge or corner. So free points in the leaf have a finite answer.
+    """Return the coefficients of each leaf's function; a leaf without one gets a neighbor's plane, or ``inf``."""
+    # The neighbor, if any, shares the largest face, edge or corner. So points in the leaf have a finite answer, unless
+    # the leaf is known to be cut off from the goal.
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
     unreachable = coefficients[:, 0] == np.inf
@@ -104,7 +110,9 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
         raise ValueError(f"its distances must be below {LARGEST:g} for 32-bit floats; scale them down")
     if unreachable.any() and isinstance(leaf, LinearLeafModel):
         periodic = contents.domain.periodic
-        borrower, reachable = np.flatnonzero(unreachable), np.flatnonzero(~unreachable)
+        if contents.cut_off is not None:
+            unreachable &= ~contents.cut_off
+        borrower, reachable = np.flatnonzero(unreachable), np.flatnonzero(np.isfinite(coefficients[:, 0]))
         donor = neighbor_of_largest_contact(cells, borrower, reachable, periodic)
         borrower, donor = borrower[donor >= 0], donor[donor >= 0]
         center, half = leaf.mean_planes(*cells[donor].boxes(contents.domain), coefficients[donor])
@@ -114,6 +122,8 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
         apart -= np.where(periodic, np.rint(apart), 0.0)  # the short way around periodic axes
         along = 2 * apart * np.ldexp(1.0, cells.depth[donor])
         coefficients[borrower] = leaf.coefficients_of_planes(center + sum_of_columns(half * along), half * widths)
+    if contents.cut_off is not None:
+        coefficients[contents.cut_off] = np.where(np.arange(coefficients.shape[1]) == 0, np.inf, 0.0)
     return coefficients
 
 

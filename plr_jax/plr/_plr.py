@@ -414,7 +414,8 @@ class PLR(FileBacked):
     @property
     def unreachable(self) -> Bool[np.ndarray, "leaves"]:
         """Whether each leaf is stored as unreachable; such a leaf continues a neighbor's plane or answers ``inf``."""
-        return self.leaf.coefficients(self.cells, self.stored)[:, 0] == np.inf
+        is_inf, cut_off = np.isinf(self.leaf.coefficients(self.cells, self.stored)[:, 0]), self._contents.cut_off
+        return is_inf if cut_off is None else is_inf | cut_off
 
     @property
     def num_unreachable(self) -> int:

@@ -17,7 +17,8 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.coding import ByteReader, signed_varint, varint
 from plr_jax.plr.folding import Folding
 
-VERSION, _NAMING_GOALS = 5, 6  # of most files, and of files that name goals, for which release 0.2 asks for an update
+VERSION = 5  # of files without the parts below; release 0.2 asks for an update of other versions
+_NAMING_GOALS, _WITH_CUT_OFF = 1, 2  # added to the version if a file names goals, or leaves that answer ``inf``
 PAIRS_CODE = 7  # in place of a leaf model's code, in files of distances between pairs of points
 MOST_LABEL_BYTES = 1000
 MOST_BYTES = 2**28  # largest size of a file
@@ -53,6 +54,7 @@ class Header:
     label: str = ""
     sizes: tuple[int, ...] = ()  # bytes of each layer but the last
     names_goals: bool = False  # whether the layer, of cones, names the goals to which their paths lead
+    has_cut_off: bool = False  # whether the layer names leaves that answer ``inf``
 
     @cached_property
     def data(self) -> bytes:
@@ -61,7 +63,7 @@ class Header:
             raise ValueError(f"A domain must have at most {MOST_AXES} axes, got {dim}.")
         fits, label = dim <= _MOST_IN_BITS, self.label.encode()
         flags = _FOLDED * (self.folding is not None) | _EXTENDED * bool(label or self.sizes) | _FLOATS * is_floats
-        version = _NAMING_GOALS if self.names_goals else VERSION
+        version = VERSION + _NAMING_GOALS * self.names_goals + _WITH_CUT_OFF * self.has_cut_off
         parts = [MAGIC, bytes([version | (dim * fits) << 4, self.leaf_code | self.proof_code << 3 | flags])]
         parts += [b"" if fits else varint(dim), domain]
         if self.folding is not None:
@@ -83,12 +85,14 @@ class Header:
             raise ValueError("it does not start like a PLR file")
         reader.take(len(MAGIC))
         first, second = reader.take(2)
-        if (version := first & 15) not in (VERSION, _NAMING_GOALS):
+        newest = VERSION + _NAMING_GOALS + _WITH_CUT_OFF
+        if not VERSION <= (version := first & 15) <= newest:
             remedy = "update plr_jax" if version > VERSION else "build it again"
-            known = f"versions {VERSION} and {_NAMING_GOALS}"
+            known = f"versions {VERSION} to {newest}"
             raise ValueError(f"it has format version {version}, this release reads {known}; {remedy}")
-        if (names_goals := version == _NAMING_GOALS) and second & 7 == PAIRS_CODE:
-            raise ValueError("it names goals of distances between any two points")
+        names_goals, has_cut_off = (bool(version - VERSION & each) for each in (_NAMING_GOALS, _WITH_CUT_OFF))
+        if version > VERSION and second & 7 == PAIRS_CODE:
+            raise ValueError("it names goals or leaves of distances between any two points")
         if not 1 <= (dim := first >> 4 or reader.varint()) <= MOST_AXES:
             raise ValueError(f"it must have 1 to {MOST_AXES} axes, but states {dim}")
         domain = read_domain(reader, dim, bool(second & _FLOATS))
@@ -106,7 +110,7 @@ class Header:
             if count and second & 7 != PAIRS_CODE:
                 raise ValueError("it is a progressive file of PLRs, which only plr_jax 0.1 reads; build it again")
             sizes = tuple(reader.varint() for _ in range(count))
-        header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes, names_goals)
+        header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes, names_goals, has_cut_off)
         if header.data != data[: reader.at]:
             raise ValueError("its header is not in canonical form")
         return header
@@ -124,6 +128,7 @@ class Container:
     folding: Folding | None = None
     label: str = ""
     names_goals: bool = False
+    has_cut_off: bool = False
 
     @property
     def last(self) -> Layer:
@@ -138,7 +143,7 @@ class Container:
         parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in first), last.body]
         sizes = tuple(len(part) + _CRC.size for part in parts[:-1])
         codes = last.leaf_code, last.proof_code
-        header = Header(self.domain, *codes, self.folding, self.label, sizes, self.names_goals)
+        header = Header(self.domain, *codes, self.folding, self.label, sizes, self.names_goals, self.has_cut_off)
         data = header.data
         crc = zlib.crc32(data)
         for part in parts:
@@ -165,7 +170,8 @@ class Container:
             codes = (header.leaf_code, header.proof_code) if is_last else (part[0] & 15, part[0] >> 4)
             layers.append(Layer(codes[0], part if is_last else part[1:], codes[1]))
             start = end
-        return Container(header.domain, tuple(layers), header.folding, header.label, header.names_goals)
+        flags = header.names_goals, header.has_cut_off
+        return Container(header.domain, tuple(layers), header.folding, header.label, *flags)
 
 
 def frame_size(domain: Box, folding: Folding | None = None, label: str = "") -> int:

@@ -65,8 +65,8 @@ function readContainer(bytes) {
     const reader = new ByteReader(bytes);
     reader.at = 2;
     const first = reader.byte(), second = reader.byte();
-    const version = first & 15, namesGoals = version === 6;
-    if (version !== 5 && !namesGoals) fail(`it has format version ${version}, this page reads versions 5 and 6`);
+    const version = first & 15, namesGoals = version === 6 || version === 8, hasCutOff = version > 6;
+    if (version < 5 || version > 8) fail(`it has format version ${version}, this page reads versions 5 to 8`);
     const dim = first >> 4 || reader.varint();
     if (dim !== 2) fail(`it has ${dim} axes; this page shows the plane`);
     const domain = readDomain(reader, (second & 128) > 0);
@@ -95,7 +95,7 @@ function readContainer(bytes) {
         layers.push({ leaf: codes[0], proof: codes[1], body: bytes.subarray(at + (isLast ? 0 : 1), end - 4) });
         at = end;
     }
-    return { domain, layers, namesGoals };
+    return { domain, layers, namesGoals, hasCutOff };
 }
 
 class BitReader {
@@ -296,7 +296,7 @@ function readProof(body, kind, leaves) {
 }
 
 // Decodes a PLR of cones into the tables that coneReader takes.
-function readCones({ domain, namesGoals }, layer) {
+function readCones({ domain, namesGoals, hasCutOff }, layer) {
     const body = new BitReader(layer.body), { tree, root, leaves } = readTree(body);
     const sources = readSources(body, domain), ranks = readRanks(body, leaves, sources.x.length);
     const proof = readProof(body, layer.proof, leaves);
@@ -305,13 +305,14 @@ function readCones({ domain, namesGoals }, layer) {
         if (width > 20) fail(`it states goals of ${width} bits`);
         body.readAll(roots.length, width);
     }
+    const cutOff = new Set(hasCutOff ? body.members(leaves) : []);
     if (!body.isAtEnd()) fail("it holds more data than its leaves need");
     const isFar = domain.lo.some((lo, axis) => Math.max(Math.abs(lo), Math.abs(domain.hi[axis])) > 4 * (domain.hi[axis] - lo));
     const origin = isFar ? domain.lo : [0, 0];
     const frame = frameOf(...[domain.lo, domain.hi].map(corner => corner.map((along, axis) => along - origin[axis])));
     const numbers = new Float32Array(5 * leaves), corner = frame.lo.map((along, axis) => origin[axis] + along);
     ranks.forEach((source, leaf) => numbers.set([
-        sources.distance[source], sources.x[source] - corner[0], sources.y[source] - corner[1],
+        cutOff.has(leaf) ? Infinity : sources.distance[source], sources.x[source] - corner[0], sources.y[source] - corner[1],
         proof ? proof.lower(leaf) : NaN, proof ? proof.upper(leaf) : NaN,
     ], 5 * leaf));
     return { ...frame, origin, tree, root, numbers, leaves, sources, error: proof && proof.error };
