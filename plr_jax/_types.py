@@ -110,10 +110,10 @@ class ChangingFn(CellwiseFn, Protocol):
 
 
 @runtime_checkable
-class FreeSpaceFn(Protocol):
-    """A distance function with a test of free points, because some free points cannot reach the goal."""
+class ReachFn(Protocol):
+    """A distance function that knows which boxes of a domain hold free points that cannot reach the goal."""
 
-    def is_free(self, x: ArrayLike, /) -> Bool[np.ndarray, "n"]: ...
+    def reach(self, domain: Any, /) -> Any: ...  # a geometry.reach.Reach, or None if all free points reach the goal
     def __call__(self, x: ArrayLike, /) -> ArrayLike: ...
 
 

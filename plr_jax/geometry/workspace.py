@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from plr_jax._arrays import as_bool, as_finite, as_points, require_integer, set_fields, shortened
+from plr_jax._arrays import as_bool, as_finite, as_finite_point, as_points, require_integer, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import (
     Boundary,
@@ -207,6 +207,25 @@ class Workspace:
     def is_free_to_tolerance(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
         """Return whether points lie within ``tolerance`` of free space, even if just outside the bounds."""
         return shapely.intersects_xy(self._grown(self.tolerance), x[:, 0], x[:, 1])
+
+    def reachable(self, x: ArrayLike, goal: ArrayLike) -> Bool[np.ndarray, "n"]:
+        """Return whether free paths lead from points ``(n, 2)`` to a goal ``(2,)``, to ``tolerance``.
+
+        The answer is exact: it compares the connected parts of free space that contain the points and the goal. It is
+        False for points that are not free, and for all points if the goal is not free.
+        """
+        x, goal = as_points("x", self.bounds.settled(x), 2), as_finite_point("goal", self.bounds.settled(goal), 2)
+        parts, free = shapely.get_parts(self.free_space), self.is_free(x)
+        is_reached = shapely.dwithin(parts, shapely.Point(goal), self.tolerance)
+        if self.squeeze:  # paths pass where parts touch
+            contacts: Any = shapely.points(self.boundary.vertices[self.boundary.contacts])
+            touches = shapely.dwithin(parts[:, None], contacts, self.tolerance)
+            while (spread := touches[:, touches[is_reached].any(axis=0)].any(axis=1) & ~is_reached).any():
+                is_reached |= spread
+        part, place = shapely.STRtree(parts[is_reached]), np.zeros(len(x), bool)
+        points: Any = shapely.points(x[free])
+        place[np.flatnonzero(free)[part.query(points, predicate="dwithin", distance=self.tolerance)[0]]] = True
+        return place
 
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
         """Return the signed distance, in workspace units, of points ``(n, 2)`` to the boundary of free space.

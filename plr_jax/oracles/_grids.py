@@ -16,6 +16,7 @@ from plr_jax._arrays import as_finite_point, as_numbers, as_points, set_fields, 
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import Mask, as_mask
+from plr_jax.geometry.reach import Reach, reach_of_cells
 from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets
 
 Grid: TypeAlias = Float[np.ndarray, "..."]
@@ -50,6 +51,17 @@ class _CellGraph(ABC):
         ``ValueError`` if there is no goal.
         """
         return self._to_goal[self._cells_of("x", x)]
+
+    def reach(self, domain: Box) -> Reach | None:
+        """Return which boxes of a domain hold free points without a path to the goal, and which hold others."""
+        inside = (slice(1, -1),) * self.dim
+        free = self._padded[inside]
+        reached = np.isfinite(self._to_goal).reshape(self._padded.shape)[inside]
+        bounds = getattr(self, "bounds", None)
+        if bounds is None:  # the rows of a 2-D grid are y
+            free, reached = free.T, reached.T
+            bounds = Box(np.zeros(2), np.array(free.shape))
+        return reach_of_cells(reached, free & ~reached, bounds, domain)
 
     def _set_goal(self, goal: ArrayLike) -> None:
         goal = as_finite_point("The goal", goal, self.dim)
@@ -334,6 +346,11 @@ class GridField:
                 among = np.where(parted[tuple((places + 0.5).astype(np.intp))], nearest, among)
             values[beside], is_known[beside] = among, np.isfinite(nearest)
         return values, is_known
+
+    def reach(self, domain: Box) -> Reach | None:
+        """Return which boxes of a domain hold points with a distance; without a distance, none counts as free."""
+        reached = np.isfinite(self.values).T
+        return reach_of_cells(reached, np.zeros_like(reached), self.bounds, domain)
 
     @cached_property
     def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:

@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_point, as_points, as_values, set_fields, shortened
 from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn, Distances
+from plr_jax.geometry.reach import reach_of_parts
 from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sources
 
 
@@ -40,7 +41,8 @@ class NearestGoal:
         if len(graphs) == len(fns) and len({id(graph.workspace) for graph in graphs}) == 1:
             # Only with these attributes, the object is a NearestFn.
             goals = np.stack([graph.goal for graph in graphs])
-            set_fields(self, goals=goals, cell_sources=partial(nearest_cell_sources, graphs))
+            reach = partial(reach_of_parts, graphs[0].workspace, goals)
+            set_fields(self, goals=goals, cell_sources=partial(nearest_cell_sources, graphs), reach=reach)
 
     @property
     def is_lower_bound(self) -> bool:

@@ -27,6 +27,7 @@ from plr_jax._arrays import (
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import Graph, dijkstra, first_visible, path_to_root
+from plr_jax.geometry.reach import Reach, reach_of_parts
 from plr_jax.geometry.workspace import Workspace, require_workspace
 
 
@@ -172,6 +173,7 @@ class Roadmap:
     _metric: Metric
     _parents: Int[np.ndarray, "vertices"]
     _tree: KDTree
+    _workspace: Workspace | None = None
 
     def __init__(
         self,
@@ -217,7 +219,17 @@ class Roadmap:
     def from_workspace(cls, workspace: Workspace, goal: ArrayLike, num_samples: int, *, seed: int = 0) -> "Roadmap":
         """Build the roadmap of a point robot in a workspace, with exact edge tests; see the class for arguments."""
         require_workspace(workspace)
-        return cls(workspace.bounds, workspace.is_free, goal, num_samples, seed=seed, is_visible=workspace.is_visible)
+        tests = workspace.is_free, workspace.is_visible
+        roadmap = cls(workspace.bounds, tests[0], goal, num_samples, seed=seed, is_visible=tests[1])
+        set_fields(roadmap, _workspace=workspace)
+        return roadmap
+
+    def reach(self, domain: Box) -> Reach | None:
+        """Return which boxes of a domain hold free points that the goal's part of a workspace does not contain.
+
+        None if all free points are in that part, or the roadmap was not built from a workspace.
+        """
+        return None if self._workspace is None else reach_of_parts(self._workspace, self.goal[None], domain)
 
     def with_goal(self, goal: ArrayLike) -> "Roadmap":
         """Return the roadmap of the same samples for another free goal ``(dim,)``, testing only the goal's edges.

@@ -20,11 +20,12 @@ from plr_jax._types import (
     ChangingFn,
     DistanceFn,
     Distances,
-    FreeSpaceFn,
     NearestFn,
     Points,
+    ReachFn,
 )
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.reach import Reach
 from plr_jax.plr._file import DecodedFile, encode
 from plr_jax.plr._proof import BuildInputs, can_be_updated, certificate_of
 from plr_jax.plr.cell_memory import CellMemory
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
 
 _DENSE_FACTOR = 8  # a cell in which few samples reach the goal is sampled again with this many times more samples
 _MAX_SAMPLES = 2**16
-_NUM_ADVICE_POINTS = 1000  # random points that show which share of free space reaches the goal
+_PARTS = 8  # of a leaf along each axis, which show how much of the leaf is cut off from the goal
 _MOST_TIED_AXES = 6
 # leaf="best" tries cones if all corners take at most _CROWDED times the byte budget, and nothing else if they take at
 # most _ROOMY times the budget. Measured on random maps with 10 to 80 blocked cells.
@@ -213,8 +214,7 @@ def construct(
         contents = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
     else:
         contents = build(leaf)
-    if isinstance(distance_fn, FreeSpaceFn):
-        _warn_if_cut_off(distance_fn, domain)
+    warn_if_cut_off(distance_fn, contents)
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
         return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
     plr = plr_of_leaves(contents)
@@ -251,8 +251,8 @@ def _build_leaves(
     memory = None
     if answers_for_cells and domain.dim == 2:
         memory = CellMemory(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
-    weight_fn = options.weight_fn
-    checkpoint = None
+    weight_fn, checkpoint = options.weight_fn, None
+    reach = None if folding is not None else reach_of(distance_fn, domain)
     if options.checkpoint is not None:
         checkpoint = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
     if options.executor is not None or checkpoint is not None:
@@ -267,11 +267,20 @@ def _build_leaves(
         for factor in (1, _DENSE_FACTOR)
     )
     sampler = Sampler(
-        distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, options.compute_coefficients, memory
+        distance_fn,
+        domain,
+        weight_fn,
+        pattern,
+        dense,
+        checked.max_axis_depth,
+        options.compute_coefficients,
+        memory,
+        reach,
     )
     tree, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
     model = leaf_model(model.name)  # files store no options of a model
-    contents = DecodedFile(domain, model, tree, stored, folding=folding)
+    cut_off = None if reach is None else reach.is_cut_off(*tree.leaves.fractions)
+    contents = DecodedFile(domain, model, tree, stored, folding=folding, cut_off=cut_off)
 
     # 4. Prove its error bounds.
     if proof is not Proof.NONE and memory is not None:
@@ -296,17 +305,33 @@ def proof_of(certified: bool | str) -> Proof:
     return Proof.CLASSES if certified else Proof.NONE
 
 
-def _warn_if_cut_off(distance_fn: FreeSpaceFn, domain: Box) -> None:
-    x = domain.lo + domain.width * np.random.default_rng(0).random((_NUM_ADVICE_POINTS, domain.dim))
-    try:
-        x = x[np.asarray(distance_fn.is_free(x))]
-        cut_off = np.count_nonzero(np.isinf(np.ma.filled(distance_fn(x), np.inf))) if len(x) else 0
-    except KeyboardInterrupt:  # the PLR is complete without this warning
+def reach_of(distance_fn: DistanceFn, domain: Box) -> Reach | None:
+    return distance_fn.reach(domain) if isinstance(distance_fn, ReachFn) else None
+
+
+def warn_if_cut_off(distance_fn: DistanceFn, contents: DecodedFile) -> None:
+    """Warn if most of free space cannot reach the goal, or a PLR answers free points there with a finite number."""
+    reach = None if contents.folding is not None else reach_of(distance_fn, contents.domain)
+    if reach is None:
         return
-    if 2 * cut_off > len(x):
+    lo, hi = contents.tree.leaves.fractions
+    lo, hi = (end[reach.is_border(lo, hi)] for end in (lo, hi))
+    if len(lo):
+        # The parts of these leaves, in equal boxes, from which the goal cannot be reached.
+        steps = np.moveaxis(np.indices((_PARTS,) * lo.shape[1]), 0, -1).reshape(-1, lo.shape[1])
+        part = lo[:, None] + (hi - lo)[:, None] * steps / _PARTS
+        size = np.broadcast_to((hi - lo)[:, None] / _PARTS, part.shape).reshape(-1, lo.shape[1])
+        is_cut_off = reach.is_cut_off(part.reshape(size.shape), part.reshape(size.shape) + size)
+        share = float(size[is_cut_off].prod(axis=1).sum())
         message = (
-            f"The goal cannot be reached from {100 * cut_off / len(x):.0f} % of {len(x):,} free points of the domain."
-            " Check that the goal is in the intended part of free space; the PLR's values elsewhere are meaningless."
+            f"In {share:.2%} of the domain, the PLR answers a finite number although no path leads to the goal. Allow "
+            "more bytes or leaves, or ask workspace.reachable(x, goal)."
+        )
+        warnings.warn(message, stacklevel=3)
+    if (share := reach.share_cut_off(lo.shape[1])) > 0.5:
+        message = (
+            f"The goal cannot be reached from about {share:.0%} of free space. Check that the goal is in the intended "
+            "part of free space."
         )
         warnings.warn(message, stacklevel=3)
 

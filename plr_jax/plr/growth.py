@@ -17,8 +17,8 @@ from tqdm import tqdm
 
 from plr_jax._arrays import row_products
 from plr_jax.plr.certificate import Proof
-from plr_jax.plr.coding import body_size
-from plr_jax.plr.sampling import CellFit, Sampler, solve_planes
+from plr_jax.plr.coding import bits_of_set, body_size
+from plr_jax.plr.sampling import CellFit, Sampler, is_closed, solve_planes
 from plr_jax.plr.tree import Cells, Rows
 
 DEFAULT_MAX_LEAVES = 512
@@ -52,8 +52,12 @@ class Limits:
     proof: Proof
     frame_bytes: int  # size of a file without its bit stream of leaves and proof
 
-    def file_size(self, dim: int, num_leaves: int, num_bits: int) -> int:
-        """Return the largest size in bytes of a file whose leaves take ``num_bits`` bits, including its proof."""
+    def file_size(self, dim: int, num_leaves: int, num_bits: int, num_cut_off: int = 0) -> int:
+        """Return the largest size in bytes of a file whose leaves take ``num_bits`` bits, including its proof.
+
+        ``num_cut_off`` is the number of leaves that the file names because they are cut off from the goal.
+        """
+        num_bits += bits_of_set(num_cut_off, num_leaves)
         of_proof = self.proof.num_bits(num_leaves, body_size(dim, num_leaves, num_bits))
         return self.frame_bytes + body_size(dim, num_leaves, num_bits + of_proof)
 
@@ -103,6 +107,7 @@ class Nodes(Rows):
     axis: Int[np.ndarray, "nodes"]
     key: Float[np.ndarray, "nodes"]  # priority of splitting, at most the parent's; -inf if the node may not be split
     child: Int[np.ndarray, "nodes"]  # the lower child, which the upper child follows; -1 for a leaf
+    is_cut_off: Bool[np.ndarray, "nodes"]  # whether free points in the cell cannot reach the goal, and none can
 
     def __len__(self) -> int:
         return (len(self.key) + 1) // 2
@@ -130,6 +135,7 @@ def nodes_of_fit(
     limits: Limits,
 ) -> Nodes:
     check_rules(fit, priority, axis)
+    priority, axis = borders_first(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
     may_split = (priority > least_priority(fit, limits)) & is_within_depth(fit.cells, axis, limits)
@@ -141,7 +147,20 @@ def nodes_of_fit(
         axis=axis,
         key=np.where(may_split, np.minimum(priority, key_of_parent), NEVER),
         child=np.full(len(fit), -1),
+        is_cut_off=fit.is_cut_off,
     )
+
+
+def borders_first(
+    fit: CellFit, priority: Float[np.ndarray, "cells"], axis: Int[np.ndarray, "cells"]
+) -> tuple[Float[np.ndarray, "cells"], Int[np.ndarray, "cells"]]:
+    """Return priorities and axes, changed for cells with points that reach the goal and far points that do not.
+
+    Such a cell errs by more than any distance, so its priority is the highest, the higher the larger the cell is.
+    """
+    is_border = fit.border_axis >= 0
+    highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
+    return np.where(is_border, highest, priority), np.where(is_border, fit.border_axis, axis)
 
 
 def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, "cells"]:
@@ -169,9 +188,6 @@ def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.n
 # The rules SHOULDSPLIT and SPLIT of Algorithm 1. The leaf of the largest positive priority is split next.
 ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, "cells"]]
 SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
-# The longest side of a cell is at most 2**3 times its shortest, in fractions of the domain. That suffices for thin
-# walls, and stops cells that lie mostly in an obstacle from being halved forever along one axis.
-MAX_ASPECT_BITS = 3
 
 
 def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
@@ -204,10 +220,7 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
 
 def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
     """Return each cell's axis of least ``cost`` among the axes along which it may be halved; else axis 0."""
-    depth = fit.cells.depth
-    closed = depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS
-    closed |= depth >= fit.max_axis_depth
-    return np.argmin(np.where(closed, np.inf, cost), axis=1)
+    return np.argmin(np.where(is_closed(fit.cells.depth, fit.max_axis_depth), np.inf, cost), axis=1)
 
 
 def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:

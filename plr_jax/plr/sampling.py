@@ -13,10 +13,14 @@ from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
+from plr_jax.geometry.reach import Reach
 from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells, Rows
 
+# The longest side of a cell is at most 2**3 times its shortest, in fractions of the domain. That suffices for thin
+# walls, and stops cells that lie mostly in an obstacle from being halved forever along one axis.
+MAX_ASPECT_BITS = 3
 _RANK_TOLERANCE = 1e-9  # relative size of singular values that count as zero
 _FACE_WEIGHT = 0.01  # weight of samples on faces and corners, which hardly change fits; inside it is 1
 
@@ -163,6 +167,9 @@ class CellFit(Rows):
         half: Half of the plane's rise across the cell along each axis, ``(cells, dim)``.
         residual: Sampled distance minus the cell's function (the plane, unless the leaf model fits another function);
             0 where the goal cannot be reached.
+        border_axis: Axis along which to halve a cell that holds both points that reach the goal and far cut-off
+            points (see :class:`Reach`); -1 for all other cells.
+        is_cut_off: Whether each cell holds cut-off points, and no point that reaches the goal.
     """
 
     cells: Cells
@@ -174,6 +181,8 @@ class CellFit(Rows):
     center: Float[np.ndarray, "cells"]
     half: Float[np.ndarray, "cells dim"]
     residual: OfSamples
+    border_axis: Int[np.ndarray, "cells"]
+    is_cut_off: Bool[np.ndarray, "cells"]
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -211,6 +220,7 @@ class Sampler:
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
     memory: CellMemory | None = None  # if there is one, it computes distances in cells instead of distance_fn
+    reach: Reach | None = None  # if known, and some free points cannot reach the goal
 
     def __call__(self, cells: Cells) -> CellFit:
         pattern = self.pattern
@@ -233,7 +243,8 @@ class Sampler:
         residual = value - (center[:, None] + row_products(half, pattern.u.T))
         residual *= reachable
         center = np.where(reachable.any(axis=1), center, np.inf)
-        return CellFit(cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual)
+        fit = cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual
+        return CellFit(*fit, *borders_of(self.reach, cells, self.max_axis_depth))
 
     def sample_densely(self, cells: Cells) -> CellFit:
         return replace(self, pattern=self.dense_pattern)(cells)
@@ -252,6 +263,32 @@ class Sampler:
                 "is tiny, raise num_samples."
             )
         return fit
+
+
+def borders_of(
+    reach: Reach | None, cells: Cells, max_axis_depth: int
+) -> tuple[Int[np.ndarray, "cells"], Bool[np.ndarray, "cells"]]:
+    """Return ``border_axis`` and ``is_cut_off`` of a :class:`CellFit`."""
+    axis, is_cut_off = np.full(len(cells), -1), np.zeros(len(cells), bool)
+    if reach is None:
+        return axis, is_cut_off
+    is_cut_off[:] = reach.is_cut_off(*cells.fractions)
+    border = np.flatnonzero(reach.is_border(*cells.fractions))
+    # The best axis gives the fewest halves that are on the border again; of equal axes, the longest.
+    count = np.empty((len(border), cells.dim))
+    for each in range(cells.dim):
+        halves = cells[border].split(np.full(len(border), each))
+        count[:, each] = reach.is_border(*halves.fractions).reshape(-1, 2).sum(axis=1)
+    depth = cells.depth[border]
+    count += depth / (1 + depth.max(initial=0))
+    count[is_closed(depth, max_axis_depth)] = np.inf
+    axis[border] = np.argmin(count, axis=1)
+    return axis, is_cut_off
+
+
+def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[np.ndarray, "cells dim"]:
+    """Return along which axes cells must not be halved, if another axis is left."""
+    return (depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS) | (depth >= max_axis_depth)
 
 
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:

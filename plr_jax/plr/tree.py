@@ -50,9 +50,15 @@ class Cells(Rows):
     def dim(self) -> int:
         return self.depth.shape[1]
 
-    def boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+    @property
+    def fractions(self) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+        """Lower and upper corners of the cells, from 0 to 1 along each axis of the domain."""
         size = np.ldexp(1.0, -self.depth)
-        return domain.at(self.position * size), domain.at((self.position + 1) * size)
+        return self.position * size, (self.position + 1) * size
+
+    def boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
+        lo, hi = self.fractions
+        return domain.at(lo), domain.at(hi)
 
     def grown_boxes(self, domain: Box) -> tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]:
         """Return corners of boxes with all points that a 32-bit query, by rounding, may assign to each cell."""

@@ -31,7 +31,15 @@ from plr_jax.plr.finite_elements import (
     plane_coefficients,
 )
 from plr_jax.plr.frame import LARGEST, Corner
-from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority
+from plr_jax.plr.growth import (
+    Limits,
+    borders_first,
+    check_memory,
+    check_rules,
+    grow,
+    is_within_depth,
+    least_priority,
+)
 from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, tree_of
@@ -250,6 +258,7 @@ class _Rounds:
         number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
+        error, _ = borders_first(fit, error, fit.border_axis)
         worth_it = (error > least_priority(fit, limits)) & fit.can_split
         priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
@@ -258,6 +267,7 @@ class _Rounds:
             some = best[start : start + number - len(leaf)] if number else best[:0]
             axis_of_some = np.asarray(self._rules.split(fit[some]))
             check_rules(fit[some], error[some], axis_of_some)
+            _, axis_of_some = borders_first(fit[some], error[some], axis_of_some)
             may_split = is_within_depth(fit.cells[some], axis_of_some, limits)
             leaf, axis = np.append(leaf, some[may_split]), np.append(axis, axis_of_some[may_split])
             if len(leaf) >= number:
@@ -285,7 +295,8 @@ class _Rounds:
             stored = StoredValues.quantize(partition, values, step)
             body = BitWriter()
             stored.write(body)
-            num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits)
+            num_cut_off = int(np.count_nonzero(fit.is_cut_off))
+            num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits, num_cut_off)
             excess = 8 * (num_bytes - self._limits.max_bytes) / len(values)
             if excess <= 0 or step > _MOST_MEAN_ERRORS * least:
                 return _FittedPartition(replace(fit, residual=residual), stored, num_bytes, step > least)

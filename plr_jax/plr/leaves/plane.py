@@ -131,7 +131,8 @@ class Plane(LinearLeafModel):
 
         def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
             self.write(body := BitWriter(), sampler.domain, nodes.cells[leaf], stored(nodes, leaf, bits))
-            return limits.file_size(nodes.cells.dim, len(leaf), body.num_bits)
+            num_cut_off = int(np.count_nonzero(nodes.is_cut_off[leaf]))
+            return limits.file_size(nodes.cells.dim, len(leaf), body.num_bits, num_cut_off)
 
         def rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
             return float(stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))

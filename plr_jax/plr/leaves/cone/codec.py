@@ -26,6 +26,7 @@ _MOST_COORDINATE_BITS, _LARGEST_EXPONENT = 40, 200
 _LARGEST_SQUARED = 1e18  # larger numbers overflow when squared in 32 bits
 _FINE_BITS = 26  # bits of a coordinate that is not on the lattice
 _FARTHEST = 2.0**60  # largest distance of the domain's corner from the origin, in steps
+CUT_OFF = -2  # instead of a leaf's source: the goal cannot be reached from the leaf's free points
 _ESCAPE = 3  # smaller ranks are stored as flags, others as codes
 _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048, 4096, 5000, 8192, 10000])
 
@@ -269,13 +270,14 @@ class ConeFiles:
         return files
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """Encode leaves by the index of each leaf's apex; leaves without a path, -1, get the apex of another leaf."""
+        """Encode leaves by the index of each leaf's apex; leaves without a path, < 0, get the apex of another leaf."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source)
-        return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits)
+        num_cut_off = int(np.count_nonzero(source == CUT_OFF))
+        return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits, num_cut_off)
 
     def fit(self, limits: Limits, source: Int[np.ndarray, "leaves"]) -> bool:
         return self.num_bytes(source, limits) <= limits.max_bytes

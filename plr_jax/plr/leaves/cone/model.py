@@ -56,7 +56,7 @@ class Cone(LeafModel):
         if not len(visible.cell):
             sampler.root()  # raises the error that nothing is reachable
         run = partial(grow, limits=limits)
-        tree, stored, boxes = best_cones_of_goal(visible, domain, limits, sampler.pattern, run)
+        tree, stored, boxes = best_cones_of_goal(visible, domain, limits, sampler.pattern, run, sampler.reach)
         sampler.memory.remember(boxes.cells, boxes.visible)  # which a proof needs
         return tree, stored
 

@@ -18,11 +18,12 @@ from plr_jax._arrays import take_ragged
 from plr_jax._types import CellSources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
+from plr_jax.geometry.reach import Reach
 from plr_jax.plr.best_partition import BoxLevel, PricedTree, PriceSearch
 from plr_jax.plr.cell_memory import distances_in_cells
 from plr_jax.plr.certificate import Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits
-from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
+from plr_jax.plr.leaves.cone.codec import CUT_OFF, ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
 from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
@@ -38,10 +39,11 @@ class ConeBoxes(Rows):
     negligible: float  # error up to which a box counts as exact
     cells: Cells
     visible: CellSources  # sources of the boxes: the goal, and corners where paths from them may turn first
-    source: Int[np.ndarray, "boxes"]  # index of the best source; -1 if nothing in the box reaches the goal
+    source: Int[np.ndarray, "boxes"]  # index of the best source; -1 or CUT_OFF if nothing reaches the goal
     error: Float[np.ndarray, "boxes"]  # proven bound of the cone's largest error in the box; 0 if negligible
     integral: Float[np.ndarray, "boxes"]  # proven bound of the error's integral, as a share of the domain's area
     by_side: bool = False  # whether ``peak`` weights largest errors by the sides of boxes
+    reach: Reach | None = None  # if known, and some free points cannot reach the goal
 
     def __getitem__(self, index: Int[np.ndarray, "some"]) -> Self:
         return replace(super().__getitem__(index), visible=self.visible.of_cells(index))
@@ -70,7 +72,7 @@ class ConeBoxes(Rows):
         _, first = np.unique(key, return_index=True)
         new = np.sort(first[~np.isin(key[first], known)])
         found = self.visible.parts(parent[new], axis[new], is_upper[new], lo[new], hi[new])
-        return fit_boxes(self.domain, self.negligible, cells[new], found, self.by_side), key[new], key
+        return fit_boxes(self.domain, self.negligible, cells[new], found, self.by_side, self.reach), key[new], key
 
 
 def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
@@ -78,7 +80,14 @@ def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
 
-def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources, by_side: bool = False) -> ConeBoxes:
+def fit_boxes(
+    domain: Box,
+    negligible: float,
+    cells: Cells,
+    visible: CellSources,
+    by_side: bool = False,
+    reach: Reach | None = None,
+) -> ConeBoxes:
     """Choose each box's cone, of a few sources, by the least integral of proven error; see :class:`ConeBoxes`."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
@@ -98,7 +107,13 @@ def fit_boxes(domain: Box, negligible: float, cells: Cells, visible: CellSources
         best[several], error[several], integral[several] = source[order], largest[order], of_option[order]
     counts = error > negligible
     integral = np.where(counts, integral, 0.0) / np.prod(domain.width)
-    return ConeBoxes(domain, negligible, cells, visible, best, np.where(counts, error, 0.0), integral, by_side)
+    error = np.where(counts, error, 0.0)
+    if reach is not None:  # free points that cannot reach the goal err by the largest distance, if far from others
+        best[(best < 0) & reach.is_cut_off(*cells.fractions)] = CUT_OFF
+        is_border, distances = reach.is_border(*cells.fractions), visible.sources.distances
+        largest = distances[np.isfinite(distances)].max() + float(np.linalg.norm(domain.width))
+        integral[is_border] += largest * np.ldexp(1.0, -cells.depth[is_border].sum(axis=1))
+    return ConeBoxes(domain, negligible, cells, visible, best, error, integral, by_side, reach)
 
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
@@ -237,7 +252,12 @@ def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None
 
 
 def best_cones_of_goal(
-    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: Callable[..., PricedTree] = run_quietly
+    visible: CellSources,
+    domain: Box,
+    limits: Limits,
+    pattern: Pattern,
+    run: Callable[..., PricedTree] = run_quietly,
+    reach: Reach | None = None,
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
@@ -246,7 +266,7 @@ def best_cones_of_goal(
     tree, its leaves as in a file, and the leaves' boxes with the sources before step 3 of this module.
     """
     negligible = max(limits.tolerance, query_resolution(visible.distance))
-    box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE)
+    box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE, reach)
     levels = [BoxLevel.of(box, box.cells.hashes())]
     files = ConeFiles(visible.sources, domain)
 
