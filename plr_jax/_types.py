@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 ArrayLike: TypeAlias = Any  # anything that numpy.asarray accepts; public functions check it
 Points: TypeAlias = Float[np.ndarray, "n dim"]

@@ -21,6 +21,7 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax.eikonal.goals import Goals, Points, carried_goals, nearest_goals
 from plr_jax.eikonal.march import Costs, GoalIndex, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.reach import Reach, reach_of_cells
 from plr_jax.oracles import GridField
 from plr_jax.spaces import (
     CellState,
@@ -65,12 +66,20 @@ class GridEstimate:
     cost: Costs  # the cost-to-go at each node; inf where no path leads to a goal
     known_goal: GoalIndex  # the goal to which the path of each node leads, -1 where unknown
     unseen: Int[np.ndarray, "unseen"]  # indices of the goals that no node sees
+    is_open: IsOpen  # nodes that paths may pass
 
     def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
         ratio, is_open = self.ratio.interpolated(x)
         beside = np.flatnonzero(~is_open & np.isfinite(ratio))
         ratio[beside[~self.space.is_free(x[beside])]] = np.inf
         return ratio * _divisors(self.space, self.goals, self.at_goals, x)
+
+    def reach(self, domain: Box) -> Reach:
+        """Return which boxes of a domain hold nodes that reach a goal, and open nodes that do not."""
+        is_reached = np.isfinite(self.cost)
+        # Points beside a node that reaches a goal may have a value.
+        beside = ndimage.binary_dilation(is_reached, np.ones(3 * np.ones(is_reached.ndim, int)))
+        return reach_of_cells(beside, self.is_open & ~beside, self.ratio.bounds, domain)
 
     def which(self, x: Points) -> Int[np.ndarray, "n"]:
         """Return the index of the goal to which each point's shortest path leads, or of some goal without a path."""
@@ -213,7 +222,8 @@ def grid_estimate(
     divisor = _divisors(space, goals, at_goals, flat).reshape(shape)
     at_goal = at_nearest.copy() if _is_euclidean(space, goals, at_goals) else np.ones(shape)
     ratio = np.divide(cost, divisor, out=at_goal, where=divisor > 0)
-    return GridEstimate(space, goals, at_goals, GridField(ratio.T, box), cost, known, np.flatnonzero(~is_seen))
+    field = GridField(ratio.T, box)
+    return GridEstimate(space, goals, at_goals, field, cost, known, np.flatnonzero(~is_seen), is_open)
 
 
 def _grid(

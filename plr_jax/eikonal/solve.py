@@ -21,7 +21,6 @@ from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.plr._construct import BuildOptions, construct
 from plr_jax.plr._plr import PLR
-from plr_jax.plr.faces import neighbor_of_largest_contact
 from plr_jax.plr.frame import max_axis_depth
 from plr_jax.plr.growth import ConstructionInterrupted, check_memory, largest_error
 from plr_jax.plr.sampling import CellFit, sample_pattern
@@ -32,7 +31,6 @@ _MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
 _MAX_LEAVES = 2_000
 _LEAVES_PER_BYTE = 2  # no file has more leaves per byte
 _BYTES_A_CELL = 4_000  # least memory that construction takes for each cell
-_CUT_OFF_SPLITS = 6  # splits along each axis of leaves that are cut off from the goal beside leaves that are not
 _LEAF_SAMPLES = 64  # samples in a leaf of an estimate, in which the grid has few nodes
 _LEAST_COST = 1e-30  # least cost that 32 bits resolve
 _BESIDE = 1e-6  # share of the domain's width by which a goal may lie outside: a space may count such goals as free
@@ -150,7 +148,7 @@ def solve_eikonal(
             # The free space of a turning body is thin: continuous leaves would reach through its walls.
             plr = construct(guide, domain, leaf="plane", **limits)
         else:
-            options = BuildOptions(should_split=partial(_error_or_cut_off, space), num_samples=_LEAF_SAMPLES)
+            options = BuildOptions(should_split=_error_by_norm, num_samples=_LEAF_SAMPLES)
             plr = construct(guide, domain, leaf="continuous", options=options, **limits)
         which = guide.which_reached
     else:
@@ -184,28 +182,11 @@ def _require_goals(
         raise ValueError(f"{must}, {np.atleast_2d(goal)[row].tolist()}{of} is not{why}.")
 
 
-def _error_or_cut_off(space: FreeTest, fit: CellFit) -> Float[np.ndarray, "cells"]:
-    """Return each leaf's priority to be split: its error, or more if the leaf is large and cut off from the goal.
-
-    The error is the geometric mean of the largest error and the error's L2 norm over the leaf, for a small mean error
-    of the PLR. Without splits, a leaf with free points that are cut off would get the function of an adjacent leaf
-    instead of ``inf``.
-    """
+def _error_by_norm(fit: CellFit) -> Float[np.ndarray, "cells"]:
+    """Return the geometric mean of each leaf's largest error and its L2 norm, for a small mean error of the PLR."""
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()
     norm = np.sqrt(np.ldexp(mean_square, -fit.cells.depth.sum(axis=1)))  # the volume is 2**-(sum of halvings)
-    error = np.sqrt(largest_error(fit) * norm)
-    inside = (np.abs(fit.pattern.u) < 1).all(axis=1)  # samples on faces may see the other side of a wall
-    is_large = (fit.cells.depth < _CUT_OFF_SPLITS).any(axis=1)
-    lost = np.flatnonzero(is_large & ~fit.reachable[:, inside].any(axis=1))
-    if not len(lost):
-        return error
-    lenders = np.flatnonzero(fit.reachable.any(axis=1))
-    lost = lost[neighbor_of_largest_contact(fit.cells, lost, lenders, space.domain.periodic) >= 0]
-    q = fit.cells[lost].points(fit.pattern.u[inside], space.domain)
-    is_free = as_booleans("is_free", space.is_free(q.reshape(-1, q.shape[2])), q.shape[0] * q.shape[1])
-    cut_off = lost[is_free.reshape(q.shape[:2]).any(axis=1)]
-    error[cut_off] = np.ldexp(error.max(), fit.cells.depth[cut_off].sum(axis=1))
-    return error
+    return np.sqrt(largest_error(fit) * norm)
 
 
 def _require_costs(largest: float) -> None:

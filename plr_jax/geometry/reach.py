@@ -16,7 +16,7 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import Sums
 from plr_jax.geometry.workspace import Workspace
 
-# Cut-off points count as *far* if they are farther than this from points that reach the goal, in widths of the domain.
+# Cut-off points are *far* if they are farther than this from points that reach the goal, in widths of the domain.
 FAR = 1 / 64
 _GROWN = 2.0**-21  # share of the domain by which rounding may place points outside of their box in a query
 _SHRUNK = 1e-9  # share of the domain by which boxes are shrunk, so that they do not meet what only touches them
@@ -71,7 +71,10 @@ def reach_of_parts(workspace: Workspace, goals: Float[np.ndarray, "goals 2"], do
         return None
     parts = shapely.transform(parts, lambda x: (x - domain.lo) / domain.width)
     reached, cut_off = (shapely.multipolygons(parts[some]) for some in (reaches, ~reaches))
-    return Reach(*map(_meeting, (reached, cut_off, shapely.difference(cut_off, shapely.buffer(reached, FAR)))))
+    x0, y0, x1, y1 = shapely.bounds(parts[~reaches]).T
+    around = shapely.union_all(shapely.box(x0 - FAR, y0 - FAR, x1 + FAR, y1 + FAR))
+    near = shapely.buffer(shapely.intersection(reached, around), FAR)
+    return Reach(*map(_meeting, (reached, cut_off, shapely.difference(cut_off, near))))
 
 
 def _meeting(polygons: Any) -> BoxTest:
@@ -82,7 +85,7 @@ def _meeting(polygons: Any) -> BoxTest:
 def reach_of_cells(
     reached: Bool[np.ndarray, "..."], cut_off: Bool[np.ndarray, "..."], bounds: Box, domain: Box
 ) -> Reach:
-    """Return the reach of a goal on a grid of cells that fill ``bounds``; array axes are coordinate axes, in order."""
+    """Return the reach of a goal on a grid of cells that fill ``bounds``; array axes are coordinate axes."""
     from scipy import ndimage
 
     shape = np.array(reached.shape)

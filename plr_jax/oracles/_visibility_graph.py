@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_finite_point, as_point, as_points, index_of, set_fields, shortened
 from plr_jax._types import ArrayLike, Distances, Sources

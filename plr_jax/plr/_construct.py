@@ -322,16 +322,16 @@ def warn_if_cut_off(distance_fn: DistanceFn, contents: DecodedFile) -> None:
         part = lo[:, None] + (hi - lo)[:, None] * steps / _PARTS
         size = np.broadcast_to((hi - lo)[:, None] / _PARTS, part.shape).reshape(-1, lo.shape[1])
         is_cut_off = reach.is_cut_off(part.reshape(size.shape), part.reshape(size.shape) + size)
-        share = float(size[is_cut_off].prod(axis=1).sum())
-        message = (
-            f"In {share:.2%} of the domain, the PLR answers a finite number although no path leads to the goal. Allow "
-            "more bytes or leaves, or ask workspace.reachable(x, goal)."
-        )
-        warnings.warn(message, stacklevel=3)
+        if (share := float(size[is_cut_off].prod(axis=1).sum())) > 0:
+            message = (
+                f"In {100 * share:.2g} % of the domain, the PLR answers a finite number, although no path leads to the "
+                "goal. Allow more bytes or leaves, or ask workspace.reachable(x, goal)."
+            )
+            warnings.warn(message, stacklevel=3)
     if (share := reach.share_cut_off(lo.shape[1])) > 0.5:
         message = (
-            f"The goal cannot be reached from about {share:.0%} of free space. Check that the goal is in the intended "
-            "part of free space."
+            f"The goal cannot be reached from about {share:.0%} of free space. Check that the goal is in the "
+            "intended part of free space."
         )
         warnings.warn(message, stacklevel=3)
 

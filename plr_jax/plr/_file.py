@@ -101,8 +101,7 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
     """Return the coefficients of each leaf's function; a leaf without one gets a neighbor's plane, or ``inf``."""
-    # The neighbor, if any, shares the largest face, edge or corner. So points in the leaf have a finite answer, unless
-    # the leaf is known to be cut off from the goal.
+    # The neighbor, if any, shares the largest face, edge or corner. Leaves that are cut off answer ``inf``.
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
     unreachable = coefficients[:, 0] == np.inf

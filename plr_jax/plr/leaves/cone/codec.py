@@ -270,7 +270,7 @@ class ConeFiles:
         return files
 
     def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
-        """Encode leaves by the index of each leaf's apex; leaves without a path, < 0, get the apex of another leaf."""
+        """Encode leaves by the index of each leaf's apex; those without a path, < 0, get another leaf's apex."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:
