@@ -51,6 +51,10 @@ class Reach:
         found[found] = self.reached(lo[found] - _GROWN, hi[found] + _GROWN)
         return found
 
+    def holds_reached(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
+        """Return whether points inside of boxes reach the goal."""
+        return self.reached(lo + _SHRUNK, hi - _SHRUNK)
+
     def share_cut_off(self, dim: int) -> float:
         """Return roughly which share of free space is cut off."""
         num = round(_NUM_BOXES ** (1 / dim))
@@ -96,7 +100,7 @@ def reach_of_cells(
         far = cut_off & (away > FAR - np.linalg.norm(side))
 
     def counting(cells: Bool[np.ndarray, "..."]) -> BoxTest:
-        sums = Sums.of(cells)
+        sums = Sums.of(np.ascontiguousarray(cells))
 
         def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
             first, last = ((domain.lo + end * domain.width - bounds.lo) / bounds.width * shape for end in (lo, hi))

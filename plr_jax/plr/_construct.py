@@ -43,17 +43,20 @@ from plr_jax.plr.sampling import (
     Sampler,
     WeightFn,
     call_oracle,
+    few_samples,
     folded_weights,
     least_squares,
     sample_pattern,
 )
-from plr_jax.plr.tree import grown_domain
+from plr_jax.plr.tree import Cells, grown_domain
 
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR
 
 _DENSE_FACTOR = 8  # a cell in which few samples reach the goal is sampled again with this many times more samples
 _MAX_SAMPLES = 2**16
+_SAMPLE_FACTORS = 1, 8, 64  # of the number of samples, tried until enough of them reach the goal
+_SPARSE = 1 / 16  # if a smaller share of the domain reaches the goal, cells with few samples are split first
 _PARTS = 8  # of a leaf along each axis, which show how much of the leaf is cut off from the goal
 _MOST_TIED_AXES = 6
 # leaf="best" tries cones if all corners take at most _CROWDED times the byte budget, and nothing else if they take at
@@ -262,21 +265,17 @@ def _build_leaves(
         distance_fn = partial(_folded_distances, distance_fn, folding)
 
     # 3. Grow the partition.
-    pattern, dense = (
-        sample_pattern(domain.dim, factor * int(num_samples), float(options.margin), int(seed))
-        for factor in (1, _DENSE_FACTOR)
-    )
-    sampler = Sampler(
-        distance_fn,
-        domain,
-        weight_fn,
-        pattern,
-        dense,
-        checked.max_axis_depth,
-        options.compute_coefficients,
-        memory,
-        reach,
-    )
+    margin, rule = float(options.margin), options.compute_coefficients
+    for factor in _SAMPLE_FACTORS:  # more samples if hardly one reaches the goal
+        pattern, dense = (
+            sample_pattern(domain.dim, min(each * int(num_samples), _MAX_SAMPLES), margin, int(seed))
+            for each in (factor, max(factor, _DENSE_FACTOR))
+        )
+        sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, rule, memory, reach)
+        seen = sampler(Cells.root(domain.dim)).reachable
+        if reach is not None or seen.sum() > few_samples(domain.dim):
+            break
+    sampler = replace(sampler, is_sparse=seen.mean() < _SPARSE)
     tree, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
     model = leaf_model(model.name)  # files store no options of a model
     cut_off = None if reach is None else reach.is_cut_off(*tree.leaves.fractions)
@@ -324,8 +323,8 @@ def warn_if_cut_off(distance_fn: DistanceFn, contents: DecodedFile) -> None:
         is_cut_off = reach.is_cut_off(part.reshape(size.shape), part.reshape(size.shape) + size)
         if (share := float(size[is_cut_off].prod(axis=1).sum())) > 0:
             message = (
-                f"In {100 * share:.2g} % of the domain, the PLR answers a finite number, although no path leads to the "
-                "goal. Allow more bytes or leaves, or ask workspace.reachable(x, goal)."
+                f"In {100 * share:.2g} % of the domain, the PLR answers a finite number, although no path leads to "
+                "the goal. Allow more bytes or leaves, or ask workspace.reachable(x, goal)."
             )
             warnings.warn(message, stacklevel=3)
     if (share := reach.share_cut_off(lo.shape[1])) > 0.5:

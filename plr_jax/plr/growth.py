@@ -135,7 +135,7 @@ def nodes_of_fit(
     limits: Limits,
 ) -> Nodes:
     check_rules(fit, priority, axis)
-    priority, axis = borders_first(fit, priority, axis)
+    priority, axis = urgent_first(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
     may_split = (priority > least_priority(fit, limits)) & is_within_depth(fit.cells, axis, limits)
@@ -151,16 +151,13 @@ def nodes_of_fit(
     )
 
 
-def borders_first(
+def urgent_first(
     fit: CellFit, priority: Float[np.ndarray, "cells"], axis: Int[np.ndarray, "cells"]
 ) -> tuple[Float[np.ndarray, "cells"], Int[np.ndarray, "cells"]]:
-    """Return priorities and axes, changed for cells with points that reach the goal and far points that do not.
-
-    Such a cell errs by more than any distance, so its priority is the highest, the higher the larger the cell is.
-    """
-    is_border = fit.border_axis >= 0
+    """Return priorities and axes, changed for urgent cells: their priority is the highest, first for large cells."""
+    is_urgent = fit.urgent_axis >= 0
     highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
-    return np.where(is_border, highest, priority), np.where(is_border, fit.border_axis, axis)
+    return np.where(is_urgent, highest, priority), np.where(is_urgent, fit.urgent_axis, axis)
 
 
 def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, "cells"]:

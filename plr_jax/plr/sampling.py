@@ -13,7 +13,7 @@ from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.geometry.reach import Reach
+from plr_jax.geometry.reach import BoxTest, Fractions, Reach
 from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells, Rows
@@ -150,7 +150,12 @@ def solve_planes(
 
 
 _FEW_A_TERM = 2  # up to this many samples per coefficient that reach the goal, a plane may fit by chance
+_FINE = 5  # halvings along each axis of cells that are fine enough to be judged by few samples
 WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
+
+
+def few_samples(dim: int) -> int:
+    return _FEW_A_TERM * (1 + dim)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +172,9 @@ class CellFit(Rows):
         half: Half of the plane's rise across the cell along each axis, ``(cells, dim)``.
         residual: Sampled distance minus the cell's function (the plane, unless the leaf model fits another function);
             0 where the goal cannot be reached.
-        border_axis: Axis along which to halve a cell that holds both points that reach the goal and far cut-off
-            points (see :class:`Reach`); -1 for all other cells.
+        urgent_axis: Axis along which to halve an *urgent* cell, whose samples do not show its error; -1 for others.
+            It holds points that reach the goal and far cut-off points (see :class:`Reach`). Or little of the domain
+            reaches the goal, and the cell has too few samples that do.
         is_cut_off: Whether each cell holds cut-off points, and no point that reaches the goal.
     """
 
@@ -181,7 +187,7 @@ class CellFit(Rows):
     center: Float[np.ndarray, "cells"]
     half: Float[np.ndarray, "cells dim"]
     residual: OfSamples
-    border_axis: Int[np.ndarray, "cells"]
+    urgent_axis: Int[np.ndarray, "cells"]
     is_cut_off: Bool[np.ndarray, "cells"]
 
     def __len__(self) -> int:
@@ -195,7 +201,7 @@ class CellFit(Rows):
     @property
     def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
         """Whether so few samples of a cell reach the goal that a plane may fit them all and be wrong elsewhere."""
-        return self.reachable.sum(axis=1) <= _FEW_A_TERM * (1 + self.cells.dim)
+        return self.reachable.sum(axis=1) <= few_samples(self.cells.dim)
 
     @property
     def can_split(self) -> Bool[np.ndarray, "cells"]:
@@ -220,7 +226,8 @@ class Sampler:
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
     memory: CellMemory | None = None  # if there is one, it computes distances in cells instead of distance_fn
-    reach: Reach | None = None  # if known, and some free points cannot reach the goal
+    reach: Reach | None = None  # if known
+    is_sparse: bool = False  # whether little of the domain reaches the goal
 
     def __call__(self, cells: Cells) -> CellFit:
         pattern = self.pattern
@@ -244,7 +251,23 @@ class Sampler:
         residual *= reachable
         center = np.where(reachable.any(axis=1), center, np.inf)
         fit = cells, pattern, self.max_axis_depth, reachable, weight, value, center, half, residual
-        return CellFit(*fit, *borders_of(self.reach, cells, self.max_axis_depth))
+        is_cut_off = np.zeros(len(cells), bool)
+        if self.reach is not None:
+            is_cut_off[:] = self.reach.is_cut_off(*cells.fractions)
+        return CellFit(*fit, self._urgent_axes(cells, reachable.sum(axis=1)), is_cut_off)
+
+    def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, "cells"]) -> Int[np.ndarray, "cells"]:
+        reach, axis = self.reach, np.full(len(cells), -1)
+        if reach is not None:
+            set_urgent_axes(axis, cells, reach.is_border, self.max_axis_depth)
+        if self.is_sparse:
+            few = np.flatnonzero((num_reachable <= few_samples(cells.dim)) & (cells.depth < _FINE).any(axis=1))
+            holds = _holds_all if reach is None else reach.holds_reached
+            few = few[num_reachable[few] > 0] if reach is None else few
+            axis_of_few = axis[few]
+            set_urgent_axes(axis_of_few, cells[few], holds, self.max_axis_depth)
+            axis[few] = axis_of_few
+        return axis
 
     def sample_densely(self, cells: Cells) -> CellFit:
         return replace(self, pattern=self.dense_pattern)(cells)
@@ -252,11 +275,12 @@ class Sampler:
     def root(self, pieces_suffice: bool = False) -> CellFit:
         """Sample the whole domain as one cell; ``ValueError`` if no sample reaches the goal.
 
-        With ``pieces_suffice``, it is enough that the oracle knows free space from which the goal can be reached.
+        It is enough that splits will find points that do. With ``pieces_suffice``, it is also enough that the oracle
+        knows free space from which the goal can be reached.
         """
         fit = self(Cells.root(self.domain.dim))
         has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
-        if not (fit.reachable.any() or has_pieces):
+        if not (fit.reachable.any() or has_pieces or fit.urgent_axis[0] >= 0):
             raise ValueError(
                 "distance_fn found nothing reachable: it must be finite somewhere in the domain, but was inf at all "
                 "samples. Check that the goal is free and that the domain contains its surroundings. If free space "
@@ -264,26 +288,34 @@ class Sampler:
             )
         return fit
 
+    def first_cells(self, most: int) -> CellFit:
+        """Sample the domain as one cell, or as up to ``most`` cells if only then a sample reaches the goal."""
+        fit = self.root()
+        while not fit.reachable.any():
+            urgent = fit.urgent_axis >= 0
+            if len(fit) + np.count_nonzero(urgent) > most:
+                raise ValueError(
+                    f"No sample of {len(fit)} leaves reaches the goal. Allow more leaves, or raise num_samples."
+                )
+            halves = fit.cells[urgent].split(fit.urgent_axis[urgent])
+            fit = fit[~urgent].append(self(halves))
+        return fit
 
-def borders_of(
-    reach: Reach | None, cells: Cells, max_axis_depth: int
-) -> tuple[Int[np.ndarray, "cells"], Bool[np.ndarray, "cells"]]:
-    """Return ``border_axis`` and ``is_cut_off`` of a :class:`CellFit`."""
-    axis, is_cut_off = np.full(len(cells), -1), np.zeros(len(cells), bool)
-    if reach is None:
-        return axis, is_cut_off
-    is_cut_off[:] = reach.is_cut_off(*cells.fractions)
-    border = np.flatnonzero(reach.is_border(*cells.fractions))
-    # The best axis gives the fewest halves that are on the border again; of equal axes, the longest.
-    count = np.empty((len(border), cells.dim))
+
+def set_urgent_axes(axis: Int[np.ndarray, "cells"], cells: Cells, holds: BoxTest, max_axis_depth: int) -> None:
+    """Set the axis of each cell that passes a test: the one along which the fewest halves pass it, or the longest."""
+    some = np.flatnonzero(holds(*cells.fractions))
+    count, depth = np.empty((len(some), cells.dim)), cells.depth[some]
     for each in range(cells.dim):
-        halves = cells[border].split(np.full(len(border), each))
-        count[:, each] = reach.is_border(*halves.fractions).reshape(-1, 2).sum(axis=1)
-    depth = cells.depth[border]
+        halves = cells[some].split(np.full(len(some), each))
+        count[:, each] = holds(*halves.fractions).reshape(-1, 2).sum(axis=1)
     count += depth / (1 + depth.max(initial=0))
     count[is_closed(depth, max_axis_depth)] = np.inf
-    axis[border] = np.argmin(count, axis=1)
-    return axis, is_cut_off
+    axis[some] = np.argmin(count, axis=1)
+
+
+def _holds_all(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
+    return np.ones(len(lo), bool)
 
 
 def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[np.ndarray, "cells dim"]:

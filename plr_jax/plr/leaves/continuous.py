@@ -33,12 +33,12 @@ from plr_jax.plr.finite_elements import (
 from plr_jax.plr.frame import LARGEST, Corner
 from plr_jax.plr.growth import (
     Limits,
-    borders_first,
     check_memory,
     check_rules,
     grow,
     is_within_depth,
     least_priority,
+    urgent_first,
 )
 from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
@@ -258,7 +258,7 @@ class _Rounds:
         number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
-        error, _ = borders_first(fit, error, fit.border_axis)
+        error, _ = urgent_first(fit, error, fit.urgent_axis)
         worth_it = (error > least_priority(fit, limits)) & fit.can_split
         priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
@@ -267,7 +267,7 @@ class _Rounds:
             some = best[start : start + number - len(leaf)] if number else best[:0]
             axis_of_some = np.asarray(self._rules.split(fit[some]))
             check_rules(fit[some], error[some], axis_of_some)
-            _, axis_of_some = borders_first(fit[some], error[some], axis_of_some)
+            _, axis_of_some = urgent_first(fit[some], error[some], axis_of_some)
             may_split = is_within_depth(fit.cells[some], axis_of_some, limits)
             leaf, axis = np.append(leaf, some[may_split]), np.append(axis, axis_of_some[may_split])
             if len(leaf) >= number:
@@ -362,7 +362,7 @@ class Continuous(LinearLeafModel):
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredValues]:
         rounds = _Rounds(self.order, sampler, rules, limits)
-        root = rounds.fit_leaves(sampler.root())
+        root = rounds.fit_leaves(sampler.first_cells(limits.max_leaves))
         limits.require_room(root.num_bytes)
         stored = grow(root, rounds.next, limits).stored
         return stored.partition.tree, stored
