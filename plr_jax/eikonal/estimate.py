@@ -21,7 +21,8 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax.eikonal.goals import Goals, Points, carried_goals, nearest_goals
 from plr_jax.eikonal.march import Costs, GoalIndex, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.reach import Reach, reach_of_cells
+from plr_jax.geometry.reach import Reach
+from plr_jax.geometry.voxels import reach_of_cells
 from plr_jax.oracles import GridField
 from plr_jax.spaces import (
     CellState,

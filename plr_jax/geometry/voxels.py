@@ -8,6 +8,7 @@ everything above, both blocked. Arrays of voxel numbers and of coordinates have 
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,6 +17,7 @@ from plr_jax._arrays import shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, rounding_of
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.reach import FAR, BoxTest, Fractions, Reach
 
 _AXES = range(1, 5)
 _LEAST_SIDE = 8e3  # rounding errors of coordinates per side of a voxel, as for pixels
@@ -193,3 +195,29 @@ def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
     one = np.zeros_like(free)
     one[np.arange(len(free)), free.argmax(axis=1)] = True
     return (free & ~spread(one & free, free)).any(axis=1)
+
+
+def reach_of_cells(
+    reached: Bool[np.ndarray, "..."], cut_off: Bool[np.ndarray, "..."], bounds: Box, domain: Box
+) -> Reach:
+    """Return the reach of a goal on a grid of cells that fill ``bounds``; array axes are coordinate axes."""
+    from scipy import ndimage
+
+    shape = np.array(reached.shape)
+    far = np.zeros_like(cut_off)
+    if cut_off.any() and reached.any():
+        side = bounds.width / shape / domain.width
+        away: Any = ndimage.distance_transform_edt(~reached, sampling=side)  # between centers of cells
+        far = cut_off & (away > FAR - np.linalg.norm(side))
+
+    def counting(cells: Bool[np.ndarray, "..."]) -> BoxTest:
+        sums = Sums.of(np.ascontiguousarray(cells))
+
+        def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
+            first, last = ((domain.lo + end * domain.width - bounds.lo) / bounds.width * shape for end in (lo, hi))
+            first, last = np.maximum(np.floor(first), 0), np.minimum(np.ceil(last), shape) - 1
+            return sums.within(first.astype(np.int64).T, last.astype(np.int64).T) > 0
+
+        return test
+
+    return Reach(*map(counting, (reached, cut_off, far)))

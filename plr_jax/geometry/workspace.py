@@ -33,6 +33,7 @@ from plr_jax.geometry.boundary import (
 )
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import placed_region, rounded_one_by_one
+from plr_jax.geometry.reach import FAR, BoxTest, Reach
 from plr_jax.geometry.triangulation import Triangulation, triangulation_of
 from plr_jax.geometry.vectors import cross_product
 
@@ -227,6 +228,22 @@ class Workspace:
         place[np.flatnonzero(free)[part.query(points, predicate="dwithin", distance=self.tolerance)[0]]] = True
         return place
 
+    def reach(self, goals: Float[np.ndarray, "goals 2"], domain: Box) -> Reach | None:
+        """Return which boxes of a domain hold free points that reach one of several goals; None if all reach one."""
+        parts = shapely.get_parts(self.free_space)
+        if len(parts) < 2:
+            return None
+        inside = shapely.get_coordinates(shapely.point_on_surface(parts))
+        reaches = np.any([self.reachable(inside, goal) for goal in goals], axis=0)
+        if reaches.all():
+            return None
+        parts = shapely.transform(parts, lambda x: (x - domain.lo) / domain.width)
+        reached, cut_off = (shapely.multipolygons(parts[some]) for some in (reaches, ~reaches))
+        x0, y0, x1, y1 = shapely.bounds(parts[~reaches]).T
+        around = shapely.union_all(shapely.box(x0 - FAR, y0 - FAR, x1 + FAR, y1 + FAR))
+        near = shapely.buffer(shapely.intersection(reached, around), FAR)
+        return Reach(*map(_meeting, (reached, cut_off, shapely.difference(cut_off, near))))
+
     def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
         """Return the signed distance, in workspace units, of points ``(n, 2)`` to the boundary of free space.
 
@@ -350,6 +367,11 @@ class Workspace:
         u, v = rng.random((2, n, 1))
         u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])  # fold the far half of the parallelogram back
         return corner[pick] + u * first[pick] + v * second[pick]
+
+
+def _meeting(polygons: Any) -> BoxTest:
+    shapely.prepare(polygons)
+    return lambda lo, hi: shapely.intersects(polygons, shapely.box(*lo.T, *hi.T))
 
 
 def require_workspace(workspace: object) -> None:

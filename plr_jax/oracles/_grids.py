@@ -16,8 +16,8 @@ from plr_jax._arrays import as_finite_point, as_numbers, as_points, set_fields, 
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import Mask, as_mask
-from plr_jax.geometry.reach import Reach, reach_of_cells
-from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets
+from plr_jax.geometry.reach import Reach
+from plr_jax.geometry.voxels import VoxelGrid, disconnected_sets, reach_of_cells
 
 Grid: TypeAlias = Float[np.ndarray, "..."]
 _DISTANCES = 2**22  # distances of cells in memory at a time

@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 
 from plr_jax._arrays import as_point, as_points, as_values, set_fields, shortened
 from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn, Distances
-from plr_jax.geometry.reach import reach_of_parts
 from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sources
 
 
@@ -41,7 +40,7 @@ class NearestGoal:
         if len(graphs) == len(fns) and len({id(graph.workspace) for graph in graphs}) == 1:
             # Only with these attributes, the object is a NearestFn.
             goals = np.stack([graph.goal for graph in graphs])
-            reach = partial(reach_of_parts, graphs[0].workspace, goals)
+            reach = partial(graphs[0].workspace.reach, goals)
             set_fields(self, goals=goals, cell_sources=partial(nearest_cell_sources, graphs), reach=reach)
 
     @property

@@ -27,7 +27,7 @@ from plr_jax._arrays import (
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.graph import Graph, dijkstra, first_visible, path_to_root
-from plr_jax.geometry.reach import Reach, reach_of_parts
+from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.workspace import Workspace, require_workspace
 
 
@@ -229,7 +229,7 @@ class Roadmap:
 
         None if all free points are in that part, or the roadmap was not built from a workspace.
         """
-        return None if self._workspace is None else reach_of_parts(self._workspace, self.goal[None], domain)
+        return None if self._workspace is None else self._workspace.reach(self.goal[None], domain)
 
     def with_goal(self, goal: ArrayLike) -> "Roadmap":
         """Return the roadmap of the same samples for another free goal ``(dim,)``, testing only the goal's edges.

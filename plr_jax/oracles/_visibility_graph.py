@@ -25,7 +25,7 @@ from plr_jax.geometry.corners import (
     views_by_triangle,
 )
 from plr_jax.geometry.graph import Graph, dijkstra, path_to_root
-from plr_jax.geometry.reach import Reach, reach_of_parts
+from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.single_points import FEW, Place, PointSight
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
@@ -206,7 +206,7 @@ class VisibilityGraph:
 
     def reach(self, domain: Box) -> Reach | None:
         """Return which boxes of a domain hold free points without a path to the goal, None if all have a path."""
-        return reach_of_parts(self.workspace, self.goal[None], domain)
+        return self.workspace.reach(self.goal[None], domain)
 
     def between(self, x: ArrayLike, y: ArrayLike) -> Distances:
         """Return the length of the shortest path between points ``(n, 2)``, pair by pair, ``(n,)``.

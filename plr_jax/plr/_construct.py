@@ -316,17 +316,16 @@ def warn_if_cut_off(distance_fn: DistanceFn, contents: DecodedFile) -> None:
     lo, hi = contents.tree.leaves.fractions
     lo, hi = (end[reach.is_border(lo, hi)] for end in (lo, hi))
     if len(lo):
-        # The parts of these leaves, in equal boxes, from which the goal cannot be reached.
+        # Divide these leaves into equal boxes, and add up the volumes of boxes that hold far cut-off points.
         steps = np.moveaxis(np.indices((_PARTS,) * lo.shape[1]), 0, -1).reshape(-1, lo.shape[1])
         part = lo[:, None] + (hi - lo)[:, None] * steps / _PARTS
         size = np.broadcast_to((hi - lo)[:, None] / _PARTS, part.shape).reshape(-1, lo.shape[1])
-        is_cut_off = reach.is_cut_off(part.reshape(size.shape), part.reshape(size.shape) + size)
-        if (share := float(size[is_cut_off].prod(axis=1).sum())) > 0:
-            message = (
-                f"In {100 * share:.2g} % of the domain, the PLR answers a finite number, although no path leads to "
-                "the goal. Allow more bytes or leaves, or ask workspace.reachable(x, goal)."
-            )
-            warnings.warn(message, stacklevel=3)
+        share = size[reach.far(part.reshape(size.shape), part.reshape(size.shape) + size)].prod(axis=1).sum()
+        message = (
+            f"In about {100 * share:.2g} % of the domain, the PLR answers a finite number, although no path leads to "
+            "the goal. Allow more bytes or leaves, or ask workspace.reachable(x, goal)."
+        )
+        warnings.warn(message, stacklevel=3)
     if (share := reach.share_cut_off(lo.shape[1])) > 0.5:
         message = (
             f"The goal cannot be reached from about {share:.0%} of free space. Check that the goal is in the "

@@ -107,10 +107,10 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
     unreachable = coefficients[:, 0] == np.inf
     if not (np.abs(coefficients[~unreachable]) < LARGEST).all():
         raise ValueError(f"its distances must be below {LARGEST:g} for 32-bit floats; scale them down")
+    if contents.cut_off is not None:
+        unreachable &= ~contents.cut_off
     if unreachable.any() and isinstance(leaf, LinearLeafModel):
         periodic = contents.domain.periodic
-        if contents.cut_off is not None:
-            unreachable &= ~contents.cut_off
         borrower, reachable = np.flatnonzero(unreachable), np.flatnonzero(np.isfinite(coefficients[:, 0]))
         donor = neighbor_of_largest_contact(cells, borrower, reachable, periodic)
         borrower, donor = borrower[donor >= 0], donor[donor >= 0]

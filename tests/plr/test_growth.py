@@ -5,8 +5,8 @@ import pytest
 from plr_helpers import UNIT, lstsq_plane, sampler_of
 
 from plr_jax.plr import best_axis, center_error, largest_error, maximum_depth
-from plr_jax.plr.growth import MAX_ASPECT_BITS, _sum_of_squares_after_split
-from plr_jax.plr.sampling import Sampler, sample_pattern
+from plr_jax.plr.growth import _sum_of_squares_after_split
+from plr_jax.plr.sampling import MAX_ASPECT_BITS, Sampler, sample_pattern
 from plr_jax.plr.tree import Cells
 
 
