@@ -157,7 +157,7 @@ def cost_distance(
         is_reversed = as_bool("from_sources", from_sources)
         distance, _, nearest, tree = search(cost, side, points, rise, slope_fn, is_reversed)
     if max_bytes is not None:
-        plr = construct(GridField(distance, box), box, leaf="continuous", max_bytes=max_bytes)
+        plr = construct(GridField(distance, box, np.isfinite(cost)), box, leaf="continuous", max_bytes=max_bytes)
 
     # 3. Results in the order and with the coordinates of the given raster.
     def like_costs(name: str, values: np.ndarray | None) -> Any:

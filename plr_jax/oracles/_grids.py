@@ -280,12 +280,15 @@ class GridField:
             reached. Kept as a read-only array, with ``inf`` for all of these.
         bounds: The box that the cells fill, or its corners ``(lo, hi)``: corners of outer cells, not centers.
             Periodic axes wrap around.
+        free: Whether each cell is free, booleans like ``values``, so that a PLR answers ``inf`` in free cells without
+            a distance. None: cells without a distance count as obstacles.
     """
 
     values: Float[np.ndarray, "..."]
     bounds: Box
+    free: Bool[np.ndarray, "..."]
 
-    def __init__(self, values: ArrayLike, bounds: Box | ArrayLike):
+    def __init__(self, values: ArrayLike, bounds: Box | ArrayLike, free: ArrayLike | None = None):
         bounds = Box.of(bounds, "The bounds")
         expected = f"distances on a grid of {bounds.dim} axes"
         numbers = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
@@ -301,8 +304,12 @@ class GridField:
                 f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask cells without a distance, and use "
                 "np.maximum(values, 0) for a field that is negative inside the goal."
             )
+        is_free = np.isfinite(numbers) if free is None else np.array(free)
+        if is_free.dtype != bool or is_free.shape != numbers.shape:
+            got = f"{is_free.dtype} of shape {is_free.shape}"
+            raise ValueError(f"free must be booleans like values, of shape {numbers.shape}, got {got}.")
         numbers.flags.writeable = False
-        set_fields(self, values=numbers, bounds=bounds)
+        set_fields(self, values=numbers, bounds=bounds, free=is_free)
 
     def __repr__(self) -> str:
         return f"GridField({' x '.join(map(str, self.values.shape))} cells, {self.bounds})"
@@ -348,9 +355,9 @@ class GridField:
         return values, is_known
 
     def reach(self, domain: Box) -> Reach | None:
-        """Return which boxes of a domain hold points with a distance; without a distance, none counts as free."""
+        """Return which boxes of a domain hold cells with a distance, and free cells without."""
         reached = np.isfinite(self.values).T
-        return reach_of_cells(reached, np.zeros_like(reached), self.bounds, domain)
+        return reach_of_cells(reached, self.free.T & ~reached, self.bounds, domain)
 
     @cached_property
     def _padded(self) -> tuple[Grid, Grid, Grid, Bool[np.ndarray, "..."] | None]:

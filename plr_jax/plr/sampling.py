@@ -289,16 +289,18 @@ class Sampler:
         return fit
 
     def first_cells(self, most: int) -> CellFit:
-        """Sample the domain as one cell, or as up to ``most`` cells if only then a sample reaches the goal."""
+        """Sample the domain as one cell, and halve urgent cells, largest first, as long as there are at most ``most``.
+
+        ``ValueError`` if no sample of these cells reaches the goal.
+        """
         fit = self.root()
-        while not fit.reachable.any():
-            urgent = fit.urgent_axis >= 0
-            if len(fit) + np.count_nonzero(urgent) > most:
-                raise ValueError(
-                    f"No sample of {len(fit)} leaves reaches the goal. Allow more leaves, or raise num_samples."
-                )
-            halves = fit.cells[urgent].split(fit.urgent_axis[urgent])
-            fit = fit[~urgent].append(self(halves))
+        while (room := most - len(fit)) > 0 and len(urgent := np.flatnonzero(fit.urgent_axis >= 0)):
+            size = fit.cells.depth[urgent].sum(axis=1)
+            some = urgent[np.argsort(size, kind="stable")[: min(room, np.count_nonzero(size == size.min()))]]
+            halves = fit.cells[some].split(fit.urgent_axis[some])
+            fit = fit[np.setdiff1d(np.arange(len(fit)), some)].append(self(halves))
+        if not fit.reachable.any():
+            raise ValueError(f"No sample of {len(fit)} leaves reaches the goal. Allow more, or raise num_samples.")
         return fit
 
 

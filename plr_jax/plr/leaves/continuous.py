@@ -362,9 +362,11 @@ class Continuous(LinearLeafModel):
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredValues]:
         rounds = _Rounds(self.order, sampler, rules, limits)
-        root = rounds.fit_leaves(sampler.first_cells(limits.max_leaves))
-        limits.require_room(root.num_bytes)
-        stored = grow(root, rounds.next, limits).stored
+        first = rounds.fit_leaves(sampler.first_cells(limits.max_leaves))
+        while first.num_bytes > limits.max_bytes and len(first) > 1:
+            first = rounds.fit_leaves(sampler.first_cells(len(first) // 2))
+        limits.require_room(first.num_bytes)
+        stored = grow(first, rounds.next, limits).stored
         return stored.partition.tree, stored
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredValues) -> None:
