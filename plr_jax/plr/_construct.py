@@ -22,10 +22,8 @@ from plr_jax._types import (
     Distances,
     NearestFn,
     Points,
-    ReachFn,
 )
 from plr_jax.geometry.box import Box
-from plr_jax.geometry.reach import Reach
 from plr_jax.plr._file import DecodedFile, encode
 from plr_jax.plr._proof import BuildInputs, can_be_updated, certificate_of
 from plr_jax.plr.cell_memory import CellMemory
@@ -46,6 +44,7 @@ from plr_jax.plr.sampling import (
     few_samples,
     folded_weights,
     least_squares,
+    reach_of,
     sample_pattern,
 )
 from plr_jax.plr.tree import Cells, grown_domain
@@ -302,10 +301,6 @@ def proof_of(certified: bool | str) -> Proof:
     if not isinstance(certified, bool | np.bool):
         raise ValueError(f"certified must be True, False or 'leaves', got {shortened(certified)}.")
     return Proof.CLASSES if certified else Proof.NONE
-
-
-def reach_of(distance_fn: DistanceFn, domain: Box) -> Reach | None:
-    return distance_fn.reach(domain) if isinstance(distance_fn, ReachFn) else None
 
 
 def warn_if_cut_off(distance_fn: DistanceFn, contents: DecodedFile) -> None:

@@ -17,6 +17,7 @@ from plr_jax.plr.container import frame_size
 from plr_jax.plr.growth import BudgetTooSmall
 from plr_jax.plr.leaves import Cone, ConeLeaves, NodeCosts, updated_cones
 from plr_jax.plr.leaves.base import check_limits
+from plr_jax.plr.sampling import reach_of
 
 _COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of the domain's shorter side
 
@@ -139,8 +140,11 @@ def updated_contents(
         found = updated_cones(leaves, origin.node_costs, changed, oracle, before, limits)
     except BudgetTooSmall as error:
         raise BudgetTooSmall(limits.max_bytes + of_label, error.num_bytes + of_label) from None
-    new = DecodedFile(domain, model, found.tree, found.stored)
+    reach = reach_of(oracle, domain)
+    cut_off = None if reach is None else reach.is_cut_off(*found.tree.leaves.fractions)
+    new = DecodedFile(domain, model, found.tree, found.stored, cut_off=cut_off)
     bounds, coefficients = found.bounds, filled_coefficients(new)
+    coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     rounding, rebuilt = model.rounding_bounds(domain, new.tree.leaves, coefficients), found.rebuilt
 
     def sufficient(least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
-from plr_jax._types import DistanceFn, Distances, Points
+from plr_jax._types import DistanceFn, Distances, Points, ReachFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.reach import BoxTest, Fractions, Reach
@@ -289,7 +289,7 @@ class Sampler:
         return fit
 
     def first_cells(self, most: int) -> CellFit:
-        """Sample the domain as one cell, and halve urgent cells, largest first, as long as there are at most ``most``.
+        """Sample the domain as one cell, and halve urgent cells, largest first, up to ``most`` cells.
 
         ``ValueError`` if no sample of these cells reaches the goal.
         """
@@ -302,6 +302,10 @@ class Sampler:
         if not fit.reachable.any():
             raise ValueError(f"No sample of {len(fit)} leaves reaches the goal. Allow more, or raise num_samples.")
         return fit
+
+
+def reach_of(distance_fn: DistanceFn, domain: Box) -> Reach | None:
+    return distance_fn.reach(domain) if isinstance(distance_fn, ReachFn) else None
 
 
 def set_urgent_axes(axis: Int[np.ndarray, "cells"], cells: Cells, holds: BoxTest, max_axis_depth: int) -> None:

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import CellSources, ChangingFn
 from plr_jax.geometry.changed_distances import ChangedDistances
+from plr_jax.geometry.reach import Reach
 from plr_jax.plr.best_partition import BoxLevel, SelectedBoxes, best_axes, expand, peak_share
 from plr_jax.plr.cell_memory import sources_by_level
 from plr_jax.plr.certificate import LeafBounds
@@ -28,7 +29,7 @@ from plr_jax.plr.leaves.cone.search import (
     prefer_visible_sources,
     query_resolution,
 )
-from plr_jax.plr.sampling import Pattern, sample_pattern
+from plr_jax.plr.sampling import Pattern, reach_of, sample_pattern
 from plr_jax.plr.tree import Rows, Tree, grown_domain, leaf_order, tree_of_axes
 
 _ASKED, _SPARE = 128, 1e-6  # leaves at which the old oracle is tested; tolerance in units of the largest distance
@@ -62,7 +63,8 @@ def compute_node_costs(leaves: ConeLeaves, oracle: ChangingFn, limits: Limits) -
     tree, domain = leaves.tree, leaves.domain
     negligible = max(limits.tolerance, query_resolution(oracle.sources.distances))
     levels = sources_by_level(tree, oracle.cell_sources(grown_domain(domain)), domain)
-    boxes = (fit_boxes(domain, negligible, tree.cells[nodes], visible) for nodes, visible in levels)
+    reach = reach_of(oracle, domain)
+    boxes = (fit_boxes(domain, negligible, tree.cells[nodes], visible, reach=reach) for nodes, visible in levels)
     first, *others = (NodeCosts(each.integral, each.peak, each.source, np.nan) for each in boxes)
     nodes = first.append(*others)
     costs = nodes.costs(_peak_share(tree, limits))
@@ -115,7 +117,7 @@ def updated_cones(
     best = _best_tree_within_limits(search)
     if best is None:
         visible = oracle.cell_sources(grown_domain(leaves.domain))
-        tree, stored, boxes = best_cones_of_goal(visible, leaves.domain, limits, pattern)
+        tree, stored, boxes = best_cones_of_goal(visible, leaves.domain, limits, pattern, reach=search.reach)
         unknown = LeafBounds(*np.zeros((2, len(boxes.cells))))
         return UpdatedCones(tree, stored, unknown, np.arange(len(boxes.cells)), boxes.visible, None)
     new = search.files.stored(search.prefer_visible_sources(best, pattern))
@@ -169,6 +171,7 @@ class ConeSearch:
     is_reopened: Bool[np.ndarray, "leaves"]  # whether old leaves are searched again
     roots: list[Int[np.ndarray, "_"]]  # nodes of the old tree that are replaced by boxes, which the search halves
     levels: list[BoxLevel]  # the first level has the roots, in their order
+    reach: Reach | None  # of the oracle
 
     @staticmethod
     def of(
@@ -188,7 +191,7 @@ class ConeSearch:
             first, second = tree.child[split], tree.child[split] + 1
             least[split], most[split] = np.minimum(least[first], least[second]), np.maximum(most[first], most[second])
             is_whole[split] = is_whole[first] & is_whole[second]
-        now = np.where(node_costs.source < 0, -1, changed.source[node_costs.source])
+        now = np.where(node_costs.source < 0, node_costs.source, changed.source[node_costs.source])
         is_known = (most - least <= changed.rounding) & ((now >= 0) | (node_costs.source < 0))
         now[tree.node_of_leaf] = source
         integral, peak = (np.where(is_known, each, np.inf) for each in (node_costs.integral, node_costs.peak))
@@ -199,7 +202,8 @@ class ConeSearch:
             is_root[tree.child[whole]] = is_root[tree.child[whole] + 1] = False
         roots, nodes = np.flatnonzero(is_root), NodeCosts(integral, peak, now, node_costs.price)
         files = ConeFiles(oracle.sources, leaves.domain)
-        search = ConeSearch(leaves, nodes, oracle, limits, files, np.isnan(change), [roots], [])
+        reach = reach_of(oracle, leaves.domain)
+        search = ConeSearch(leaves, nodes, oracle, limits, files, np.isnan(change), [roots], [], reach)
         boxes = search.boxes(roots)
         search.levels.append(BoxLevel.of(boxes, boxes.cells.hashes()))
         return search
@@ -212,7 +216,7 @@ class ConeSearch:
         domain, cells = self.leaves.domain, self.leaves.tree.cells[node]
         visible = self.oracle.sources_of_boxes(*cells.grown_boxes(domain))
         negligible = max(self.limits.tolerance, query_resolution(self.oracle.sources.distances))
-        return fit_boxes(domain, negligible, cells, visible)
+        return fit_boxes(domain, negligible, cells, visible, reach=self.reach)
 
     def visible(self, node: Int[np.ndarray, "some"]) -> CellSources:
         number = node - len(self.leaves.tree.child)
