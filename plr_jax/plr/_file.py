@@ -122,7 +122,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
         along = 2 * apart * np.ldexp(1.0, cells.depth[donor])
         coefficients[borrower] = leaf.coefficients_of_planes(center + sum_of_columns(half * along), half * widths)
     if contents.cut_off is not None:
-        coefficients[contents.cut_off] = np.where(np.arange(coefficients.shape[1]) == 0, np.inf, 0.0)
+        coefficients[contents.cut_off, 0] = np.inf
     return coefficients
 
 

@@ -24,7 +24,7 @@ class TraceStatus(IntEnum):
     ARRIVED = 0
     """The path ends at the goal; without a workspace, it may cross walls."""
     OUTSIDE = 1
-    """There is no path: the start is outside the domain, or a coordinate is NaN."""
+    """There is no path: the start is outside the domain or cut off from the goal, or a coordinate is NaN."""
     ENDED_ELSEWHERE = 2
     """The path ends at a corner; the file has its distance to the goal, but not the next corner on the way.
 
@@ -73,7 +73,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     start's leaf, every further segment to the next source on the shortest path from there. A path that ends at the
     goal is as long as the PLR's value at the start. Segments between sources cross no wall, but for rounding. The
     first segment may cross a wall, if the start does not see the source of its leaf. It does cross a wall if the
-    start is in an obstacle or cut off from the goal. From a source, the first segment leads to the next source.
+    start is in an obstacle. From a source, the first segment leads to the next source. Where the PLR answers ``inf``,
+    there is no path.
 
     With a workspace, no path that arrives crosses a wall. If a start does not see its leaf's source, or the path from
     that source does not lead to the goal, the start gets the shortest path through another source that it sees.
@@ -101,8 +102,9 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
             raise ValueError(f"A workspace needs a PLR in the plane, got {plr.dim} dimensions: trace without it.")
     starts = as_points("starts", plr.domain.settled(starts), plr.dim)
     inside = np.flatnonzero(plr.domain.contains(starts))
-    x = starts[inside]
-    first, is_free = source_of_leaf[leaf_of(plr, x)], np.ones(len(x), bool)
+    leaf = leaf_of(plr, starts[inside])
+    inside, leaf = (each[~plr.unreachable[leaf]] for each in (inside, leaf))
+    x, first, is_free = starts[inside], source_of_leaf[leaf], np.ones(len(inside), bool)
     if workspace is not None:
         from plr_jax.plr.source_sight import source_sight
 
@@ -130,7 +132,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     status = np.where(is_at_goal[place], TraceStatus.ARRIVED, TraceStatus.ENDED_ELSEWHERE)
     status = np.where(is_free, status, TraceStatus.CROSSES_WALL)
 
-    # 4. Add rows for starts outside the domain.
+    # 4. Add rows for starts without a path.
     columns = []
     for rows, fill in ((paths, np.nan), (counts, 0), (lengths, np.inf), (status, TraceStatus.OUTSIDE)):
         columns.append(np.full((len(starts), *rows.shape[1:]), fill, rows.dtype))
