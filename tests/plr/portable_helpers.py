@@ -87,6 +87,8 @@ class SlowReader:
             numbers[is_own] = np.column_stack([coefficients[:, 0], coefficients[:, 1:] - down])[is_own]
         elif leaf.name == "plane":
             numbers[is_own] = self._planes(coefficients, down)[is_own]
+        if self.contents.cut_off is not None:
+            numbers[self.contents.cut_off, 0] = np.inf
         return numbers.astype(np.float32)
 
     def _planes(self, coefficients, down):

@@ -71,8 +71,9 @@ def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
         of_center, of_half = (x.astype(np.float32).view(np.int32).astype(np.int64) for x in (center, half))
         return StoredPlanes(bits, 0.0, 1.0, of_center & 0xFFFFFFFF, of_half)
     # Offset and step are exact in 32 bits; ``half`` takes at most 9 bits more than ``center``.
-    offset = float(np.nextafter(np.float32(center[reachable].min()), np.float32(-np.inf)))
-    spread = max(center[reachable].max() - offset, np.abs(half).max(initial=0.0) * 2**-8)
+    values = center[reachable] if reachable.any() else np.zeros(1)
+    offset = float(np.nextafter(np.float32(values.min()), np.float32(-np.inf)))
+    spread = max(values.max() - offset, np.abs(half).max(initial=0.0) * 2**-8)
     step = float(np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf)))
     code = np.rint((np.where(reachable, center, offset) - offset) / step)
     code = np.where(reachable, np.clip(code, 0, unreachable_code(bits) - 1), unreachable_code(bits))
