@@ -110,7 +110,6 @@ class FamilyCells:
     pieces: Pieces  # the convex parts of the free space in each box
     triangle: Int[np.ndarray, "pieces"]  # that contains each piece; -1 for a box that no wall reaches into
     center: Float[np.ndarray, "pieces 2"]  # a point inside each piece
-    radius: Float[np.ndarray, "pieces"]  # largest distance of the piece's points from its center
     first_part: Int[np.ndarray, "pieces_plus_one"]
     part: Int[np.ndarray, "parts"]  # the triangles part[first_part[i] : first_part[i + 1]] cover piece i
 
@@ -124,11 +123,9 @@ class FamilyCells:
         pieces, triangle, is_free = pieces[:, first_part], part[first_part], is_free[first_part]
         box = box[first_part]
         pieces[:, is_free], triangle[is_free] = boxes_as_pieces(lo[box[is_free]], hi[box[is_free]]), -1
-        center = centers(pieces)
-        radius = highest(np.hypot(*(pieces - center.T[:, :, None])))
         sight, lists = corner_sight(visibility, triangulation), turns_by_triangle(visibility, triangulation)
         first_piece, first_part = np.searchsorted(box, np.arange(len(lo) + 1)), np.append(first_part, len(part))
-        return FamilyCells(sight, lists, first_piece, pieces, triangle, center, radius, first_part, part)
+        return FamilyCells(sight, lists, first_piece, pieces, triangle, centers(pieces), first_part, part)
 
 
 class FamilyGoal(NamedTuple):
@@ -143,26 +140,13 @@ def cells_of_goals(
     goals: Sequence[FamilyGoal],
     box: Indices,
     goal_of: Indices,
-    near: Indices,
 ) -> CellSources:
-    # Cell ``i`` is box ``box[i]``, for paths to goal ``goal_of[i]``. A likely first turn is ``near[i]``, an index in
-    # the goal's ``sources``, or -1.
+    # Cell ``i`` is box ``box[i]``, for paths to goal ``goal_of[i]``.
     sight, count = _sight_of_goals(shared.sight, corners, goals), 1 + len(corners.points)
     sources, table = sight.sources, sight.shadows.table
     rows, cell = take_ragged(shared.first_piece, box)
-    goal, center = goal_of[cell], shared.center[rows]
-    pieces = shared.pieces[:, rows]
-
-    def lengths(piece: Int[np.ndarray, "n"], source: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        dx, dy = (center[piece] - sources.points[source]).T
-        return sources.distances[source] + np.sqrt(dx * dx + dy * dy)
-
-    # 1. Bound the distances of centers by paths through the near source, if it sees the center.
-    best, distance = goal * count + np.maximum(near[cell], 0), np.full(len(cell), np.inf)
-    known = np.flatnonzero(near[cell] >= 0)
-    known = known[table.sees(sight.view[best[known]], center[known])]
-    distance[known] = lengths(known, best[known])
-    # 2. List, for each triangle and goal, the corners where paths to the goal turn, around the side in the list.
+    goal, pieces = goal_of[cell], shared.pieces[:, rows]
+    # 1. List, for each triangle and goal, the corners where paths to the goal turn, around the side in the list.
     first, turns = shared.lists
     firsts, vertices = [np.zeros(1, np.int64)], []
     for each in goals:
@@ -173,11 +157,11 @@ def cells_of_goals(
         firsts.append(firsts[-1][-1] + np.append(0, np.cumsum(kept))[first[1:]])
         vertices.append(1 + (turns[kept] >> 1))
     first, vertex = np.concatenate(firsts), np.concatenate(vertices)
-    # 3. Pair pieces with the corners in the lists of their triangles, and with the goal if it may see them. Drop a
-    #    source if a path through the center is shorter from every point of the piece, or no path bends around it.
+    # 2. Pair pieces with the goal if it may see them, and with the corners in the lists of their triangles around
+    #    which paths from the piece may bend.
     lo, hi = np.stack([_view_box(each.view) for each in goals], axis=1)[:, goal]
     near_goal = [(highest(x) >= lo[:, i]) & (lowest(x) <= hi[:, i]) for i, x in enumerate(pieces)]
-    is_near, bound = near_goal[0] & near_goal[1], distance + 2 * shared.radius[rows]
+    is_near = near_goal[0] & near_goal[1]
     part, piece = take_ragged(shared.first_part, rows)
     part = goal[piece] * (len(shared.lists[0]) - 1) + shared.part[part]
     keys = [np.zeros(0, np.int64)]
@@ -186,19 +170,19 @@ def cells_of_goals(
         each = piece[some][is_near[piece[some]]]
         each, source = np.append(each, piece[some][run]), np.append(0 * each, vertex[entry])
         source += goal[each] * count
-        pairs = np.flatnonzero(lengths(each, source) <= bound[each])
-        pairs = pairs[sight.may_bend(pieces[:, each[pairs]], source[pairs])]
+        pairs = np.flatnonzero(sight.may_bend(pieces[:, each], source))
         keys.append(each[pairs] * np.int64(len(sources.points)) + source[pairs])
     key = np.sort(np.concatenate(keys))  # a source may be in the lists of several triangles of a piece
     piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], len(sources.points))
-    # 4. Test what the sources see, once for all goals.
+    # 3. Test what the sources see, once for all goals.
     view, num_views = sight.view[source], len(table.points)
     key, index = np.unique(rows[piece] * num_views + view, return_inverse=True)
     row, view = np.divmod(key, num_views)
     seen, is_whole = (each[index] for each in sight.shadows.see(view, shared.pieces[:, row], shared.center[row]))
     keep, triangle = seen | ~is_whole, shared.triangle[rows]
     piece, source, by_all, by_center = piece[keep], source[keep], (seen & is_whole)[keep], seen[keep]
-    found = CellSources(sight, len(box), cell, pieces, triangle, center, distance, best, piece, source, by_all)
+    unknown = np.full(len(cell), np.inf), 0 * cell
+    found = CellSources(sight, len(box), cell, pieces, triangle, shared.center[rows], *unknown, piece, source, by_all)
     return found.prune_dominated(np.ones(len(cell), bool), by_center)
 
 

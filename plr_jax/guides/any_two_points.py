@@ -71,7 +71,8 @@ print(metric((0.6, -0.2), (1.0, 0.5)), great_circle(np.array([[0.6, -0.2]]), np.
 # A list of goals
 
 Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together, with
-errors about as large as those of `construct`. `plr_jax.stack` combines PLRs into one function, a `plr_jax.PLRStack`.
+errors about as large as those of `construct`; with `certified=True`, proven errors are mostly smaller.
+`plr_jax.stack` combines PLRs into one function, a `plr_jax.PLRStack`.
 
 ```python
 first = plr_jax.VisibilityGraph(workspace, y[0])

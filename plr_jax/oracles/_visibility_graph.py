@@ -186,16 +186,15 @@ class VisibilityGraph:
         return FamilyCells.of(self.family, self.workspace.triangulation, lo, hi)
 
     def cells_of_members(
-        self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices, near: Indices
+        self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices
     ) -> CellSources:
         """Return the result of :meth:`sources_of_boxes` for pairs of a box and one of several oracles of a map.
 
         Pair ``i`` has the box at index ``box[i]`` of the result ``shared`` of :meth:`shared_cells`, and the oracle
-        ``members[member[i]]``. ``near[i]`` is a guess where paths from the box turn first: an index in the oracle's
-        ``sources``, or -1 for no guess.
+        ``members[member[i]]``. Sources of all members are numbered one after another.
         """
         goals = [FamilyGoal(each.sources, each._turns, each._goal_table) for each in members]
-        return cells_of_goals(shared, self.family.corners, goals, box, member, near)
+        return cells_of_goals(shared, self.family.corners, goals, box, member)
 
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the length of the shortest path from each point ``(n, 2)`` to the goal, ``(n,)`` in workspace units.

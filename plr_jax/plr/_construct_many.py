@@ -7,25 +7,24 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
 from tqdm import tqdm
 
-from plr_jax._arrays import parts, require_integer, shortened
+from plr_jax._arrays import require_integer, shortened
 from plr_jax._types import ArrayLike, DistanceFn, FamilyFn
 from plr_jax.geometry.box import Box
-from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of, require_certifiable
+from plr_jax.plr._construct import DEFAULT_OPTIONS, BuildOptions, construct, proof_of
 from plr_jax.plr._file import DecodedFile, encode
 from plr_jax.plr._plr import PLR
 from plr_jax.plr._proof import certificates_of
-from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
-from plr_jax.plr.leaves import Cone, FamilyTask, family_task, leaf_model
+from plr_jax.plr.leaves import Cone, FamilyTask, WorstFirst, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
 from plr_jax.plr.parallel_builds import BuildResults, Checkpoint, Chunk, digest_of
+from plr_jax.plr.sampling import reach_of
+from plr_jax.plr.tree import Cells
 
 _MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that progress is stored from time to time
-_PIECES_AT_ONCE = 1 << 14  # convex pieces of free space whose bounds are proven together
 
 
 def construct_many(
@@ -48,10 +47,16 @@ def construct_many(
         plrs = plr_jax.construct_many(oracles, workspace.bounds, leaf="cone", max_bytes=1024)
 
     Oracles that :meth:`VisibilityGraph.with_goal` derives from one another are a *family*. Cones of a family are
-    chosen by their mean errors at a grid of up to 512 x 512 points that all goals share. This is faster than
-    :func:`construct`, and mean errors are mostly smaller. Once a PLR is exact at all these points, it grows no
-    further, so its file may stay below ``max_bytes``. All other PLRs are built one by one with :func:`construct`,
-    also cones of a family if a tolerance is given or the limits allow more than about 8,000 leaves.
+    built together, which is faster than :func:`construct`:
+
+    - Without a proof, they are chosen by their mean errors at a grid of up to 512 x 512 points that all goals share.
+      Mean errors are mostly smaller than those of :func:`construct`. Once a PLR is exact at all these points, it
+      grows no further, so its file may stay below ``max_bytes``.
+    - If ``certified``, the leaves of largest proven error are halved until files are full. ``plr.max_error`` and the
+      gaps between bounds are mostly smaller than those of :func:`construct`; mean errors may be several times larger.
+
+    All other PLRs are built one by one with :func:`construct`, also cones of a family if a tolerance is given, the
+    limits allow more than about 8,000 leaves, or much of free space cannot reach the goal.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -99,15 +104,15 @@ def construct_many(
     most = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
     alone = partial(construct, domain=domain, leaf=leaf, **most, certified=certified, seed=seed, options=options)
     done = BuildResults(len(oracles), checkpoint_file)
-    families: dict[int, list[int]] = {}
+    families: dict[int, list[int]] = {}  # keys of single oracles are negative
     for number, oracle in enumerate(oracles):
         if done.results[number] is None:
-            key = id(oracle.family) if as_family and isinstance(oracle, FamilyFn) else -1 - number
+            is_member = as_family and isinstance(oracle, FamilyFn) and not _has_borders(oracle, domain)
+            key = id(oracle.family) if is_member else -1 - number
             families.setdefault(key, []).append(number)
     chunks: list[Chunk] = []
-    for numbers in families.values():
-        first = oracles[numbers[0]]
-        task = family_task(first, domain, limits) if as_family and isinstance(first, FamilyFn) else None
+    for key, numbers in families.items():
+        task = family_task(oracles[numbers[0]], domain, limits) if key >= 0 else None
         work = partial(_files, alone, task, leaf_model(model.name))
         split = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
         chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in split]
@@ -123,34 +128,31 @@ def construct_many(
     return [None if file is None else PLR(padded_file(file)) for file in done.results]
 
 
+def _has_borders(oracle: DistanceFn, domain: Box) -> bool:
+    # Whether free points that cannot reach the goal must be separated from others, which ``construct`` does.
+    reach = reach_of(oracle, domain)
+    return reach is not None and bool(reach.is_border(*Cells.root(domain.dim).fractions)[0])
+
+
 def _files(
-    alone: Callable[[DistanceFn], Any], task: FamilyTask | None, leaf: LeafModel, oracles: Sequence[Any]
+    alone: Callable[[DistanceFn], Any], task: FamilyTask | WorstFirst | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    # Build a PLR with ``task``, which shares work among oracles; if it returns None, build it with ``alone``.
-    trees = {} if task is None else {i: tree for i, each in enumerate(oracles) if (tree := task(each)) is not None}
-    found = [DecodedFile(task.domain, leaf, tree, stored) for tree, stored, _ in trees.values()] if task else []
-    if task is not None and found and task.limits.proof is not Proof.NONE:
-        sources = [source for _, _, source in trees.values()]
-        found = _certified(found, [oracles[i] for i in trees], sources, task.limits.proof)
-    files = dict(zip(trees, map(encode, found), strict=True))
+    # Build PLRs with ``task``, which shares work among oracles; build a PLR that it leaves out with ``alone``.
+    if task is None:
+        return [alone(oracle).to_bytes() for oracle in oracles]
+    files: dict[int, bytes] = {}
+    for begin in range(0, len(oracles), task.goals_at_once):
+        trees, visible = task(oracles[begin : begin + task.goals_at_once])
+        built = {i: tree for i, tree in enumerate(trees, begin) if tree is not None}
+        reaches = {i: reach_of(oracles[i], task.domain) for i in built}
+        contents = [
+            DecodedFile(
+                task.domain, leaf, *built[i], cut_off=reach and reach.is_cut_off(*built[i][0].leaves.fractions)
+            )
+            for i, reach in reaches.items()
+        ]
+        if contents and visible is not None:
+            proofs = certificates_of(contents, visible, task.limits.proof)
+            contents = [replace(each, certificate=proof) for each, proof in zip(contents, proofs, strict=True)]
+        files |= zip(built, map(encode, contents), strict=True)
     return [files.get(i) or alone(oracle).to_bytes() for i, oracle in enumerate(oracles)]
-
-
-def _certified(
-    contents: list[DecodedFile], oracles: list[FamilyFn], sources: list[Int[np.ndarray, "_"]], proof: Proof
-) -> list[DecodedFile]:
-    # The oracles are of one map; ``sources[i]`` has the apex of each leaf, an index into ``oracles[i].sources``.
-    for oracle in oracles:
-        require_certifiable(oracle, contents[0].domain)
-    # Cells that several members have as leaves are cut into free pieces once.
-    first, *others = (each.tree.leaves for each in contents)
-    leaves, ends = first.append(*others), np.cumsum([0, *(len(each.tree.leaves) for each in contents)])
-    _, distinct, box = np.unique(leaves.hashes(), return_index=True, return_inverse=True)
-    shared = oracles[0].shared_cells(*leaves[distinct].grown_boxes(contents[0].domain))
-    num_pieces, certificates = np.diff(shared.first_piece)[box], []
-    for part in parts(np.add.reduceat(num_pieces, ends[:-1]), _PIECES_AT_ONCE):
-        here, near = slice(ends[part.start], ends[part.stop]), np.concatenate(sources[part])
-        member = np.repeat(np.arange(part.stop - part.start), np.diff(ends)[part])
-        visible = oracles[0].cells_of_members(shared, oracles[part], box[here], member, near)
-        certificates += certificates_of(contents[part], visible, proof)
-    return [replace(each, certificate=proven) for each, proven in zip(contents, certificates, strict=True)]

@@ -205,7 +205,6 @@ def test_first_turns_at_shared_samples_equal_oracles(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_cells_of_several_goals_bound_each_distance(seed):
-    """The bounds hold whatever source is given as the nearest one."""
     workspace, rng = random_workspace(seed), np.random.default_rng(seed)
     goals = workspace.sample_free(3, seed)
     oracles = list(map(VisibilityGraph(workspace, goals[0]).with_goal, goals))
@@ -213,8 +212,7 @@ def test_cells_of_several_goals_bound_each_distance(seed):
     lo, hi = coarse.boxes(Box((-1, -1), (11, 11)))
     shared = oracles[0].shared_cells(lo, hi)
     box, member = rng.integers(16, size=20), np.sort(rng.integers(3, size=20))
-    near = rng.integers(-1, len(oracles[0].sources.points), size=20)
-    found = oracles[0].cells_of_members(shared, oracles, box, member, near)
+    found = oracles[0].cells_of_members(shared, oracles, box, member)
     assert found.num_cells == 20
     count = len(oracles[0].sources.points)
     assert (found.source // count == member[found.cell[found.piece]]).all()

@@ -3,6 +3,7 @@
 import pickle
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from multiprocessing import get_context
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import plr_jax
 from plr_jax.plr import _construct_many, parallel_builds
+from plr_jax.plr.leaves.cone import worst_first
 from plr_jax.plr.parallel_builds import BuildResults
 
 # Many PLRs at once.
@@ -69,16 +71,17 @@ def test_members_have_the_sources_of_their_own_goal(oracles, family):
         assert (np.asarray(traces.status) == plr_jax.TraceStatus.ARRIVED).mean() > 0.99
 
 
-def test_limits_hold(oracles):
-    x = MAZE.sample_free(1000, seed=1)
+@pytest.mark.parametrize("certified", [False, True])
+def test_limits_hold(oracles, certified):
+    x, build = MAZE.sample_free(1000, seed=1), partial(many, oracles[:1], leaf="cone", certified=certified)
     for most in (1, 2, 60):
-        (plr,) = many(oracles[:1], leaf="cone", max_leaves=most)
+        (plr,) = build(max_leaves=most)
         assert most * 8 / 9 - 2 <= plr.num_leaves <= most
         assert np.isfinite(np.asarray(plr(x))).all()
-    assert all(0.95 * 200 <= plr.num_bytes <= 200 for plr in many(oracles[:2], max_bytes=200))
-    (shallow,) = many(oracles[:1], max_bytes=200, max_depth=7)
+    assert 0.95 * 200 <= build(max_bytes=200)[0].num_bytes <= 200
+    (shallow,) = build(max_bytes=200, max_depth=7)
     assert shallow.depth <= 7
-    (few,) = many(oracles[:1], max_bytes=1000, tolerance=0.05)
+    (few,) = build(max_bytes=1000, tolerance=0.05)
     assert few.num_bytes < 400 and errors_of(few, oracles[0], x).max() < 0.051
 
 
@@ -90,13 +93,26 @@ def proven(oracles):
     return many(oracles, **PROVEN)
 
 
-def test_certified_bounds_contain_exact_distances(oracles, proven):
-    x, plr = MAZE.sample_free(3000, seed=6), proven[0]
-    alone = plr_jax.construct(oracles[0], MAZE.bounds, **PROVEN)
-    lower, upper = plr.bounds(x)
-    assert (np.asarray(lower) <= oracles[0](x)).all() and (oracles[0](x) <= np.asarray(upper)).all()
-    assert plr.num_bytes <= 240
-    assert errors_of(plr, oracles[0], x).max() <= plr.max_error < 1.5 * alone.max_error
+@pytest.mark.parametrize("certified", [True, "leaves"])
+def test_certified_families_fill_files_and_err_at_most_as_single_constructions(oracles, certified):
+    x, limits = MAZE.sample_free(3000, seed=6), {"leaf": "cone", "max_bytes": 512, "certified": certified}
+    (plr,), oracle = many(oracles[:1], **limits), oracles[0]
+    lower, upper = map(np.asarray, plr.bounds(x))
+    assert (lower <= oracle(x)).all() and (oracle(x) <= upper).all()
+    assert 0.98 * 512 <= plr.num_bytes <= 512
+    alone = plr_jax.construct(oracle, MAZE.bounds, **limits)
+    assert errors_of(plr, oracle, x).max() <= plr.max_error <= alone.max_error
+
+
+def test_certified_families_include_goals_without_a_path():
+    halves = plr_jax.Workspace(((0, 0), (8, 4)), [[(4, 0), (5, 0), (5, 4), (4, 4)]])
+    left = plr_jax.VisibilityGraph(halves, (1, 1))
+    build = partial(plr_jax.construct_many, leaf="cone", max_bytes=300, certified=True)
+    both = [left, left.with_goal((6, 1))]
+    assert all(plr.max_error < 1e-5 for plr in build(both, halves.bounds))
+    for oracles in (both, both[1:]):
+        with pytest.raises(ValueError, match="reach"):
+            build(oracles, ((0, 0), (4, 4)))
 
 
 def test_planes_equal_single_constructions(oracles):
@@ -111,9 +127,10 @@ def parts_of_one(monkeypatch):
 
 
 def test_bytes_do_not_depend_on_groups_and_threads(oracles, proven, monkeypatch):
-    for at_once, pieces in ((64, 1), (2, 1 << 14)):
+    for at_once, leaves, boxes in ((64, 1, 1 << 12), (2, 1 << 15, 7)):
         monkeypatch.setattr(_construct_many, "_MEMBERS_AT_ONCE", at_once)
-        monkeypatch.setattr(_construct_many, "_PIECES_AT_ONCE", pieces)
+        monkeypatch.setattr(worst_first, "_LEAVES_AT_ONCE", leaves)
+        monkeypatch.setattr(worst_first, "_BOXES_AT_ONCE", boxes)
         with ThreadPoolExecutor(3) as threads:
             assert files_of(many(oracles[::-1], executor=threads, **PROVEN)) == files_of(proven)[::-1]
 

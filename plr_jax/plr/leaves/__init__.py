@@ -15,6 +15,7 @@ from plr_jax.plr.leaves.cone.model import as_sourced as as_sourced
 from plr_jax.plr.leaves.cone.model import goal_of_leaves as goal_of_leaves
 from plr_jax.plr.leaves.cone.update import NodeCosts as NodeCosts
 from plr_jax.plr.leaves.cone.update import updated_cones as updated_cones
+from plr_jax.plr.leaves.cone.worst_first import WorstFirst as WorstFirst
 from plr_jax.plr.leaves.continuous import Continuous
 from plr_jax.plr.leaves.continuous import StoredValues as StoredValues
 from plr_jax.plr.leaves.continuous import TiedPartition as TiedPartition

@@ -1,26 +1,29 @@
 """Find the best partitions into cone leaves for many goals of one workspace, from samples that all goals share.
 
+These partitions have no proof; ``worst_first.py`` finds partitions with small proven errors.
+
 1. Every dyadic box gets the cone ``offset + |x - source|`` of least mean error at its samples (``fit_boxes``).
 2. Dynamic programming finds the tree of least error plus a price per leaf that fills the file (``_largest_tree``).
 3. Leaves change to sources (corners, or the goal) that they see, if errors hardly grow (``change_sources``).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import product
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.plr.best_partition import LEAST_SHARE, LEAST_SHARE_PROVEN, MAX_ASPECT_BITS
+from plr_jax.plr.best_partition import LEAST_SHARE, MAX_ASPECT_BITS
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
 from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, LeafOptions, change_sources, query_resolution
+from plr_jax.plr.leaves.cone.worst_first import WorstFirst
 from plr_jax.plr.tree import Cells, Tree, leaf_order, tree_of_axes
 
 _LEAST_HALVINGS, _MOST_HALVINGS = 7, 9  # of the grid of samples, along each axis
@@ -238,7 +241,7 @@ def _largest_tree(
     lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float
 ) -> SampledTree:
     # Search the price per leaf at which the tree of least cost plus prices fills the limits.
-    least_share = (LEAST_SHARE if limits.proof is Proof.NONE else LEAST_SHARE_PROVEN) / num_leaves
+    least_share = LEAST_SHARE / num_leaves
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     limits.require_room(files.num_bytes(fits.source[:1], limits))
     price, tried = float(np.log(max(fits.integral[0] / num_leaves**2, np.finfo(float).tiny))), []
@@ -293,7 +296,7 @@ def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], sh
 
 @dataclass(frozen=True, eq=False)
 class FamilyTask:
-    """A function that builds a tree of cone leaves for the distance to one of many goals in one workspace."""
+    """A function that builds trees of cone leaves for distances to goals in one workspace, one goal at a time."""
 
     shared: Any
     lattice: Lattice
@@ -301,12 +304,14 @@ class FamilyTask:
     domain: Box
     limits: Limits
     num_leaves: float
+    goals_at_once: ClassVar[int] = 1
 
-    def __call__(self, oracle: FamilyFn) -> tuple[Tree, StoredCones, Int[np.ndarray, "leaves"]] | None:
-        # The largest tree within the limits, its leaves as stored, and their apexes; None without a path.
+    def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], None]:
+        """Return the largest tree within the limits and its leaves, None without a path; and no sources of leaves."""
+        (oracle,) = oracles
         goal = goal_samples(oracle, self.shared)
         if (goal.source < 0).all():
-            return None
+            return [None], None
         fits = fit_boxes(self.lattice, goal, query_resolution(goal.table[:, 2]))
         files = self.files.of_goal(oracle.sources)
         tree = _largest_tree(self.lattice, fits, files, self.limits, self.num_leaves)
@@ -315,10 +320,10 @@ class FamilyTask:
             shortfall = LEAST_SHORTFALL * float(self.domain.width.max())
             options = _options(self.lattice, fits, tree.box, shortfall)
             source = change_sources(source, options, float(total), float(most), partial(files.fit, self.limits))
-        return tree_of_axes(tree.axes, 2), files.stored(source), source
+        return [(tree_of_axes(tree.axes, 2), files.stored(source))], None
 
 
-def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | None:
+def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | WorstFirst | None:
     """Return a builder of cone leaves for goals in ``first``'s workspace; None if limits allow too many leaves."""
     # Estimate the number of leaves that the limits allow.
     bits = max(limits.max_bytes - limits.file_size(2, 1, 0), 0) * 8
@@ -327,6 +332,8 @@ def family_task(first: FamilyFn, domain: Box, limits: Limits) -> FamilyTask | No
     num_leaves = max(1.0, min(float(limits.max_leaves), (bits - of_sources) / (_BITS_A_LEAF + of_proof)))
     if num_leaves > _MOST_LEAVES:
         return None
+    if limits.proof is not Proof.NONE:
+        return WorstFirst(domain, limits, num_leaves)
     halvings = max(_LEAST_HALVINGS, int(np.ceil(np.log2(_SAMPLES_A_LEAF * num_leaves) / 2)))
     halvings = min(halvings, _MOST_HALVINGS, limits.max_axis_depth)
     place = np.stack(np.divmod(np.arange(1 << 2 * halvings), 1 << halvings), axis=1)

@@ -6,7 +6,7 @@
 """
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, Self
@@ -87,6 +87,7 @@ def fit_boxes(
     visible: CellSources,
     by_side: bool = False,
     reach: Reach | None = None,
+    tried: int = _MOST_TRIED,
 ) -> ConeBoxes:
     """Choose each box's cone, of a few sources, by the least integral of proven error; see :class:`ConeBoxes`."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
@@ -99,7 +100,7 @@ def fit_boxes(
         box, source = np.divmod(key, count)
         order = np.lexsort((source, -np.bincount(index, area, len(key)), box))
         box, source = box[order], source[order]
-        is_tried = np.arange(len(box)) - np.searchsorted(box, box) < _MOST_TRIED
+        is_tried = np.arange(len(box)) - np.searchsorted(box, box) < tried
         box, source = box[is_tried], source[is_tried]
         largest, of_option = option_errors(some, box, source)
         order = np.lexsort((source, largest, of_option, box))
@@ -165,12 +166,14 @@ class LeafOptions(NamedTuple):
     area: Float[np.ndarray, "options"]  # of the leaf's free space
 
 
-def boxes_of_levels(levels: list[BoxLevel], number: Int[np.ndarray, "some"]) -> ConeBoxes:
+def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, "some"]) -> ConeBoxes:
     # Numbers count the boxes of the first level, then of the second, and so on.
-    first = np.cumsum([0, *(len(level.key) for level in levels)])
+    first = np.cumsum([0, *(len(level.source) for level in levels)])
     depth = np.searchsorted(first, number, side="right") - 1
-    parts = [level.boxes[number[depth == each] - first[each]] for each, level in enumerate(levels)]
-    return parts[0].append(*parts[1:])[np.argsort(np.argsort(depth, kind="stable"))]
+    used = np.unique(depth) if len(depth) else [0]
+    boxes, *others = (levels[each][number[depth == each] - first[each]] for each in used)
+    boxes = boxes.append(*others) if others else boxes
+    return boxes if (np.diff(depth) >= 0).all() else boxes[np.argsort(np.argsort(depth, kind="stable"))]
 
 
 def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
@@ -282,6 +285,6 @@ def best_cones_of_goal(
 
     search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
     tree, numbers = in_order(run(search.first(), search.next))
-    boxes = boxes_of_levels(levels, numbers)
+    boxes = boxes_of_levels([level.boxes for level in levels], numbers)
     source = prefer_visible_sources(boxes, pattern, partial(files.fit, limits))
     return tree, files.stored(source), boxes

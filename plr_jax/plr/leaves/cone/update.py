@@ -220,7 +220,10 @@ class ConeSearch:
 
     def visible(self, node: Int[np.ndarray, "some"]) -> CellSources:
         number = node - len(self.leaves.tree.child)
-        old, new = self.boxes(node[number < 0]), boxes_of_levels(self.levels, number[number >= 0])
+        old, new = (
+            self.boxes(node[number < 0]),
+            boxes_of_levels([level.boxes for level in self.levels], number[number >= 0]),
+        )
         return old.visible.append(new.visible).of_cells(np.argsort(np.argsort(number >= 0, kind="stable")))
 
     def reopen_worst_leaves(self, count: int, price: float) -> None:
@@ -280,7 +283,7 @@ class ConeSearch:
 
         if not len(place):
             return source
-        boxes = boxes_of_levels(self.levels, number[place])
+        boxes = boxes_of_levels([level.boxes for level in self.levels], number[place])
         return changed(prefer_visible_sources(boxes, pattern, lambda new: self.files.fit(self.limits, changed(new))))
 
     @property

@@ -1,0 +1,218 @@
+"""Grow partitions into cone leaves with small proven errors, for many goals of one workspace together.
+
+1. The domain is cut into equal boxes, much fewer than leaves.
+2. All boxes whose proven error exceeds a threshold are halved. Each goal has its own threshold, which falls until the
+   file exceeds its limits (``_Search``).
+3. The largest tree within the limits has the first of these splits, in the order of errors (``_GoalTree``).
+
+The boxes of all goals are processed together, since NumPy is slow for short arrays. The tree of a goal does not
+depend on the other goals.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from plr_jax._types import CellSources, FamilyFn
+from plr_jax.geometry.box import Box
+from plr_jax.plr.best_partition import MAX_ASPECT_BITS
+from plr_jax.plr.growth import Limits
+from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
+from plr_jax.plr.leaves.cone.search import ConeBoxes, boxes_of_levels, fit_boxes, query_resolution
+from plr_jax.plr.tree import MAX_DEPTH, Cells, Rows, Tree, tree_of_axes
+
+_LEAVES_A_BOX = 16  # least number of expected leaves for each of the equal boxes of step 1
+_LEAVES_AT_ONCE = 1 << 15  # expected leaves of all goals that are processed together
+_BOXES_AT_ONCE = 1 << 12  # boxes halved together, so that their arrays stay in a core's cache
+_MOST_TRIED = 2  # sources to try for a box; more take longer, and errors hardly fall
+# Thresholds fall by these factors. The next tree should have _GROWTH times as many leaves, or exceed the limits by
+# the factor _BEYOND.
+_FIRST_DROP, _GROWTH, _BEYOND = 0.3, 2.0, 1.03
+_RATE = 2.0  # threshold ~ leaves**-rate
+_ATTEMPTS, _FULL = 8, 0.99  # trees to try at last, until one takes this share of the limits
+
+
+@dataclass(frozen=True, eq=False)
+class _Nodes(Rows):
+    goal: Int[np.ndarray, "nodes"]
+    parent: Int[np.ndarray, "nodes"]  # -1 for the boxes of step 1
+    level: Int[np.ndarray, "nodes"]  # number of halvings of the domain
+    path: Int[np.ndarray, "nodes"]  # ascending from left to right in the tree; a bit for each halving
+    key: Float[np.ndarray, "nodes"]  # proven error, at most the parent's key; 0 if the node may not be halved
+    axis: Int[np.ndarray, "nodes"]  # along which the node is halved; -1 before that
+    source: Int[np.ndarray, "nodes"]  # apex of the node's cone, an index in the goal's sources; -1 without a path
+
+
+class _GoalTree:
+    """The nodes of one goal. The first splits in the order of keys make a tree, for any number of splits."""
+
+    def __init__(self, nodes: _Nodes, goal: int, files: ConeFiles, limits: Limits) -> None:
+        self.number = np.flatnonzero(nodes.goal == goal)  # of the goal's nodes among all nodes
+        self.nodes, self._files, self._limits = nodes[self.number], files, limits
+        splits = np.flatnonzero(self.nodes.axis >= 0)
+        self.num_splits = len(splits)
+        # The place of each node's split in the order of keys, and the place of the split that made the node.
+        self._place = np.full(len(self.number), len(self.number))
+        self._place[splits[np.argsort(-self.nodes.key[splits], kind="stable")]] = np.arange(len(splits))
+        parent = np.searchsorted(self.number, self.nodes.parent)
+        self._born = np.where(self.nodes.parent < 0, -1, self._place[parent])
+
+    @property
+    def rest(self) -> float:
+        """The largest key of a node that is not split."""
+        return self.nodes.key[self.nodes.axis < 0].max(initial=0.0)
+
+    def leaves(self, num_splits: int) -> Int[np.ndarray, "leaves"]:
+        leaf = np.flatnonzero((self._place >= num_splits) & (self._born < num_splits))
+        return leaf[np.argsort(self.nodes.path[leaf])]
+
+    def share(self, num_splits: int) -> float:
+        """Return the share of the limits that the tree takes."""
+        source, most = self.nodes.source[self.leaves(num_splits)], self._limits
+        num_bytes = self._files.num_bytes(source, most) if np.isfinite(most.max_bytes) else 0
+        return max(len(source) / most.max_leaves, num_bytes / most.max_bytes)
+
+    def most_splits(self, fits: int, share: float, most: float) -> int:
+        """Return the most splits within the limits. The shares of ``fits`` splits and of all splits are known."""
+        beyond = self.num_splits
+        if most <= 1:
+            return beyond
+        for _ in range(_ATTEMPTS):
+            if beyond - fits <= 1 or share > _FULL:
+                break
+            aim = np.clip(((1 + _FULL) / 2 - share) / (most - share), 0.1, 0.9)
+            middle = min(max(fits + int(aim * (beyond - fits)), fits + 1), beyond - 1)
+            if (of_middle := self.share(middle)) <= 1:
+                fits, share = middle, of_middle
+            else:
+                beyond, most = middle, of_middle
+        return fits
+
+    def tree(self, num_splits: int, axes_above: list[int]) -> Tree:
+        axis = np.where(self._place < num_splits, self.nodes.axis, -1)
+        order = np.lexsort((self.nodes.path, self.nodes.level))
+        order = order[self._born[order] < num_splits]
+        ends = np.flatnonzero(np.diff(self.nodes.level[order])) + 1
+        above = [np.full(1 << level, axis) for level, axis in enumerate(axes_above)]
+        return tree_of_axes([*above, *np.split(axis[order], ends)], 2)
+
+
+class _Search:
+    """The search for the threshold of one goal, and for the largest tree within the limits."""
+
+    def __init__(self, files: ConeFiles, first: float) -> None:
+        self.files = files
+        self.threshold, self._fits, self._share = _FIRST_DROP * first, 0, 0.0
+
+    def num_splits(self, tree: _GoalTree) -> int | None:
+        """Return the number of splits of the largest tree within the limits; None if the threshold was lowered."""
+        share = tree.share(tree.num_splits)
+        if share > 1 or not tree.rest:
+            return tree.most_splits(self._fits, self._share, share)
+        self._fits, self._share = tree.num_splits, share
+        self.threshold = min(self.threshold, tree.rest) * min(_GROWTH, _BEYOND / share) ** -_RATE
+        return None
+
+
+@dataclass(frozen=True)
+class WorstFirst:
+    """A function that builds trees of cone leaves with small proven errors, for several goals of one workspace."""
+
+    domain: Box
+    limits: Limits
+    num_leaves: float  # rough number of leaves that the limits allow
+
+    @property
+    def goals_at_once(self) -> int:
+        return max(1, int(_LEAVES_AT_ONCE / self.num_leaves))
+
+    def __call__(self, oracles: Sequence[FamilyFn]) -> tuple[list[tuple[Tree, StoredCones] | None], CellSources]:
+        """Return each goal's tree and leaves, and the sources of all leaves, those of the first goal first.
+
+        There is no tree if no path leads to the goal, or if the limits are too narrow for the boxes of step 1.
+        """
+        # 1. Cut the domain into equal boxes.
+        cells, axes, limits = Cells.root(2), [], self.limits
+        most = min(limits.max_depth, 2 * limits.max_axis_depth)
+        while 2 ** len(axes) * _LEAVES_A_BOX <= self.num_leaves and len(axes) < most:
+            axes.append(len(axes) % 2)
+            cells = cells.split(np.full(len(cells), axes[-1]))
+        goal, box = (each.ravel() for each in np.indices((len(oracles), len(cells))))
+        shared = oracles[0].shared_cells(*cells.grown_boxes(self.domain))
+        visible = oracles[0].cells_of_members(shared, oracles, box, goal)
+        reached = [visible.distance[goal[visible.cell] == each] for each in range(len(oracles))]
+        negligible, count = np.array(list(map(query_resolution, reached))), np.int64(len(oracles[0].sources.points))
+
+        def fit(cells: Cells, visible: CellSources) -> ConeBoxes:
+            return fit_boxes(self.domain, 0.0, cells, visible, tried=_MOST_TRIED)
+
+        def nodes_of(boxes: ConeBoxes, goal: Any, parent: Any, path: Any, most: Any) -> _Nodes:
+            key = np.where(boxes.error > negligible[goal], np.minimum(boxes.error, most), 0.0)
+            source = np.where(boxes.source < 0, -1, boxes.source - goal * count)
+            return _Nodes(goal, parent, boxes.cells.depth.sum(axis=1), path, key, np.full(len(goal), -1), source)
+
+        rounds = [fit(cells[box], visible)]  # boxes, one for each node
+        nodes = nodes_of(rounds[0], goal, 0 * box - 1, box << (MAX_DEPTH + 1 - len(axes)), np.inf)
+        files, first = ConeFiles(oracles[0].sources, self.domain), nodes.key.reshape(len(oracles), -1).max(axis=1)
+        searches = {
+            each: _Search(files.of_goal(oracles[each].sources), float(first[each]))
+            for each, distances in enumerate(reached)
+            if len(distances)
+        }
+        trees: list[tuple[Tree, StoredCones] | None] = [None] * len(oracles)
+        leaves = [np.zeros(0, np.int64)] * len(oracles)
+        while searches:
+            # 2. Halve the boxes whose errors exceed the thresholds.
+            threshold = np.full(len(oracles), np.inf)
+            threshold[list(searches)] = [each.threshold for each in searches.values()]
+            while len(some := np.flatnonzero((nodes.axis < 0) & (nodes.key > threshold[nodes.goal]))):
+                for batch in np.split(some, range(_BOXES_AT_ONCE, len(some), _BOXES_AT_ONCE)):
+                    halved = boxes_of_levels(rounds, batch)
+                    nodes.axis[batch] = axis = _best_cuts(halved, limits)
+                    nodes.key[batch[axis < 0]] = 0.0
+                    row = np.repeat(np.flatnonzero(axis >= 0), 2)
+                    parent, is_upper = batch[row], np.arange(len(row)) % 2 == 1
+                    cells = halved.cells[row].halves(axis[row], is_upper)
+                    lo, hi = cells.grown_boxes(self.domain)
+                    rounds.append(fit(cells, halved.visible.parts(row, axis[row], is_upper, lo, hi)))
+                    path = nodes.path[parent] + (is_upper.astype(np.int64) << (MAX_DEPTH - nodes.level[parent]))
+                    nodes = nodes.append(nodes_of(rounds[-1], nodes.goal[parent], parent, path, nodes.key[parent]))
+            # 3. Compare the trees with the limits, and keep the first splits or lower the thresholds.
+            for each, search in list(searches.items()):
+                tree = _GoalTree(nodes, each, search.files, limits)
+                num_splits = search.num_splits(tree)
+                if num_splits is not None:
+                    del searches[each]
+                    if num_splits or tree.share(0) <= 1:
+                        leaf = tree.leaves(num_splits)
+                        trees[each] = tree.tree(num_splits, axes), search.files.stored(tree.nodes.source[leaf])
+                        leaves[each] = tree.number[leaf]
+        return trees, boxes_of_levels(rounds, np.concatenate(leaves)).visible
+
+
+def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, "boxes"]:
+    # The axis along which to halve each box, so that the sum of the largest errors of the halves is least; -1 if the
+    # limits allow no halving. Errors are those of the box's cone at corners of the free pieces in each half.
+    visible, depth, sources = boxes.visible, boxes.cells.depth, boxes.visible.sources
+    x, y = np.ascontiguousarray(visible.pieces.transpose(0, 2, 1))
+
+    def ways(x: Any, y: Any, source: Any) -> Any:
+        dx, dy = x - sources.points[source, 0], y - sources.points[source, 1]
+        return sources.distances[source] + np.sqrt(dx * dx + dy * dy)
+
+    distance = np.minimum.reduceat(
+        ways(x[:, visible.piece], y[:, visible.piece], visible.source), visible.first_pair[:-1], axis=1
+    )
+    error = np.abs(distance - ways(x, y, boxes.source[visible.cell]))
+    lo, hi = boxes.cells.boxes(boxes.domain)
+    middle, cost = ((lo + hi) / 2)[visible.cell], np.zeros(depth.shape)
+    for axis, along in enumerate((x, y)):
+        for is_within in (along <= middle[:, axis], along >= middle[:, axis]):
+            of_piece = np.where(is_within, error, 0.0).max(axis=0)
+            cost[:, axis] += np.maximum.reduceat(of_piece, visible.first_piece[:-1])
+    is_closed = (depth >= limits.max_axis_depth) | (depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS)
+    is_closed |= depth.sum(axis=1, keepdims=True) >= limits.max_depth
+    return np.where(is_closed.all(axis=1), -1, np.argmin(np.where(is_closed, np.inf, cost), axis=1))
