@@ -75,7 +75,7 @@ class VoxelGroups:
         middles[mixed] += offset[nearest] - size // 2
         # 2. Close one of each two neighbor nodes whose parts no face joins: by `rank`, then the smaller part.
         rank = np.rint(_RANKS * ndimage.uniform_filter(is_full.astype(np.float32), _WIDE, mode="constant"))
-        rank[mixed] += 1 - live.reshape(len(far), -1).mean(axis=1)
+        rank[mixed] += 1 - live.mean(axis=tuple(range(1, dim + 1)))
         rank[home] = -1.0
         is_open = has_part.copy()
         for axis in range(dim):

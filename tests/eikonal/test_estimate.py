@@ -137,10 +137,12 @@ def test_groups_of_voxels_reach_what_voxels_reach(dim, share, monkeypatch):
 def test_groups_of_voxels_keep_walls_and_doors(monkeypatch):
     """Two rooms with a wall one voxel thick, at each of the places where it may lie in groups of 3 x 3 x 3 voxels."""
     monkeypatch.setattr(estimates, "_MOST_GROUPS", 3_000)
+    goal, x = np.array([9.5, 20.5, 20.5]), np.array([(30.5, 20.5, 20.5), (30.5, 4.5, 4.5)])
+    empty = grid_estimate(VoxelSpace(np.ones((41, 40, 40), bool)), None, goal)
+    np.testing.assert_allclose(empty(x), np.linalg.norm(x - goal, axis=1), rtol=0.01)
     for wall in (18, 19, 20):
         free = np.ones((41, 40, 40), bool)
         free[wall] = False
-        goal, x = np.array([9.5, 20.5, 20.5]), np.array([(30.5, 20.5, 20.5), (30.5, 4.5, 4.5)])
         assert np.isinf(grid_estimate(VoxelSpace(free), None, goal)(x)).all()
         free[wall, 20, 20] = True  # straight ahead
         straight = np.linalg.norm(x - (wall + 0.5, 20.5, 20.5), axis=1) + wall - 9
