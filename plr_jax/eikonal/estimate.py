@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax.eikonal.goals import Goals, Points, carried_goals, nearest_goals
 from plr_jax.eikonal.march import Costs, GoalIndex, IsOpen, Sides, balls, extrapolated, has_coarse_grid, marched
+from plr_jax.eikonal.voxel_groups import VoxelGroups
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
 from plr_jax.geometry.voxels import reach_of_cells
@@ -41,8 +42,10 @@ MOST_AXES = 3
 # Default numbers of nodes by the number of axes: at centers of given cells, elsewhere, and for paths over a stencil.
 _CELL_NODES, _NODES = {1: 4_000, 2: 160_000, 3: 1_000_000}, {1: 4_000, 2: 160_000, 3: 200_000}
 _STENCIL_NODES = {1: 4_000, 2: 40_000, 3: 200_000}
-# Least number of nodes for each leaf; and most nodes of a grid, each of which takes about 200 bytes of memory.
-_NODES_A_LEAF, _MOST_NODES = 16, 1 << 24
+_NODES_A_LEAF = 16  # least number of nodes for each leaf
+# Most nodes: of a grid, each of which takes about 200 bytes of memory and 3 microseconds, of a grid for paths over a
+# stencil, and of groups of voxels, which lose little beside walls.
+_MOST_NODES, _MOST_STENCIL_NODES, _MOST_GROUPS = 1 << 24, 1 << 21, 1 << 22
 _ROUND = 1e-9  # relative rounding error of a number of steps
 _REACH = {1: 1, 2: 3, 3: 2}  # steps of stencil edges along an axis, by the number of axes that share a norm
 _BLOCK = 8  # cells along each axis of the blocks that are classified first
@@ -68,28 +71,37 @@ class GridEstimate:
     known_goal: GoalIndex  # the goal to which the path of each node leads, -1 where unknown
     unseen: Int[np.ndarray, "unseen"]  # indices of the goals that no node sees
     is_open: IsOpen  # nodes that paths may pass
+    rest: Costs | None = None  # the cost-to-go beside each closed node, if nodes are groups of voxels
 
     def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
         ratio, is_open = self.ratio.interpolated(x)
-        beside = np.flatnonzero(~is_open & np.isfinite(ratio))
-        ratio[beside[~self.space.is_free(x[beside])]] = np.inf
-        return ratio * _divisors(self.space, self.goals, self.at_goals, x)
+        cost = ratio * _divisors(self.space, self.goals, self.at_goals, x)
+        if self.rest is not None:
+            closed = np.flatnonzero(~is_open)
+            rest = self.rest[self._nodes(x[closed])]
+            cost[closed] = np.where(np.isfinite(rest), rest, cost[closed])
+        beside = np.flatnonzero(~is_open & np.isfinite(cost))
+        cost[beside[~self.space.is_free(x[beside])]] = np.inf
+        return cost
+
+    def _nodes(self, x: Points) -> tuple[Int[np.ndarray, "n"], ...]:
+        box, shape = self.ratio.bounds, np.array(self.cost.shape)
+        place = ((box.wrapped(x) - box.lo) / box.width * shape).astype(np.intp)
+        return tuple(np.clip(place, 0, shape - 1).T)
 
     def reach(self, domain: Box) -> Reach:
         """Return which boxes of a domain hold nodes that reach a goal, and open nodes that do not."""
-        is_reached = np.isfinite(self.cost)
+        is_reached = np.isfinite(self.cost if self.rest is None else np.minimum(self.cost, self.rest))
         # Points beside a node that reaches a goal may have a value.
         beside = ndimage.binary_dilation(is_reached, np.ones(3 * np.ones(is_reached.ndim, int)))
         return reach_of_cells(beside, self.is_open & ~beside, self.ratio.bounds, domain)
 
     def which(self, x: Points) -> Int[np.ndarray, "n"]:
         """Return the index of the goal to which each point's shortest path leads, or of some goal without a path."""
-        box, shape = self.ratio.bounds, np.array(self.cost.shape)
-        place = ((box.wrapped(x) - box.lo) / box.width * shape).astype(np.intp)
-        goal = self.node_goal[tuple(np.clip(place, 0, shape - 1).T)]
+        goal = self.node_goal[self._nodes(x)]
         # A grid step from a goal, it is the goal in sight.
         distance, nearest = nearest_goals(self.goals, self.space.domain, self.space.motion_cost, x)
-        step = float(np.linalg.norm(self.space.motion_cost.scale * box.width / shape))
+        step = float(np.linalg.norm(self.space.motion_cost.scale * self.ratio.bounds.width / self.cost.shape))
         close = np.flatnonzero(distance[:, 0] < step)
         to = self.goals[nearest[close, 0]]
         close = close[self.space.are_free(x[close], x[close] + self.space.domain.difference(to, x[close]))]
@@ -145,18 +157,24 @@ def grid_estimate(
     is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
     box, shape = _grid(space, cost_map, is_isotropic, num_leaves * _NODES_A_LEAF)
     side = box.width / shape
-    node = box.at((np.moveaxis(np.indices(shape), 0, -1) + 0.5) / shape)
-    cells, is_open, is_clear = _open_nodes(space, box, shape)
+    groups = rest = None
+    if is_isotropic and isinstance(space, VoxelSpace) and space.radius == 0 and shape < space.free.shape:
+        groups = VoxelGroups.of(space.free, domain, box, shape, goals)
+        node, is_open, is_clear, cells = groups.middles, groups.is_open, groups.has_part, np.zeros(shape, np.int8)
+    else:
+        node = box.at((np.moveaxis(np.indices(shape), 0, -1) + 0.5) / shape)
+        cells, is_open, is_clear = _open_nodes(space, box, shape)
 
-    # 1. The costs of motions at open nodes and at the goals.
+    # 1. The costs of motions at free nodes and at the goals.
     factor, pulls = np.ones(shape), None
     at_goals: Rates = np.ones(len(goals)), None
     if cost_map is not None:
-        factor[is_open], pulls_of_open = point_costs(motion, cost_map, node[is_open])
+        is_free = is_open if groups is None else groups.has_part
+        factor[is_free], pulls_of_free = point_costs(motion, cost_map, node[is_free])
         at_goals = point_costs(motion, cost_map, goals)
-        if pulls_of_open is not None:
+        if pulls_of_free is not None:
             pulls = np.zeros((2, *shape, dim))
-            pulls[:, is_open] = pulls_of_open
+            pulls[:, is_free] = pulls_of_free
 
     # 2. The cost of straight motions from open nodes to goals near them; inf if no motion is free.
     flat = node.reshape(-1, dim)
@@ -200,8 +218,9 @@ def grid_estimate(
     at_nearest = at_goals[0][nearest[:, 0]].reshape(shape)
     if is_isotropic:
         num_open = np.count_nonzero(is_open)
-        _close_beside_walls(space, cells, is_open, node, side)
-        has_thin_walls = np.count_nonzero(is_open) < num_open
+        if groups is None:
+            _close_beside_walls(space, cells, is_open, node, side)
+        has_thin_walls = groups is not None or np.count_nonzero(is_open) < num_open
         if isinstance(space, PlaneSpace) and space.workspace.squeeze and space.robot.circumscribed_radius == 0:
             # Paths may pass where obstacles touch, so the four nodes around a contact are open.
             boundary = space.workspace.boundary
@@ -218,13 +237,15 @@ def grid_estimate(
         if not (domain.is_periodic or has_thin_walls) and has_coarse_grid(is_open, is_clear, factor):
             is_beyond = is_open & (~sees_nearest | (lengths >= 2 * radius))
             cost = extrapolated(cost, is_open, slowness, float(cost[is_beyond].min(initial=np.inf)), side)
+        if groups is not None:
+            cost, rest = groups.completed(cost, slowness)
     else:
         cost, known = _shortest_grid_paths(space, cells, is_open, node, (factor, pulls), straight, known, side)
     divisor = _divisors(space, goals, at_goals, flat).reshape(shape)
     at_goal = at_nearest.copy() if _is_euclidean(space, goals, at_goals) else np.ones(shape)
     ratio = np.divide(cost, divisor, out=at_goal, where=divisor > 0)
-    field = GridField(ratio.T, box)
-    return GridEstimate(space, goals, at_goals, field, cost, known, np.flatnonzero(~is_seen), is_open)
+    field, unseen = GridField(ratio.T, box), np.flatnonzero(~is_seen)
+    return GridEstimate(space, goals, at_goals, field, cost, known, unseen, is_open, rest)
 
 
 def _grid(
@@ -233,31 +254,42 @@ def _grid(
     """Choose a regular grid of about ``num_nodes`` nodes or more: return its box and its cells' number on each axis.
 
     Nodes are the cells' centers. Voxels of the space, or cells of a raster cost map, are divided into an odd number
-    of grid cells along each axis. Else the outermost nodes lie on the domain's faces, and steps are round decimals
-    if these fit: walls often have round coordinates.
+    of grid cells along each axis, or if these are too many, joined to groups of an odd number. Else the outermost
+    nodes lie on the domain's faces, and steps are round decimals if these fit: walls often have round coordinates.
     """
-    domain = space.domain
-    # 1. The centers of given cells, unless these are too many.
+    domain, most = space.domain, _MOST_NODES if is_isotropic else _MOST_STENCIL_NODES
+    # 1. The centers of given cells, or of groups of these.
     cells = None
     if isinstance(space, VoxelSpace):
         cells = np.array(space.free.shape)
+        most = min(most, _MOST_GROUPS) if space.radius == 0 else most
     elif isinstance(cost_map, RasterCost) and cost_map.dim == domain.dim:
         sides = cost_map.domain.width / cost_map.values.shape[::-1]
-        num_nodes = max(num_nodes, int(min(np.prod(domain.width / sides), _MOST_NODES)))
+        num_nodes = max(num_nodes, int(min(np.prod(domain.width / sides), most)))
         # Walls in the plane often lie on nodes of round steps, which interpolated costs allow.
         is_smooth = isinstance(space, PlaneSpace) and cost_map.interpolation == "bilinear"
         cells = np.array(cost_map.values.shape[::-1]) if cost_map.domain == domain and not is_smooth else None
     usual = _STENCIL_NODES if not is_isotropic else _NODES if cells is None else _CELL_NODES
-    num_nodes = max(num_nodes, usual[domain.dim])
-    if cells is not None and cells.prod() <= _MOST_NODES:
-        refinement = 1 + 2 * round(max((num_nodes / cells.prod()) ** (1 / domain.dim) - 1, 0) / 2)
-        return domain, tuple((cells * refinement).tolist())
+    num_nodes = min(max(num_nodes, usual[domain.dim]), most)
+    if cells is not None:
+        size = 1
+        while np.prod(-(-cells // size), dtype=float) > most:
+            size += 2
+        shape = -(-cells // size)
+        if size == 1:
+            shape *= 1 + 2 * round(max((num_nodes / cells.prod()) ** (1 / domain.dim) - 1, 0) / 2)
+            return domain, tuple(shape.tolist())
+        # Outer groups may extend beyond the domain, but their centers do not.
+        side = domain.width / cells
+        lo = domain.lo - (shape * size - cells) // 2 * side
+        return Box(lo, lo + shape * size * side), tuple(shape.tolist())
     # 2. Equal steps, a round decimal if that fits.
     width = domain.width * space.motion_cost.scale
-    step = (width.prod() / (num_nodes if cells is None else _MOST_NODES)) ** (1 / domain.dim)
+    step = (width.prod() / num_nodes) ** (1 / domain.dim)
     decimal = 10.0 ** np.floor(np.log10(step)) * np.array([1.0, 2.0, 2.5, 5.0, 10.0])
     counts = width[:, None] / decimal
     fits = np.isclose(counts, np.rint(counts), rtol=_ROUND, atol=0).all(axis=0) & (counts >= 1).all(axis=0)
+    fits &= (counts + 1).prod(axis=0) <= most
     if fits.any():
         step = decimal[fits][np.argmin(np.abs(np.log(decimal[fits] / step)))]
     steps = np.maximum(np.rint(width / step), 4)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require_integer, row_products, shortened
@@ -36,6 +37,7 @@ _LEAST_COST = 1e-30  # least cost that 32 bits resolve
 _BESIDE = 1e-6  # share of the domain's width by which a goal may lie outside: a space may count such goals as free
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # vectors are short: more threads would wait for one another
 def solve_eikonal(
     space: ConfigurationSpace | FreeTest,
     goal: ArrayLike,
@@ -62,8 +64,16 @@ def solve_eikonal(
     - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
       near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
 
-    ``certified=False`` takes about a second and gives the estimate alone: scikit-fmm marches over a grid of 160,000
-    nodes in the plane or up to a million in space. The mean error is mostly 0.01 to 0.5 %.
+    ``certified=False`` gives the estimate alone. In the plane it takes about a second: scikit-fmm marches over a grid
+    of 160,000 nodes, and the mean error is mostly 0.01 to 0.5 %. Volumes take longer, up to about 20 s and 2 GB for
+    90 million voxels: nodes are voxels, or groups of voxels if the volume has more than 4 million. Mean and largest
+    errors at random points, from 20 voxels to the goal on, were with default limits:
+
+    - 0.3 % and 6 % on a game level of 896 x 390 x 255 voxels, mostly open space; 0.7 % and 7 % on a small one;
+    - 0.5 % and 2 % around boxes in 128 x 128 x 128 voxels;
+    - 5 % and 9 % in small rooms of 64 x 64 x 32 voxels, because paths on the grid keep half a voxel from walls.
+
+    In rock, leaves may hold several rooms and tunnels: there the PLR was 18 % off the grid's costs on average.
 
     Args:
         space: What is free, and what motions cost. A space that only tests configurations (:class:`FreeTest`) proves

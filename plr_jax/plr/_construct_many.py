@@ -22,7 +22,6 @@ from plr_jax.plr.leaves import Cone, FamilyTask, WorstFirst, family_task, leaf_m
 from plr_jax.plr.leaves.base import LeafModel, check_limits
 from plr_jax.plr.parallel_builds import BuildResults, Checkpoint, Chunk, digest_of
 from plr_jax.plr.sampling import reach_of
-from plr_jax.plr.tree import Cells
 
 _MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that progress is stored from time to time
 
@@ -56,7 +55,7 @@ def construct_many(
       gaps between bounds are mostly smaller than those of :func:`construct`; mean errors may be several times larger.
 
     All other PLRs are built one by one with :func:`construct`, also cones of a family if a tolerance is given, the
-    limits allow more than about 8,000 leaves, or much of free space cannot reach the goal.
+    limits allow more than about 8,000 leaves, or some of free space cannot reach the goal.
 
     Args:
         oracles: The distance functions, of any kind.
@@ -107,12 +106,13 @@ def construct_many(
     families: dict[int, list[int]] = {}  # keys of single oracles are negative
     for number, oracle in enumerate(oracles):
         if done.results[number] is None:
-            is_member = as_family and isinstance(oracle, FamilyFn) and not _has_borders(oracle, domain)
+            is_member = as_family and isinstance(oracle, FamilyFn) and reach_of(oracle, domain) is None
             key = id(oracle.family) if is_member else -1 - number
             families.setdefault(key, []).append(number)
     chunks: list[Chunk] = []
     for key, numbers in families.items():
-        task = family_task(oracles[numbers[0]], domain, limits) if key >= 0 else None
+        first = oracles[numbers[0]]
+        task = family_task(first, domain, limits) if key >= 0 and isinstance(first, FamilyFn) else None
         work = partial(_files, alone, task, leaf_model(model.name))
         split = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
         chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in split]
@@ -128,12 +128,6 @@ def construct_many(
     return [None if file is None else PLR(padded_file(file)) for file in done.results]
 
 
-def _has_borders(oracle: DistanceFn, domain: Box) -> bool:
-    # Whether free points that cannot reach the goal must be separated from others, which ``construct`` does.
-    reach = reach_of(oracle, domain)
-    return reach is not None and bool(reach.is_border(*Cells.root(domain.dim).fractions)[0])
-
-
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | WorstFirst | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
@@ -144,13 +138,7 @@ def _files(
     for begin in range(0, len(oracles), task.goals_at_once):
         trees, visible = task(oracles[begin : begin + task.goals_at_once])
         built = {i: tree for i, tree in enumerate(trees, begin) if tree is not None}
-        reaches = {i: reach_of(oracles[i], task.domain) for i in built}
-        contents = [
-            DecodedFile(
-                task.domain, leaf, *built[i], cut_off=reach and reach.is_cut_off(*built[i][0].leaves.fractions)
-            )
-            for i, reach in reaches.items()
-        ]
+        contents = [DecodedFile(task.domain, leaf, *tree) for tree in built.values()]
         if contents and visible is not None:
             proofs = certificates_of(contents, visible, task.limits.proof)
             contents = [replace(each, certificate=proof) for each, proof in zip(contents, proofs, strict=True)]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from eikonal_helpers import ROOM, BoxSpace, use_few_nodes
+from scipy import ndimage
 from space_helpers import Climb, Slow, rectangle
 
 from plr_jax import DiscRobot, LipschitzCost, PlaneSpace, RasterCost, VisibilityGraph, VoxelSpace, Workspace
@@ -111,6 +112,42 @@ def test_path_leads_through_hole_between_oblong_voxels(monkeypatch):
     estimate = grid_estimate(VoxelSpace(free, ((0, 0, 0), (4, 30, 1.2))), None, np.array([0.5, 15.5, 0.7]))
     found = estimate(np.array([(3.5, 15.5, 0.7), (1.5, 15.5, 0.7), (0.5, 17.5, 0.7)]))
     np.testing.assert_allclose(found, [3, 1, 2], rtol=0.03)
+
+
+@pytest.mark.parametrize(("dim", "share"), [(2, 0.65), (3, 0.4), (3, 0.7)])
+def test_groups_of_voxels_reach_what_voxels_reach(dim, share, monkeypatch):
+    """Sealed and open rooms beside noise, in which tunnels are one voxel wide."""
+    monkeypatch.setattr(estimates, "_MOST_GROUPS", 4_000 if dim > 2 else 400)
+    rng, shape = np.random.default_rng(0), (58, 43, 31)[:dim]
+    free = rng.random(shape) < share
+    free[:20] = free[24:44] = True
+    free[:, 20] = free[34] = False
+    free[10, 20] = True
+    part, _ = ndimage.label(free)
+    reached = part == part[(5,) * dim]
+    assert reached[28].any() and not reached[38].any()
+    estimate = grid_estimate(VoxelSpace(free), None, np.full(dim, 5.2))
+    assert estimate.cost.shape == tuple(-(-n // 3) for n in shape)
+    voxel = np.argwhere(free)
+    found, is_reached = estimate(voxel + rng.random(voxel.shape)), reached[free]
+    assert np.isfinite(found[is_reached]).all()
+    assert np.isinf(found[~ndimage.binary_dilation(reached, np.ones((5,) * dim))[free]]).all()  # beyond a group
+
+
+def test_groups_of_voxels_keep_walls_and_doors(monkeypatch):
+    """Two rooms with a wall one voxel thick, at each of the places where it may lie in groups of 3 x 3 x 3 voxels."""
+    monkeypatch.setattr(estimates, "_MOST_GROUPS", 3_000)
+    goal, x = np.array([9.5, 20.5, 20.5]), np.array([(30.5, 20.5, 20.5), (30.5, 4.5, 4.5)])
+    empty = grid_estimate(VoxelSpace(np.ones((41, 40, 40), bool)), None, goal)
+    np.testing.assert_allclose(empty(x), np.linalg.norm(x - goal, axis=1), rtol=0.01)
+    for wall in (18, 19, 20):
+        free = np.ones((41, 40, 40), bool)
+        free[wall] = False
+        assert np.isinf(grid_estimate(VoxelSpace(free), None, goal)(x)).all()
+        free[wall, 20, 20] = True  # straight ahead
+        straight = np.linalg.norm(x - (wall + 0.5, 20.5, 20.5), axis=1) + wall - 9
+        ratio = grid_estimate(VoxelSpace(free), None, goal)(x) / straight
+        assert (ratio > 0.97).all() and (ratio < 1.2).all()
 
 
 def test_discs_pass_gaps_as_wide_as_they_are(monkeypatch):

@@ -148,6 +148,15 @@ def test_estimates_refine_leaves_where_they_serve_most(monkeypatch):
     assert solve_eikonal(EMPTY, GOAL, certified=False).num_leaves == 30
 
 
+def test_estimates_split_leaves_of_which_few_samples_are_free():
+    """A corner of two corridors in rock: a single leaf could fit all of its few samples."""
+    free = np.zeros((40, 40, 40), bool)
+    free[2:38, 2:7, 2:7] = free[33:38, 2:38, 2:7] = True
+    plr = solve_eikonal(VoxelSpace(free), (4.5, 4.5, 4.5), max_leaves=200, certified=False)
+    assert plr(np.array([(35.5, 35.5, 4.5)])) == pytest.approx([60], rel=0.1)
+    assert plr(np.array([(20.5, 4.5, 4.5)])) == pytest.approx([16], rel=0.1)
+
+
 @pytest.mark.parametrize("goal", [(0.7, 0.5), pytest.param((0.26, 0.42), marks=pytest.mark.full)])
 def test_bounds_hold_if_goals_lie_on_faces_up_to_rounding(goal):
     """Fractions of the domain such as (0.7 - 0.1) / 0.8 are nearly dyadic."""
