@@ -9,7 +9,7 @@ import pytest
 import shape_checks
 from plr_helpers import UNIT, cone, walled
 
-from plr_jax import Box, BuildOptions, VisibilityGraph, Workspace, construct, scenes
+from plr_jax import Box, BuildOptions, GridGraph, VisibilityGraph, VoxelGraph, Workspace, construct, scenes
 from plr_jax.plr import Plane, best_axis, center_error, cyclic_axis, growth, largest_error, maximum_depth
 from plr_jax.plr._construct import _models_to_try
 from plr_jax.plr.certificate import Proof
@@ -155,6 +155,41 @@ def test_goal_cut_off_from_most_free_space_warns_once(leaf):
     assert len(caught) == 1 and (shape_checks.IS_ON or caught[0].filename == __file__)
     with pytest.warns(UserWarning, match=r"In about [34]\d? % of the domain, the PLR answers a finite number"):
         construct(oracle.with_goal((1.5, 0.5)), workspace.bounds, leaf=leaf, max_leaves=2)
+
+
+CORNER = Workspace(((0, 0), (10, 10)), [[(0, 5), (5, 0), (5.3, 0), (0, 5.3)]])  # a slanted wall cuts a corner off
+
+
+@pytest.mark.parametrize("certified", [False, True])
+@pytest.mark.parametrize("leaf", ["plane", "continuous", "smooth", "cone"])
+def test_points_that_cannot_reach_the_goal_answer_inf(leaf, certified):
+    """Points within a 64th of the domain of others may answer a number."""
+    oracle = VisibilityGraph(CORNER, (8, 8))
+    plr = construct(oracle, CORNER.bounds, leaf=leaf, max_bytes=1500, certified=certified)
+    x = CORNER.sample_free(4000, seed=0)
+    reaches, is_far = CORNER.reachable(x, (8, 8)), (5.3 - x.sum(axis=1)) / 2**0.5 > 10 / 64
+    answers = plr.numpy()(x)
+    assert np.isinf(answers[is_far]).all() and np.isfinite(answers[reaches]).all() and plr.num_bytes <= 1500
+    distances = oracle(x[reaches])
+    assert np.abs(answers[reaches] - distances).mean() < 5e-3
+    if certified:
+        lower, upper = plr.numpy().bounds(x[reaches])
+        assert (lower <= distances).all() and (distances <= upper).all() and plr.max_error < 0.3
+
+
+@pytest.mark.parametrize("leaf", ["plane", "continuous"])
+def test_hardly_reached_domains_get_many_leaves(leaf):
+    """Two roads of one cell in 90 x 90, of a function that knows them or not, and three tunnels in 24 x 24 x 24."""
+    roads, tunnels = np.zeros((90, 90), bool), np.zeros((24, 24, 24), bool)
+    roads[40] = roads[:, 13] = tunnels[:, 11, 5] = tunnels[7, :, 5] = tunnels[7, 11, :] = True
+    grid = GridGraph(roads, (13.5, 40.5))
+    for oracle, fn in ((grid, grid), (grid, lambda x: grid(x)), (VoxelGraph(tunnels, (7.5, 11.5, 5.5)), None)):
+        domain = Box(np.zeros(oracle.dim), np.array(oracle.free.shape))
+        plr = construct(fn or oracle, domain, leaf=leaf, max_leaves=300)
+        cells = np.argwhere(oracle.free)
+        x = (cells if oracle.dim > 2 else cells[:, ::-1]) + 0.5
+        error = np.abs(plr.numpy()(x) - oracle(x))
+        assert error.mean() < 0.02 * oracle(x).max() and plr.num_leaves > 100
 
 
 # The best of all leaf models.

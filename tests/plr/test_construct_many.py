@@ -104,6 +104,7 @@ def test_certified_families_fill_files_and_err_at_most_as_single_constructions(o
     assert errors_of(plr, oracle, x).max() <= plr.max_error <= alone.max_error
 
 
+@pytest.mark.filterwarnings("ignore:The goal cannot be reached")
 def test_certified_families_include_goals_without_a_path():
     halves = plr_jax.Workspace(((0, 0), (8, 4)), [[(4, 0), (5, 0), (5, 4), (4, 4)]])
     left = plr_jax.VisibilityGraph(halves, (1, 1))

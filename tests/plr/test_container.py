@@ -16,7 +16,7 @@ from plr_jax import ReedsShepp
 from plr_jax._arrays import padded_size
 from plr_jax.geometry.box import Box
 from plr_jax.plr import container as container_module
-from plr_jax.plr.coding import BitReader, BitWriter, ByteReader, read_tree, signed_varint, varint
+from plr_jax.plr.coding import BitReader, BitWriter, ByteReader, bits_of_set, read_tree, signed_varint, varint
 from plr_jax.plr.container import PAIRS_CODE, Container, Header, Layer, domain_to_bytes, frame_size, read_domain
 from plr_jax.plr.folding import folding_of
 
@@ -45,7 +45,10 @@ def test_bit_streams_are_read_as_written(rows, unary, coded, member):
         writer.write(values, widths)
     assert writer.num_bits == sum(int(widths.sum()) for widths, _ in rows)
     writer.write_unary(np.array(unary, np.int64)).write_coded(np.array(coded, np.int64))
-    data = writer.write_set(np.array(member, bool)).write(np.array([1]), 1).to_bytes()
+    before = writer.num_bits
+    writer.write_set(np.array(member, bool))
+    assert writer.num_bits - before <= max(bits_of_set(sum(member), len(member)), 32)  # 0 stands for an unwritten set
+    data = writer.write(np.array([1]), 1).to_bytes()
     assert len(data) == -(-writer.num_bits // 8)
     reader = BitReader(data)
     for widths, values in rows:
