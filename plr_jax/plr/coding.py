@@ -203,7 +203,7 @@ def _extra_bits(values: Int[np.ndarray, "n"], order: int) -> Int[np.ndarray, "n"
 def bits_of_set(num_members: int, size: int) -> int:
     """Return the most bits that a set with ``num_members`` members of ``range(size)`` takes, 0 for an empty one."""
     # A gap ``g`` takes at most ``2 log2(g + 1) + 1`` bits, a concave function, so equal gaps take the most.
-    of_gaps = num_members * (1 + 2 * np.log2(size / max(num_members, 1)))
+    of_gaps = num_members * (1 + 2 * np.log2(max(size, 1) / max(num_members, 1)))
     return _COUNT_BITS + _ORDER_BITS + int(np.ceil(of_gaps)) if num_members else 0
 
 
