@@ -13,20 +13,20 @@ from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.goals import Points, nearest_goals
-from plr_jax.eikonal.mesh import CellIndex, Mesh
+from plr_jax.eikonal.mesh import CellIndex, Mesh, straddling_cells
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, SlopeProgram
 from plr_jax.oracles import VoxelGraph
 from plr_jax.plr._file import DecodedFile, filled_coefficients
 from plr_jax.plr._plr import PLR, plr_of_leaves
-from plr_jax.plr.certificate import Certificate, LeafBounds, Proof
+from plr_jax.plr.certificate import MOST_GOALS, Certificate, LeafBounds, Proof, StraightBound
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.faces import overlapping_leaves
+from plr_jax.plr.faces import neighbor_of_largest_contact, overlapping_leaves
 from plr_jax.plr.frame import enumerate_boxes
 from plr_jax.plr.growth import best_axis, largest_error
 from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
 from plr_jax.plr.leaves.base import UNIT, Rules, check_limits, largest_coordinates
-from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
+from plr_jax.plr.sampling import CellFit, Sampler, least_squares, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes, VoxelSpace
 
@@ -40,6 +40,8 @@ _STEP_PER_GAP, _SMALLEST_STEP, _SMALLEST_STEP_UNPROVEN = 0.02, 2.0**-22, 2.0**-1
 _OFF, _NEAR = 0.1, 0.01
 # Relative margin for the length of a straight line in 32 bits; range of lengths whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
+_STRAIGHT_BYTES = 0.4  # most bytes of goals for straight lines, as a share of the file
+_MOST_LONG = 1  # leaves beside rooms that are cut off are at most four times as long as wide
 Numbers: TypeAlias = Float[np.ndarray, "n"]
 AtCorners: TypeAlias = Float[np.ndarray, "n corners"]
 CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
@@ -70,7 +72,8 @@ class CostToGoField:
     nodal_estimate: Float[np.ndarray, "nodes"]  # at the corners of cells; inf where unknown
     nodal_goal: Int[np.ndarray, "nodes"] | None  # the goal of the estimated path from each node, without a guide
     space: ConfigurationSpace
-    guide: GridEstimate | None  # an estimate interpolated on a grid, for up to three axes
+    cut_off: ConfigurationSpace | None  # the part of the space that is known to be cut off from the goals
+    guide: GridEstimate | None  # an estimate interpolated on a grid, for up to three axes; of the other part
 
     @property
     def mesh(self) -> Mesh:
@@ -284,16 +287,16 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
     contents = DecodedFile(mesh.domain, leaf_model("continuous"), mesh.tree, stored)
     plr = plr_of_leaves(contents)
     if field is not None and plr.num_bytes <= max_bytes:
-        plr = plr_of_leaves(_with_proof(contents, field))
+        plr = plr_of_leaves(_with_proof(contents, field, _straight_bound(field, max_bytes)))
     return plr if plr.num_bytes <= max_bytes else None
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
+    straight = None if field is None else _straight_bound(field, max_bytes)
+    of_straight = 0 if straight is None else 4 * len(straight.numbers)
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
-    limits = check_limits(
-        model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain) + 4 * (domain.dim + 2)
-    )
+    limits = check_limits(model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain) + of_straight)
     pattern = sample_pattern(domain.dim, model.num_samples, 0.0, seed)
 
     def distances(x: Points) -> Numbers:
@@ -301,17 +304,32 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
         on_grid = on_mesh if field is None or field.guide is None else field.guide(x)
         return np.where(np.isfinite(on_grid), on_grid, on_mesh)
 
+    cut_off = None if field is None else field.cut_off
+
+    def errors(fit: CellFit) -> Numbers:
+        error, finite = largest_error(fit), np.array(fit.reachable.any(axis=1))
+        if cut_off is not None:
+            lost, lenders = np.flatnonzero(~finite), np.flatnonzero(finite)
+            finite[lost] = neighbor_of_largest_contact(fit.cells, lost, lenders, domain.periodic) >= 0
+            some = straddling_cells(fit.cells, finite, domain, cut_off)
+            error[some] += fit.value.max() * 2.0 ** -fit.cells.depth[some].mean(axis=1)
+        return error
+
+    def axes(fit: CellFit) -> CellIndex:
+        is_long = fit.cells.depth.min(axis=1) + _MOST_LONG < fit.cells.depth.max(axis=1)
+        return np.where(is_long & (cut_off is not None), fit.cells.depth.argmin(axis=1), best_axis(fit))
+
     sampler = Sampler(distances, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
-    contents = DecodedFile(domain, model, *model.construct(sampler, Rules(largest_error, best_axis), limits))
-    return plr_of_leaves(contents if field is None else _with_proof(contents, field))
+    contents = DecodedFile(domain, model, *model.construct(sampler, Rules(errors, axes), limits))
+    return plr_of_leaves(contents if field is None else _with_proof(contents, field, straight))
 
 
-def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
+def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightBound | None) -> DecodedFile:
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
     # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself or, for
     #    a flush blocked cell, each open cell beside it, over what they share. The worst bounds count.
-    leaf, cell = overlapping_leaves(tree, mesh.tree)
+    leaf, cell = own_leaf, own_cell = overlapping_leaves(tree, mesh.tree)
     order = np.argsort(cell, kind="stable")
     flush, beside = mesh.flush_pairs
     first, last = (np.searchsorted(cell[order], flush, side=side) for side in ("left", "right"))
@@ -320,6 +338,10 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
     own, others = (leaf[is_open], cell[is_open]), leaf[order[first[pair] + place]]
     leaf = np.append(own[0], others)
     within, cell = np.append(own[1], flush[pair]), np.append(own[1], beside[pair])
+    # Free points without a path have no upper bound.
+    closed = np.flatnonzero(mesh.state == CellState.BLOCKED)
+    closed = closed[field.space.classify(*(end[closed] for end in mesh.boxes)) != CellState.BLOCKED]
+    is_cut_off = np.isin(np.arange(num_leaves), own_leaf[np.isin(own_cell, closed)])
     # 2. The boxes that they share, and the leaf's function at their corners.
     lo, hi, turn = mesh.shared_boxes(within, cell)
     position, depth = cells.position[leaf], cells.depth[leaf]
@@ -339,7 +361,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
     values = np.einsum("nij,nj->ni", weights, coefficients[leaf])
     # 3. The worst bounds of each leaf, and the change of its function to points that rounding places in it.
     below, above = field.bounds_over(cell, mesh.local(cell, lo + turn), mesh.local(cell, hi + turn), values)
-    lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
+    lower, upper = np.zeros(num_leaves), np.where(is_cut_off, np.inf, 0.0)
     np.minimum.at(lower, leaf, below)
     np.maximum.at(upper, leaf, above)
     beside = PLACING * np.ldexp(1.0, cells.depth)
@@ -350,21 +372,28 @@ def _with_proof(contents: DecodedFile, field: CostToGoField) -> DecodedFile:
         upper = np.minimum(upper, _above_voxel_paths(field, field.space, cells, coefficients, across))
     rounding = contents.leaf.rounding_bounds(contents.domain, cells, coefficients) + changes
     certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
-    return replace(contents, certificate=replace(certificate, straight=_straight_bound(field)))
+    return replace(contents, certificate=replace(certificate, straight=straight))
 
 
-def _straight_bound(field: CostToGoField) -> Float[np.ndarray, "numbers"] | None:
-    # Goal, rate and margin of the lower bound `rate * |x - goal| - margin`, relative to the domain's lower corner.
+def _straight_bound(field: CostToGoField, max_bytes: float) -> StraightBound | None:
     domain, costs = field.mesh.domain, field.program.costs
     largest = float(largest_coordinates(domain).sum())
-    (_, weight), *others = costs.motion.blocks
-    sizes = np.array([largest, costs.least_rate * largest])
-    if others or domain.is_periodic or len(field.goals) > 1 or not ((sizes > _TINIEST) & (sizes < _LARGEST)).all():
+    # Rates cover the rounding of lengths, the margin that of coordinates to 32 bits.
+    rates = (1 - _OF_LENGTHS) * costs.least_rate * np.array([weight for _, weight in costs.motion.blocks])
+    sizes = np.append(largest, rates * largest)
+    num_bytes = 4 * (len(field.goals) + 2) * domain.dim
+    if (
+        num_bytes > _STRAIGHT_BYTES * max_bytes
+        or len(field.goals) > MOST_GOALS
+        or not ((sizes > _TINIEST) & (sizes < _LARGEST)).all()
+    ):
         return None
-    # The rate covers rounding of the length, the margin that of coordinates to 32 bits.
-    goal = field.program.at[0] * domain.width
-    rate = (1 - _OF_LENGTHS) * weight * costs.least_rate
-    return np.array([*goal, rate, 8 * UNIT * rate * largest], np.float32).astype(np.float64)
+    groups = np.array([np.isin(np.arange(domain.dim), axes) for axes, _ in costs.motion.blocks], float)
+    rates = np.float32(rates).astype(float)
+    margin = (16 if domain.is_periodic else 8) * UNIT * largest * rates.sum()
+    goals = np.float32(field.program.at * domain.width).astype(float)
+    is_simple = len(goals) == len(rates) == 1 and not domain.is_periodic
+    return StraightBound(goals, groups, rates, float(np.float32(margin)), is_simple)
 
 
 def _above_voxel_paths(
@@ -402,8 +431,8 @@ def _above_voxel_paths(
     for some in parts(counts.prod(axis=1), _PAIRS_AT_ONCE):
         leaf, voxel = enumerate_boxes(first[some], counts[some])
         leaf = leaf + some.start
-        reached = np.isfinite(lengths[tuple(voxel.T)])
-        leaf, voxel = leaf[reached], voxel[reached]
+        is_free = grid.padded[tuple(voxel.T)]
+        leaf, voxel = leaf[is_free], voxel[is_free]
         at = np.ldexp((voxel - 0.5) / space.free.shape, cells.depth[leaf]) - cells.position[leaf]
         function = np.sum(basis(1, np.clip(at, 0.0, 1.0)) * coefficients[leaf], axis=1)
         np.maximum.at(above, leaf, lengths[tuple(voxel.T)] - function)

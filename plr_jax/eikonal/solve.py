@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,17 @@ from plr_jax.plr._plr import PLR
 from plr_jax.plr.frame import max_axis_depth
 from plr_jax.plr.growth import ConstructionInterrupted, check_memory, largest_error
 from plr_jax.plr.sampling import CellFit, sample_pattern
-from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, CostMap, FreeTest, require_space
+from plr_jax.spaces import (
+    CellState,
+    CheckedSpace,
+    ConfigurationSpace,
+    CostMap,
+    FreeTest,
+    PlaneSpace,
+    Separable,
+    VoxelSpace,
+    require_space,
+)
 
 # Default limits: cells by the number of axes, cells in more axes, and leaves of an estimate.
 _MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
@@ -33,6 +44,8 @@ _MAX_LEAVES = 2_000
 _LEAVES_PER_BYTE = 2  # no file has more leaves per byte
 _BYTES_A_CELL = 4_000  # least memory that construction takes for each cell
 _LEAF_SAMPLES = 64  # samples in a leaf of an estimate, in which the grid has few nodes
+_NUM_SAMPLES_BEYOND = 4_096  # samples of the domain that estimate the volume from which the goal cannot be reached
+_BESIDE_WALLS = 64  # answers may be finite within this part of the domain's width of points that reach the goal
 _LEAST_COST = 1e-30  # least cost that 32 bits resolve
 _BESIDE = 1e-6  # share of the domain's width by which a goal may lie outside: a space may count such goals as free
 
@@ -59,8 +72,9 @@ def solve_eikonal(
     upper bounds, which hold for every point from which the goal can be reached:
 
     - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
-      every face that is not proven blocked, and along every motion rises by no more than the motion costs. If costs
-      are lengths and no axis is periodic, the straight line to a single goal is a lower bound too.
+      every face that is not proven blocked, and along every motion rises by no more than the motion costs. The
+      least cost of straight motions to the goals is a lower bound too, if the file holds the goals: at most 64, in at
+      most 40 % of ``max_bytes``.
     - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
       near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
 
@@ -100,8 +114,10 @@ def solve_eikonal(
 
     Warns:
         ConstructionInterrupted: If interrupted (Ctrl-C) after the first solution; the PLR then holds the latest one.
-        UserWarning: If the lower bound, though proven, was still rising at the last iteration; or if the estimate was
-            more than a tenth outside of its bounds, where the nearer bound replaces it.
+        UserWarning: If points answer a finite number although they cannot reach the goal and are not within a 64th of
+            the domain of points that can: the message says which share. Or if the lower bound, though proven, was
+            still rising at the last iteration; or if the estimate was more than a tenth outside of its bounds, where
+            the nearer bound replaces it.
 
     Raises:
         ValueError: If an argument is invalid, a goal is not free, or bounds of the cost map are not positive and
@@ -164,7 +180,7 @@ def solve_eikonal(
     else:
         most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
         check_memory(2.0 * most, _BYTES_A_CELL / 2)
-        field = _field(cells, cost_map, at, most, tolerance)
+        field = _field(cells, cost_map, at, most, tolerance, goals)
         estimate, proven = field.estimate, field if isinstance(space, ConfigurationSpace) else None
         _require_costs(float(estimate.corner_values.max()))
         most_bytes, on_mesh = math.inf if max_bytes is None else float(max_bytes), None
@@ -172,6 +188,7 @@ def solve_eikonal(
             on_mesh = plr_on_mesh(estimate, proven, most_bytes)
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
         which = field.which
+        _warn_if_cut_off(plr, field)
     return plr if goal.ndim == 1 else plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), which))
 
 
@@ -199,6 +216,40 @@ def _error_by_norm(fit: CellFit) -> Float[np.ndarray, "cells"]:
     return np.sqrt(largest_error(fit) * norm)
 
 
+def _warn_if_cut_off(plr: PLR, field: CostToGoField) -> None:
+    # Warn of finite answers at points that cannot reach the goal and are not just beside points that can.
+    space, cut_off, domain, rng = field.space, field.cut_off, plr.domain, np.random.default_rng(0)
+    estimate = field.guide or field.estimate
+    is_known = isinstance(space, PlaneSpace) or (isinstance(space, VoxelSpace) and space.radius == 0)
+
+    def is_beyond(x: Float[np.ndarray, "n dim"]) -> Bool[np.ndarray, "n"]:
+        return space.is_free(x) & np.isinf(estimate(x)) if cut_off is None or not is_known else cut_off.is_free(x)
+
+    # 1. Sample leaves that hold points beyond walls; if these leaves are not known, sample the domain.
+    lo, hi, num = domain.lo[None], domain.hi[None], _NUM_SAMPLES_BEYOND
+    if is_known:
+        if cut_off is None:
+            return
+        (lo, hi), num = plr.leaf_boxes, _LEAF_SAMPLES
+        some = np.isfinite(plr.numpy()((lo + hi) / 2)) & (cut_off.classify(lo, hi) != CellState.BLOCKED)
+        lo, hi = lo[some], hi[some]
+    x = (lo[:, None] + (hi - lo)[:, None] * rng.random((len(lo), num, domain.dim))).reshape(-1, domain.dim)
+    volume = np.repeat((hi - lo).prod(axis=1) / num, num)
+    some = np.flatnonzero(np.isfinite(plr.numpy()(x)) & is_beyond(x))
+    # 2. Leave out points within a 64th of the domain of others.
+    for step in product((-1, 0, 1), repeat=domain.dim):
+        beside = domain.wrapped(x[some] + domain.width / _BESIDE_WALLS * step / max(np.linalg.norm(step), 1))
+        some = some[~space.is_free(beside) | is_beyond(beside)]
+    if len(some):
+        beyond = is_beyond(domain.at(rng.random((_NUM_SAMPLES_BEYOND, domain.dim)))).mean() * domain.width.prod()
+        share = min(volume[some].sum() / max(beyond, volume[some].sum()), 1.0)
+        warnings.warn(
+            f"{share:.2%} of the free space from which the goal cannot be reached is answered with a finite number. "
+            "Allow more max_leaves and max_bytes.",
+            stacklevel=3,
+        )
+
+
 def _require_costs(largest: float) -> None:
     if 0 < largest < _LEAST_COST:
         raise ValueError(
@@ -208,9 +259,11 @@ def _require_costs(largest: float) -> None:
 
 
 def _field(
-    space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, most: int, tolerance: float
+    space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, most: int, tolerance: float, places: Goals
 ) -> CostToGoField:
-    solver = SlopeSolver(space, cost_map, goals, most, tolerance)
+    # `goals` are fractions of the domain; rounding has moved them from their `places`.
+    reached, cut_off = space.separated(places) if isinstance(space, Separable) else (space, None)
+    solver = SlopeSolver(reached, cost_map, goals, most, tolerance, cut_off)
     with tqdm(desc="solve_eikonal", total=most, unit=" cells", delay=3, leave=False, disable=None) as progress:
         try:
             solver.refine(progress)
@@ -220,14 +273,14 @@ def _field(
             message = f"Interrupted at {len(solver.mesh.state):,} of {most:,} cells: the PLR has these cells."
             warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     program, mesh, domain = solver.program, solver.mesh, space.domain
-    guide = grid_estimate(space, cost_map, domain.at(goals)) if mesh.dim <= MOST_AXES else None
+    guide = grid_estimate(reached, cost_map, domain.at(goals)) if mesh.dim <= MOST_AXES else None
     paths, num, nodal_goal = shortest_paths(mesh, program.costs, goals, space), len(mesh.nodes), None
     if guide is None:
         likely = shortest_paths(solver.mesh_without_mixed(), program.costs.midway, goals, space)
         nodal_estimate, nodal_goal = likely.cost[:num], likely.ends[:num] - num
     else:
         nodal_estimate = guide(domain.at(mesh.nodes))
-    return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, guide)
+    return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, cut_off, guide)
 
 
 # Share of all cells in the first mesh, and its least number: in one cell, flows to a goal in its middle cancel.
@@ -249,9 +302,15 @@ class SlopeSolver:
     """A solver of the largest lower bound of the cost-to-go, on a mesh that it refines where the bound is loose."""
 
     def __init__(
-        self, space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, max_cells: int, tolerance: float
+        self,
+        space: ConfigurationSpace,
+        cost_map: CostMap | None,
+        goals: Goals,  # fractions of the domain
+        max_cells: int,
+        tolerance: float,
+        cut_off: ConfigurationSpace | None = None,  # what paths do not join to the goals, which `space` lacks
     ):
-        self.space, self.cost_map, self.goals = space, cost_map, goals  # goals: fractions of the domain
+        self.space, self.cost_map, self.goals, self.cut_off = space, cost_map, goals, cut_off
         self.max_cells, self.tolerance = max_cells, tolerance
         mesh = coarse_mesh(space, max(int(_COARSEST * max_cells), _FEWEST), max_cells)
         self.program = SlopeProgram.on(mesh, space, cost_map, goals)
@@ -276,7 +335,8 @@ class SlopeSolver:
             if not len(which) or room < parts:
                 break
             coarse = self.mesh
-            finer = SlopeProgram.on(coarse.refined(which, self.space, room), self.space, self.cost_map, self.goals)
+            mesh = self._without_straddling(coarse.refined(which, self.space, room))
+            finer = SlopeProgram.on(mesh, self.space, self.cost_map, self.goals)
             fine = finer.space.mesh
             # Interpolate function and flow on the finer mesh.
             space, size = finer.space, len(finer.space.lattice)
@@ -303,6 +363,15 @@ class SlopeSolver:
                 "bounds may be looser than the cells allow. Compare the bounds of another max_leaves.",
                 stacklevel=4,
             )
+
+    def _without_straddling(self, mesh: Mesh) -> Mesh:
+        # An answer beyond a wall errs by about the size of the domain. Half of all cells are for other errors.
+        while self.cut_off is not None and len(which := mesh.straddling(self.cut_off)):
+            finer = mesh.refined(which, self.space, (self.max_cells - len(mesh.state)) // 2)
+            if len(finer.state) == len(mesh.state):
+                break
+            mesh = finer
+        return mesh
 
     def mesh_without_mixed(self) -> Mesh:
         # A mixed cell counts as free or blocked, by whether a motion through it is free.

@@ -95,23 +95,15 @@ class PLR(FileBacked):
         with jax.ensure_compile_time_eval():
             return jax.device_put(padded(bounds.T, padded_size(bounds.shape[1])).T)
 
-    @cached_property
-    def _straight(self) -> Float[Array, "_"] | None:
-        # Goal (from the domain's lower corner), rate and margin of a lower bound ``rate * |x - goal| - margin``.
-        certificate = self._contents.certificate
-        if certificate is None or certificate.straight is None:
-            return None
-        return jax.device_put(certificate.straight.astype(np.float32))
-
     def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
-        names = ("tables", "file", "band", "_straight")
+        names = ("tables", "file", "band")
         return tuple((GetAttrKey(name), getattr(self, name)) for name in names), None
 
     @classmethod
-    def tree_unflatten(cls, _: None, children: tuple[Any, Any, Any, Any]) -> "PLR":
-        tables, file, band, straight = children
+    def tree_unflatten(cls, _: None, children: tuple[Any, Any, Any]) -> "PLR":
+        tables, file, band = children
         plr = cls(file)
-        plr.tables, plr.band, plr._straight = tables, band, straight
+        plr.tables, plr.band = tables, band
         return plr
 
     def __getattr__(self, name: str) -> Any:
@@ -133,7 +125,7 @@ class PLR(FileBacked):
 
     def _copied(self, file: Any, nearest_goal: Callable[[np.ndarray], np.ndarray] | None) -> "PLR":
         plr = PLR(file, build_inputs=self.build_inputs, nearest_goal=nearest_goal)
-        plr.tables, plr.band, plr._straight = self.tables, self.band, self._straight
+        plr.tables, plr.band = self.tables, self.band
         return plr
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
@@ -189,7 +181,7 @@ class PLR(FileBacked):
         bounds hold for points as :func:`evaluate` rounds them.
         """
         band, (tables, placed) = self._require_band(), self._tables_and_points(x)
-        return self._answer(bound_points, (tables, band, self._straight), placed)
+        return self._answer(bound_points, (tables, band), placed)
 
     @property
     def lower(self) -> "LowerBound":
@@ -468,6 +460,8 @@ def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) ->
     """Build the lookup tables of a decoded file of ``num_bytes`` bytes, for points given relative to ``origin``."""
     domain, numbers = relative_to_origin(contents, origin)
     tables = build_tables(domain, contents.tree.leaves, numbers, contents.leaf, num_bytes)
+    if contents.certificate is not None and contents.certificate.straight is not None:
+        tables = replace(tables, straight=jax.device_put(contents.certificate.straight.arrays))
     return tables.with_folding(contents.folding, origin)
 
 
@@ -492,7 +486,7 @@ class LowerBound:
         """Combine one lower bound per robot into a function of joint configurations; see :meth:`PLR.stack`."""
         if not fns or not all(isinstance(fn, LowerBound) for fn in fns):
             raise ValueError(f"fns must be a list of lower bounds, such as [plr.lower], got {shortened(fns)}.")
-        bands = tuple((fn.plr.band, fn.plr._straight) for fn in fns)
+        bands = tuple(fn.plr.band for fn in fns)
         return replace(PLR.stack([fn.plr for fn in fns]), bands=bands)
 
 
@@ -513,7 +507,7 @@ def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None
     plr = PLR(padded_file(encode(contents) if data is None else data), build_inputs=build_inputs)
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
-    _ = plr.tables, plr.band, plr._straight, plr._corner_if_far
+    _ = plr.tables, plr.band, plr._corner_if_far
     del plr._contents
     return plr
 

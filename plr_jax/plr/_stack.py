@@ -259,7 +259,8 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
         for each in tables
     ]
     for i, frame in enumerate(frames):
-        kinds.setdefault(jax.tree_util.tree_structure(frame), []).append(i)
+        of_straight = tuple(array.shape for array in frame.straight or ())
+        kinds.setdefault((jax.tree_util.tree_structure(frame), of_straight), []).append(i)
     group, place = np.zeros((2, len(plrs)), np.uint32)
     groups = []
     for members in kinds.values():

@@ -295,11 +295,51 @@ class Proof(IntEnum):
 # these shares of the largest error of all leaves.
 _OF_RANGE = 0.04
 _LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
+MOST_GOALS = 64  # most goals of a file to which straight lines give lower bounds: queries compare all of them
 _SPARE_OF_CLASS = 1e-5  # this share of the scale for classes of leaves, whose bounds few leaves determine
 
 
 def _room_for_classes(num_bytes: int) -> int:
     return bits if (bits := num_bytes // _BYTES_A_BIT) >= _LEAST_BITS else 0
+
+
+@dataclass(frozen=True, eq=False)
+class StraightBound:
+    """A lower bound of the distance: the least cost of straight motions to goals, less a margin.
+
+    A motion by ``d`` costs the sum, over groups of axes, of ``rate * |d[axes of the group]|``. It goes the short way
+    along periodic axes.
+    """
+
+    goals: Float[np.ndarray, "goals dim"]  # relative to the domain's lower corner
+    groups: Float[np.ndarray, "groups dim"]  # 1 if an axis is in a group, else 0
+    rates: Float[np.ndarray, "groups"]
+    margin: float
+    is_simple: bool  # one goal, one group, and no periodic axes: stored as release 0.2 does
+
+    @property
+    def arrays(self) -> list[Float[np.ndarray, "..."]]:
+        return [np.asarray(each, np.float32) for each in (self.goals, self.groups, self.rates, self.margin)]
+
+    @property
+    def numbers(self) -> Float[np.ndarray, "_"]:
+        header = [] if self.is_simple else [-len(self.goals), *self.groups.argmax(axis=0)]
+        return np.concatenate([header, self.goals.ravel(), self.rates, [self.margin]])
+
+    @staticmethod
+    def read(body: BitReader, dim: int) -> "StraightBound":
+        first, num, group = body.read_floats(1), 1, np.zeros(dim)
+        is_simple = not first[0] < 0  # else it is the number of goals, and no coordinate
+        if not is_simple:
+            num, group, first = -first[0], body.read_floats(dim), first[:0]
+        if num not in range(1, MOST_GOALS + 1) or not np.isin(group, np.arange(dim)).all():
+            raise ValueError("it states straight lines to a wrong number of goals, or with wrong groups of axes")
+        size, count = int(num) * dim, int(group.max()) + 1
+        numbers = np.append(first, body.read_floats(size + count + 1 - len(first)))
+        if not (np.isfinite(numbers).all() and (numbers[size:] >= 0).all()):
+            raise ValueError("it states a straight line to the goal with numbers that are none")
+        groups = (group == np.arange(count)[:, None]).astype(np.float64)
+        return StraightBound(numbers[:size].reshape(-1, dim), groups, numbers[size:-1], float(numbers[-1]), is_simple)
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,9 +349,7 @@ class Certificate:
     scale: float  # at least the largest finite bound, exact in 32 bits; codes stand for fractions of it
     codes: UInt8[np.ndarray, "2 leaves"] | None  # of lower and upper bounds; None if only the scale is stored
     proof: Proof
-    # Goal (relative to the domain's lower corner), rate and margin of one more lower bound of the distance, ``rate *
-    # |x - goal| - margin``, capped at the PLR's value; None without this bound.
-    straight: Float[np.ndarray, "numbers"] | None = None
+    straight: StraightBound | None = None  # one more lower bound of the distance, and of the PLR's answers
 
     @staticmethod
     def of(
@@ -388,7 +426,7 @@ class Certificate:
         elif self.codes is not None:
             body.write(self.codes.ravel().astype(np.int64), _CODE_BITS)
         if self.straight is not None:
-            body.write_floats(self.straight)
+            body.write_floats(self.straight.numbers)
 
 
 def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -> Certificate | None:
@@ -402,9 +440,7 @@ def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -
     elif proof is not Proof.CLASSES:
         codes = body.read_fixed_width(2 * num_leaves, _CODE_BITS).reshape(2, num_leaves)
     if scale < 0 and proof is Proof.OPEN_LEAVES:
-        straight = body.read_floats(dim + 2)
-        if not (np.isfinite(straight).all() and (straight[dim:] >= 0).all()):
-            raise ValueError("it states a straight line to the goal with numbers that are none")
+        straight = StraightBound.read(body, dim)
     return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof, straight)
 
 

@@ -40,6 +40,8 @@ def evaluate_tables(tables: Tables, x: AnyArray, outside: Outside = "inf") -> Va
         row = find_row(tables, _constant(x))
         is_outside, answer = outside_domain(tables, x)
         value = _value(tables, row, x, is_outside)
+        if tables.straight is not None:
+            value = x.__array_namespace__().maximum(value, _straight_bound(tables, x))
     return xp.where(is_outside, xp.full_like(answer, np.nan) if outside == "nan" else answer, value)
 
 
@@ -54,14 +56,10 @@ def _as_float_points(tables: Tables, x: AnyArray) -> Points:
     return x
 
 
-def bounds_of_tables(
-    tables: Tables, band: Float[AnyArray, "2 rows"], straight: Float[AnyArray, "_"] | None, x: AnyArray
-) -> tuple[Values, Values]:
+def bounds_of_tables(tables: Tables, band: Float[AnyArray, "2 rows"], x: AnyArray) -> tuple[Values, Values]:
     """Return proven lower bounds (at least 0) and upper bounds of the distance at each point, rounded outward.
 
-    ``band`` has bounds of (distance - PLR's value) in two rows, a column for each leaf or one for all leaves. If
-    not None, ``straight`` has goal (from the domain's lower corner), rate and margin of a further lower bound
-    ``rate * |x - goal| - margin``.
+    ``band`` has bounds of (distance - PLR's value) in two rows, a column for each leaf or one for all leaves.
     """
     value = evaluate_tables(tables, x)
     xp = value.__array_namespace__()
@@ -76,17 +74,34 @@ def bounds_of_tables(
         for bound, toward in bounds
     )
     lower = xp.maximum(lower, 0)
-    if straight is not None:
-        *goal, rate, margin = straight.astype(value.dtype)
-        frame, square = tables.frame.astype(value.dtype), xp.zeros_like(value)
-        for axis, to in enumerate(goal):
-            along = x[..., axis].astype(value.dtype) - frame[Frame.LO, axis] - frame[Frame.LO_REST, axis]
-            square += without_fusion(xp.square(along - to))
-        # The root of 0 has no gradient.
-        length = xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, xp.ones_like(square))), square)
-        line = without_fusion(length * rate) - margin
-        lower = xp.maximum(lower, xp.minimum(line, value))  # no bound excludes the answer
+    if tables.straight is not None:
+        x = _as_float_points(tables, x)
+        lower = xp.maximum(lower, _straight_bound(tables, _wrap(tables, x) if tables.periodic else x))
     return xp.where(value < np.inf, lower, value), xp.where(value < np.inf, upper, value)
+
+
+def _straight_bound(tables: Tables, x: Points) -> Values:
+    # Points must lie in the domain along periodic axes.
+    goals, groups, rates, margin = (each.astype(x.dtype) for each in tables.straight or ())
+    frame, xp = tables.frame.astype(x.dtype), x.__array_namespace__()
+    ends = (frame[Frame.HI] - frame[Frame.HI_REST]) - (frame[Frame.LO] + frame[Frame.LO_REST])
+    least = xp.full(x.shape[:-1], np.inf, x.dtype)
+    for goal in range(goals.shape[0]):
+        squares = []
+        for axis in range(tables.dim):
+            change = x[..., axis] - frame[Frame.LO, axis] - frame[Frame.LO_REST, axis] - goals[goal, axis]
+            if axis in tables.periodic:  # the short way around
+                change = xp.minimum(xp.abs(change), ends[axis] - xp.abs(change))
+            squares.append(without_fusion(xp.square(change)))
+        cost = xp.zeros_like(least)
+        for group in range(groups.shape[0]):
+            of_group = (without_fusion(groups[group, axis] * squares[axis]) for axis in range(tables.dim))
+            square = reduce(add, of_group)
+            # The root of 0 has no gradient.
+            length = xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, xp.ones_like(square))), square)
+            cost = cost + without_fusion(length * rates[group])
+        least = xp.minimum(least, cost)
+    return xp.maximum(least - margin[()], 0)
 
 
 def waypoints_in_tables(tables: Tables, x: AnyArray) -> Points:

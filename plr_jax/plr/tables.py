@@ -273,6 +273,7 @@ class Tables:
     folding: FoldedDomain | None = None
     trie: Trie | None = None  # in stacks of many PLRs, used instead of all other lookup tables
     unresolved: tuple[str, ...] = field(metadata={"static": True}, default=())  # too coarse float types
+    straight: list[Any] | None = None  # arrays of a :class:`StraightBound`, below which no answer is
 
     @property
     def dim(self) -> int:

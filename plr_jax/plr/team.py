@@ -25,7 +25,7 @@ class PointPlacement:
         return x if self.corner is None else x - self.corner
 
 
-Bands = tuple[tuple[Float[AnyArray, "2 _"], Float[AnyArray, "_"] | None] | None, ...]
+Bands = tuple[Float[AnyArray, "2 _"] | None, ...]
 # Compiled batch sizes. Padding is cheap while a call's overhead dominates; tiny sizes avoid a thread switch in JAX.
 _SIZES = (1, 4, 16, 64, 256, 1024, 2048, 4096, 8192, 16384, 32768)
 _CHUNK = _SIZES[-1]  # larger batches are split, so that computation overlaps with copies between NumPy and JAX
@@ -79,6 +79,6 @@ def _evaluate(
     # One array for each robot, since XLA would compute a single array in one slower loop.
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
     return tuple(
-        evaluate_tables(table, part) if band is None else bounds_of_tables(table, *band, part)[0]
+        evaluate_tables(table, part) if band is None else bounds_of_tables(table, band, part)[0]
         for table, band, part in zip(tables, bands, parts, strict=True)
     )

@@ -22,6 +22,7 @@ from plr_jax.spaces._space import ConfigurationSpace as ConfigurationSpace
 from plr_jax.spaces._space import FreeTest as FreeTest
 from plr_jax.spaces._space import MotionCost as MotionCost
 from plr_jax.spaces._space import SeesBoxes as SeesBoxes
+from plr_jax.spaces._space import Separable as Separable
 from plr_jax.spaces._space import as_states as as_states
 from plr_jax.spaces._space import require_space as require_space
 from plr_jax.spaces._voxels import VoxelSpace as VoxelSpace

@@ -7,6 +7,8 @@ from typing import Any, TypeAlias
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int8
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import as_points, shortened
 from plr_jax._types import ArrayLike
@@ -137,7 +139,7 @@ class PlaneSpace(BodySpace):
         # Shrink by half the tolerance: then a box that is nowhere nearer than the radius is free up to the tolerance.
         boxes = _shrunk(center, half, self.workspace.tolerance / 2)
         near = np.flatnonzero(near_walls(self.workspace, boxes, self.robot.rounding))
-        inside = shapely.intersects_xy(self.workspace.free_space, *center.T)
+        inside = shapely.intersects_xy(self._passable, *center.T)
         state = np.where(inside, CellState.FREE, CellState.BLOCKED).astype(np.int8)
         boxes = _shrunk(center[near], half[near], _SLIVER * self.workspace.tolerance)
         passable = shapely.intersects(self._passable, boxes)
@@ -170,6 +172,22 @@ class PlaneSpace(BodySpace):
         sees[whole] = least >= -self.workspace.tolerance / 2
         return sees & ~self._touch_contacts(shapely.points(q))
 
+    def separated(self, q: ArrayLike) -> "tuple[PlaneSpace, PlaneSpace | None]":
+        """Divide the space into the polygons of free space that hold positions ``q``, and the rest, or None."""
+        polygons, near = shapely.get_parts(self._passable), 2 * self.workspace.tolerance
+        is_point, tree = self.robot.circumscribed_radius == 0, shapely.STRtree(polygons)
+        joined = np.stack([np.arange(len(polygons))] * 2)
+        if is_point and self.workspace.squeeze:  # polygons that touch are one
+            joined = tree.query(polygons, predicate="dwithin", distance=near)
+        graph = coo_array((np.ones(joined.shape[1], bool), tuple(joined)), (len(polygons),) * 2)
+        part = connected_components(graph, directed=False)[1]
+        held = tree.query(shapely.points(as_points("q", q, 2)), predicate="dwithin", distance=near)[1]
+        holds = np.isin(part, part[held])
+        if holds.all() or not holds.any():
+            return self, None
+        kept, rest = (shapely.MultiPolygon(polygons[some].tolist()) for some in (holds, ~holds))
+        return _PlanePart(self.workspace, self.robot, kept), _PlanePart(self.workspace, self.robot, rest)
+
     def _touch_contacts(self, shapes: Any) -> Booleans:
         """Return whether shapes touch a point where obstacles touch and the robot may not pass between them."""
         touch = np.zeros(len(shapes), dtype=bool)
@@ -189,6 +207,24 @@ class PlaneSpace(BodySpace):
         passable = self.workspace.inflate(max(0.0, self.robot.rounding - self.workspace.tolerance)).free_space
         shapely.prepare(passable)
         return passable
+
+
+@dataclass(frozen=True)
+class _PlanePart(PlaneSpace):
+    """The positions of a PlaneSpace in some polygons of its free space, the ``region``."""
+
+    region: Any = None
+
+    @cached_property
+    def _passable(self) -> Any:
+        shapely.prepare(self.region)
+        return self.region
+
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Booleans:
+        free, q0 = super().are_free(q0, q1), np.asarray(q0, np.float64)
+        points: Any = shapely.points(q0[free])
+        free[free] = shapely.dwithin(self._passable, points, 2 * self.workspace.tolerance)
+        return free
 
 
 def _shrunk(center: Positions, half: Positions, margin: float) -> Any:

@@ -1,7 +1,7 @@
 """The configuration space of a rigid body in the plane, SE(2): positions and headings."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -13,8 +13,9 @@ from plr_jax._arrays import as_finite, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, check_body, side_offsets
-from plr_jax.spaces._plane import BodySpace, Booleans, near_walls, walls_within
+from plr_jax.spaces._plane import BodySpace, Booleans, PlaneSpace, near_walls, walls_within
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes
 
 # Half turns below this are bounded by a polygon around the swept body, larger ones by its circumscribed circle.
@@ -57,6 +58,16 @@ class RigidBodySpace(BodySpace):
         """Length of a motion, plus its turn in radians times the rotation weight."""
         weight = self.robot.circumscribed_radius if self.rotation_weight is None else self.rotation_weight
         return MotionCost((((0, 1), 1.0), ((2,), weight)))
+
+    def separated(self, q: ArrayLike) -> "tuple[RigidBodySpace, RigidBodySpace | None]":
+        """Divide the space by the polygons of free space that hold the body at ``q``, and all others, or None."""
+        parts, rest = PlaneSpace(self.workspace).separated(np.asarray(q)[:, :2])
+        # A segment may pass lengthwise where obstacles touch.
+        if rest is None or self.robot.breadth == 0 or self.robot.inscribed_radius < 0:
+            return self, None
+        bounds, squeeze = self.workspace.bounds, self.workspace.squeeze
+        parts, rest = (Workspace._from_free_space(bounds, each._passable, squeeze) for each in (parts, rest))
+        return replace(self, workspace=parts), replace(self, workspace=rest)
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
         """Tell whether boxes of positions and headings (radians) are FREE, BLOCKED or MIXED (:class:`CellState`)."""

@@ -129,6 +129,21 @@ class ConfigurationSpace(FreeTest, Protocol):
 
 
 @runtime_checkable
+class Separable(Protocol):
+    """A configuration space that knows which of its configurations no path joins.
+
+    With it, rooms that are cut off from the goal count as obstacles.
+    """
+
+    def separated(self, q: ArrayLike, /) -> tuple[ConfigurationSpace, ConfigurationSpace | None]:
+        """Divide the space into the part that paths join to some of the configurations ``q``, and the rest.
+
+        Configurations of the other part count as BLOCKED in each. The rest is None if it is empty.
+        """
+        ...
+
+
+@runtime_checkable
 class SeesBoxes(Protocol):
     """A configuration space that can prove that a point sees every free configuration of a box.
 

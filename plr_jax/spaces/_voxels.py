@@ -1,9 +1,12 @@
 """The configuration space of a point or ball among voxels, in one to four dimensions."""
 
 from dataclasses import dataclass
+from itertools import product
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Int8
+from scipy import ndimage
 
 from plr_jax._arrays import as_finite, as_points, set_fields
 from plr_jax._types import ArrayLike
@@ -125,6 +128,18 @@ class VoxelSpace:
         else:
             free[free] = ball_passes(self.grid, *ends, self.radius - self.tolerance / 2)
         return free
+
+    def separated(self, q: ArrayLike) -> "tuple[VoxelSpace, VoxelSpace | None]":
+        """Divide the space into what free voxels join to positions ``q`` through faces, and the rest, or None."""
+        labeled: Any = ndimage.label(self.grid.padded)
+        region = labeled[0]
+        below, above = self.grid.numbers(as_points("q", q, self.grid.dim).T)
+        voxels = (np.where(ends, above.T, below.T) for ends in product((False, True), repeat=self.grid.dim))
+        held = [region[tuple(voxel.T)] for voxel in voxels]
+        is_joined = np.isin(region, np.setdiff1d(held, 0))[(slice(1, -1),) * self.grid.dim]
+        if not is_joined.any() or not (rest := self.free & ~is_joined).any():
+            return self, None
+        return VoxelSpace(is_joined, self.domain, self.radius), VoxelSpace(rest, self.domain, self.radius)
 
     def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike) -> Booleans:
         """Return whether a point at ``q`` is proven to see every free position of a box; False for balls.

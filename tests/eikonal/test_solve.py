@@ -201,7 +201,7 @@ def test_holes_in_thin_walls_of_volumes_have_upper_bounds(monkeypatch):
 
 def test_builds_obey_byte_limits_and_repeat_exactly():
     few, again, full = (
-        solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=24, max_bytes=most) for most in (100, 100, None)
+        solve_eikonal(PlaneSpace(ROOM), GOAL, max_leaves=99, max_bytes=most) for most in (100, 100, None)
     )
     assert few.num_bytes <= 100 < full.num_bytes and few.to_bytes() == again.to_bytes()
     check_bounds(few, ROOM, GOAL, n=1000)

@@ -116,7 +116,19 @@ class SlowReader:
     def _value(self, x):
         if (z := self._placed(x)) is None:
             return np.nan if np.isnan(x).any() else np.inf
-        return self._leaf_value(z - self.lo)
+        value, certificate = self._leaf_value(z - self.lo), self.contents.certificate
+        straight = None if certificate is None else certificate.straight
+        return value if straight is None else max(value, self._straight(straight, z - self.lo))
+
+    def _straight(self, bound, above):
+        f32, period = np.float32, (self.hi - self.rest[1]) - (self.lo + self.rest[0])
+        costs = []
+        for goal in bound.goals.astype(f32):
+            change = above - goal
+            change = np.where(self.periodic, np.minimum(np.abs(change), period - np.abs(change)), change)
+            squares = [reduce(add, change[group == 1] ** 2) for group in bound.groups]
+            costs.append(reduce(add, np.sqrt(squares) * bound.rates.astype(f32)))
+        return max(min(costs) - f32(bound.margin), f32(0))
 
     def _placed(self, x):
         """Return a point relative to the origin, wrapped and mirrored; None outside the domain."""

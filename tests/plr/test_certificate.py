@@ -12,6 +12,7 @@ from plr_jax.plr.certificate import (
     Certificate,
     LeafBounds,
     Proof,
+    StraightBound,
     classify_bounds,
     read_certificate,
     read_classes,
@@ -62,14 +63,20 @@ def test_stored_bounds_are_rounded_outward_and_read_as_written(seed, scale, proo
 
 
 def test_straight_lower_bounds_are_read_as_written_and_checked():
-    straight = np.array([0.5, 0.25, 1.0, 2.0**-20])
+    goals, groups = np.array([[0.5, 0.25], [1.0, 0.0]]), np.eye(2)
+    straight = StraightBound(goals, groups, np.array([1.0, 0.5]), 2.0**-20, False)
     certificate = Certificate(1.0, np.zeros((2, 3), np.uint8), Proof.OPEN_LEAVES, straight)
     again = read_certificate(BitReader(written(certificate).to_bytes()), Proof.OPEN_LEAVES, 3, 2)
     assert again is not None and again.scale == 1.0
-    np.testing.assert_array_equal(again.straight, straight)
-    for wrong in (np.nan, np.inf, -1.0):
-        body = written(replace(certificate, straight=np.append(straight[:3], wrong)))
-        with pytest.raises(ValueError, match="a straight line to the goal with numbers that are none"):
+    for mine, theirs in zip(again.straight.arrays, straight.arrays, strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    for change, message in (
+        *(({"margin": wrong}, "to the goal with numbers that are none") for wrong in (np.nan, np.inf, -1.0)),
+        ({"goals": np.zeros((65, 2))}, "to a wrong number of goals"),
+        ({"groups": 3 * np.eye(4)[:, ::2]}, "to a wrong number of goals, or with wrong groups of axes"),
+    ):
+        body = written(replace(certificate, straight=replace(straight, **change)))
+        with pytest.raises(ValueError, match=message):
             read_certificate(BitReader(body.to_bytes()), Proof.OPEN_LEAVES, 3, 2)
 
 

@@ -47,7 +47,7 @@ def eager_answers(plr, x):
 
 
 @pytest.mark.parametrize(
-    "name", ["maze of cones", *full("straight bound", "random planes on a line", "far folded car")]
+    "name", ["maze of cones", *full("straight lines", "random planes on a line", "far folded car")]
 )
 def test_numpy_answers_of_small_batches_equal_compiled_ones(name, monkeypatch):
     plr = from_bytes(case(name).to_bytes())  # has not been called yet

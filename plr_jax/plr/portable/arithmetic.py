@@ -105,6 +105,7 @@ class Program:
             self.periods[axis] = lo, hi, column[Frame.SCALE], np.float32(_TOLERANCE) * max(abs(lo), abs(hi))
             lo, hi = domain.lo[axis], domain.hi[axis]
             self.double_periods[axis] = lo, hi, 1 / (hi - lo), np.float64(0)
+        self.straight = None if contents.certificate is None else contents.certificate.straight
         self.folding_arrays = None
         if contents.folding is not None:
             self.folding_arrays = folding_numbers(contents.folding, origin)
@@ -154,7 +155,14 @@ class Program:
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        """Evaluate the leaf with parameters ``numbers`` at points, given by the result of :meth:`offsets`."""
+        """Return answers at points, given by :meth:`offsets`, in the leaf with parameters ``numbers``."""
+        value, straight = self._value_of_leaf(do, offsets, numbers), self.straight_bound(do, offsets)
+        if straight is None:
+            return value
+        value, straight = do.let("value", value), do.let("straight", straight)
+        return do.where(straight > value, straight, value)
+
+    def _value_of_leaf(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
         if not self.leaf.is_cell_relative:
             return self.leaf.value(numbers, offsets, do.root)
         # Before the leaf's parameters come two numbers for each axis: how many cells as long as the leaf's cell the
@@ -168,13 +176,25 @@ class Program:
         return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
     def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
-        """Return the proven lower bound ``rate * |x - goal| - margin`` of the distance; None if none is stored."""
-        certificate = self.contents.certificate
-        if certificate is None or certificate.straight is None:
+        """Return the proven lower bound by straight lines to the goals; None if none is stored."""
+        if self.straight is None:
             return None
-        *goal, rate, margin = certificate.straight.astype(np.float32)
-        changes = [do.let("change", along - to) for along, to in zip(offsets, goal, strict=True)]
-        return do.root(reduce(add, [change * change for change in changes])) * rate - margin
+        goals, groups, rates, margin = self.straight.arrays
+        least = None
+        for goal in goals:
+            changes = [do.let("change", along - to) for along, to in zip(offsets, goal, strict=True)]
+            for axis, (lo, hi, *_) in self.periods.items():  # the short way around
+                length = do.let("length", do.where(changes[axis] < 0, -changes[axis], changes[axis]))
+                other = do.let("other", -length + (hi - lo))
+                changes[axis] = do.let("change", do.where(other < length, other, length))
+            costs = []
+            for group, rate in zip(groups, rates, strict=True):
+                squares = [change * change for change, is_in in zip(changes, group, strict=True) if is_in]
+                costs.append(do.root(reduce(add, squares)) * rate)
+            cost = do.let("cost", reduce(add, costs))
+            least = cost if least is None else do.let("least", do.where(cost < least, cost, least))
+        least = do.let("least", least - margin)
+        return do.where(least > 0, least, np.float32(0))
 
     def waypoint(self, numbers: Sequence[Value]) -> list[Value]:
         corner = self.frame[Frame.LO] if self.corner is None else self.corner

@@ -179,6 +179,7 @@ def compact_header(program: Program, name: str) -> str:
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
     needs = [f"1u << PLR_JAX_{program.leaf.name.upper()}", *["PLR_JAX_WRAPS"] * program.domain.is_periodic]
     needs += ["PLR_JAX_FOLDS"] * (program.folding_arrays is not None)
+    needs += ["PLR_JAX_LINES"] * (program.straight is not None)
     lines = [
         f"#ifndef {guard}",
         f"#define {guard}",

@@ -27,7 +27,7 @@ DECODER = Path(__file__).with_name("decoder.h")
 _MAGIC = int.from_bytes(b"PLC1", "little")
 _NUM_WORDS = 18
 _RECORD = 16  # splits in a record of the tree
-_FAR, _FOLDED, _TURNED, _CODED, _VALUES = 1, 2, 4, 8, 16  # flags
+_FAR, _FOLDED, _TURNED, _CODED, _VALUES, _STRAIGHT = 1, 2, 4, 8, 16, 32  # flags
 _UNITS = np.array([0, 1, 2, 4])  # width of a middle's fields by its mark, in multiples of the width of its record
 _FLOAT_BITS = 32  # files whose planes have so many bits store floats
 # In a polynomial close to a plane, Horner's rule adds all other coefficients to a slope. If their sum is less than
@@ -100,6 +100,11 @@ class _CompactWriter:
                 self.body.write(np.array([pivot]), 8)
                 self.body.write(np.isin(np.arange(self.dim), reversed_axes).astype(np.int64), 1)
             self.body.write_floats(folded_ends.T.ravel())
+        elif (straight := program.straight) is not None:
+            self.body.write(np.array([len(straight.goals), len(straight.rates)]), 8)
+            self.body.write_floats(np.array([straight.margin]))
+            self.body.write(straight.groups.argmax(axis=0), 8)
+            self.body.write_floats(np.append(straight.rates, straight.goals))
         self.body.write(np.zeros(1, np.int64), -self.body.num_bits % 8)
 
     def _write_rows(self, *parts: tuple[Shaped[np.ndarray, "rows _"], int]) -> None:
@@ -144,6 +149,7 @@ class _CompactWriter:
         flags |= _FAR * (self.program.corner is not None)
         if (folding := self.program.folding_arrays) is not None:
             flags |= _FOLDED | _TURNED * (folding[2] is not None)
+        flags |= _STRAIGHT * (self.program.straight is not None)
         data = self.body.to_bytes()
         words = [
             _MAGIC,

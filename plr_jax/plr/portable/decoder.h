@@ -80,9 +80,10 @@ enum {
     PLR_JAX_NUM_WORDS
 };
 enum { PLR_JAX_PLANE, PLR_JAX_CONTINUOUS, PLR_JAX_SMOOTH, PLR_JAX_CONE };
-/* Sets of features: 1 << model, PLR_JAX_WRAPS, PLR_JAX_FOLDS. Compilers leave out what a constant set does not have. */
-enum { PLR_JAX_WRAPS = 16, PLR_JAX_FOLDS = 32, PLR_JAX_ANY = 63 };
+/* Sets of features: 1 << model, PLR_JAX_WRAPS and on. Compilers leave out what a constant set does not have. */
+enum { PLR_JAX_WRAPS = 16, PLR_JAX_FOLDS = 32, PLR_JAX_LINES = 64, PLR_JAX_ANY = 127 };
 enum { PLR_JAX_FAR = 1, PLR_JAX_FOLDED = 2, PLR_JAX_TURNED = 4, PLR_JAX_CODED = 8, PLR_JAX_VALUES = 16 };
+enum { PLR_JAX_STRAIGHT = 32 }; /* no answer is below the cost of a straight line to the nearest goal */
 /* The floats of an axis, after the words. */
 enum {
     PLR_JAX_LEAST,
@@ -643,6 +644,39 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
     return 1;
 }
 
+/* Returns the least cost of straight lines to the goals, less a margin for rounding. */
+static inline float plr_jax_straight(const struct plr_jax *f, const float *x, uint32_t dim)
+{
+    const uint32_t start = plr_jax_word(f, PLR_JAX_W_FOLD), num_goals = plr_jax_bits(f, start, 8);
+    const uint32_t num_groups = plr_jax_bits(f, start + 8u, 8), at_groups = start + 48u;
+    const uint32_t at_rates = at_groups + 8u * dim, at_goals = at_rates + 32u * num_groups;
+    uint32_t goal, group, axis;
+    float least = 0.0f;
+    for (goal = 0; goal < num_goals; ++goal) {
+        float cost = 0.0f;
+        for (group = 0; group < num_groups; ++group) {
+            float square = 0.0f, part;
+            for (axis = 0; axis < dim; ++axis) {
+                const float lo = plr_jax_frame(f, axis, PLR_JAX_FIRST), hi = plr_jax_frame(f, axis, PLR_JAX_LAST);
+                float change = x[axis] - plr_jax_float(f, at_goals + 32u * (goal * dim + axis));
+                if (plr_jax_bits(f, at_groups + 8u * axis, 8) != group) {
+                    continue;
+                }
+                if (hi > lo) { /* the short way around */
+                    change = change < 0.0f ? -change : change;
+                    change = hi - lo - change < change ? hi - lo - change : change;
+                }
+                square = square + change * change;
+            }
+            part = sqrtf(square) * plr_jax_float(f, at_rates + 32u * group);
+            cost = cost + part;
+        }
+        least = goal && !(cost < least) ? least : cost;
+    }
+    least = least - plr_jax_float(f, start + 16u);
+    return least > 0.0f ? least : 0.0f;
+}
+
 /* Evaluates a leaf, from the results of plr_jax_leaf. */
 static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint32_t (*cell)[2], float *n,
                                   uint32_t models)
@@ -680,6 +714,10 @@ static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint3
             }
             n[i] = sum;
         }
+    }
+    if (models & PLR_JAX_LINES && plr_jax_word(f, PLR_JAX_W_KIND) >> 16 & PLR_JAX_STRAIGHT) {
+        sum = plr_jax_straight(f, x, dim);
+        return sum > n[0] ? sum : n[0];
     }
     return n[0];
 }

@@ -170,7 +170,7 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
         straight = program.straight_bound(do, above_corner)
         least = "lower > 0 ? lower : 0"
         if straight is not None:
-            least = f"Math.max(lower, Math.min({straight}, value), 0)"
+            least = f"Math.max(lower, {straight}, 0)"
         below, above = (f"f(value + numbers[n + {width + end}])" for end in (-2, -1))
         do.statements += [
             f"const value = {answer};",

@@ -343,7 +343,7 @@ class NumpyPLR:
         value, band = self._values(offsets, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
         lower = np.nextafter(value + band[0], np.float32(-np.inf))
         if (straight := self._program.straight_bound(ARRAYS, offsets)) is not None:
-            lower = np.maximum(lower, np.minimum(straight, value))
+            lower = np.maximum(lower, straight)
         upper = np.nextafter(value + band[1], np.float32(np.inf))
         finite = value < np.inf
         return np.stack([np.where(finite, np.maximum(lower, 0), value), np.where(finite, upper, value)], axis=1)
