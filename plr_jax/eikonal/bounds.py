@@ -13,20 +13,21 @@ from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.estimate import GridEstimate
 from plr_jax.eikonal.goals import Points, nearest_goals
-from plr_jax.eikonal.mesh import CellIndex, Mesh, straddling_cells
+from plr_jax.eikonal.mesh import CellIndex, Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, SlopeProgram
+from plr_jax.geometry.reach import Reach
 from plr_jax.oracles import VoxelGraph
-from plr_jax.plr._file import DecodedFile, filled_coefficients
+from plr_jax.plr._file import DecodedFile, cut_off_leaves, filled_coefficients
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.certificate import MOST_GOALS, Certificate, LeafBounds, Proof, StraightBound
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.faces import neighbor_of_largest_contact, overlapping_leaves
+from plr_jax.plr.faces import overlapping_leaves
 from plr_jax.plr.frame import enumerate_boxes
 from plr_jax.plr.growth import best_axis, largest_error
 from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
 from plr_jax.plr.leaves.base import UNIT, Rules, check_limits, largest_coordinates
-from plr_jax.plr.sampling import CellFit, Sampler, least_squares, sample_pattern
+from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits
 from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes, VoxelSpace
 
@@ -41,7 +42,6 @@ _OFF, _NEAR = 0.1, 0.01
 # Relative margin for the length of a straight line in 32 bits; range of lengths whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
 _STRAIGHT_BYTES = 0.4  # most bytes of goals for straight lines, as a share of the file
-_MOST_LONG = 1  # leaves beside rooms that are cut off are at most four times as long as wide
 Numbers: TypeAlias = Float[np.ndarray, "n"]
 AtCorners: TypeAlias = Float[np.ndarray, "n corners"]
 CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
@@ -72,7 +72,7 @@ class CostToGoField:
     nodal_estimate: Float[np.ndarray, "nodes"]  # at the corners of cells; inf where unknown
     nodal_goal: Int[np.ndarray, "nodes"] | None  # the goal of the estimated path from each node, without a guide
     space: ConfigurationSpace
-    cut_off: ConfigurationSpace | None  # the part of the space that is known to be cut off from the goals
+    reach: Reach | None  # if known: which boxes hold points that paths join to a goal, and which hold others
     guide: GridEstimate | None  # an estimate interpolated on a grid, for up to three axes; of the other part
 
     @property
@@ -284,7 +284,8 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
     step = max(step, _SMALLEST_STEP * float(np.abs(values).max()), float(np.finfo(np.float32).tiny))
     partition = TiedPartition(mesh.tree, closed, mesh.all_faces, mesh.is_open_face)
     stored = StoredValues.quantize_corners(partition, values, step)
-    contents = DecodedFile(mesh.domain, leaf_model("continuous"), mesh.tree, stored)
+    cut_off = cut_off_leaves(None if field is None else field.reach, mesh.tree)
+    contents = DecodedFile(mesh.domain, leaf_model("continuous"), mesh.tree, stored, cut_off=cut_off)
     plr = plr_of_leaves(contents)
     if field is not None and plr.num_bytes <= max_bytes:
         plr = plr_of_leaves(_with_proof(contents, field, _straight_bound(field, max_bytes)))
@@ -304,23 +305,11 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
         on_grid = on_mesh if field is None or field.guide is None else field.guide(x)
         return np.where(np.isfinite(on_grid), on_grid, on_mesh)
 
-    cut_off = None if field is None else field.cut_off
-
-    def errors(fit: CellFit) -> Numbers:
-        error, finite = largest_error(fit), np.array(fit.reachable.any(axis=1))
-        if cut_off is not None:
-            lost, lenders = np.flatnonzero(~finite), np.flatnonzero(finite)
-            finite[lost] = neighbor_of_largest_contact(fit.cells, lost, lenders, domain.periodic) >= 0
-            some = straddling_cells(fit.cells, finite, domain, cut_off)
-            error[some] += fit.value.max() * 2.0 ** -fit.cells.depth[some].mean(axis=1)
-        return error
-
-    def axes(fit: CellFit) -> CellIndex:
-        is_long = fit.cells.depth.min(axis=1) + _MOST_LONG < fit.cells.depth.max(axis=1)
-        return np.where(is_long & (cut_off is not None), fit.cells.depth.argmin(axis=1), best_axis(fit))
-
-    sampler = Sampler(distances, domain, None, pattern, pattern, limits.max_axis_depth, least_squares, None)
-    contents = DecodedFile(domain, model, *model.construct(sampler, Rules(errors, axes), limits))
+    reach = None if field is None else field.reach
+    rules = limits.max_axis_depth, least_squares, None, reach
+    sampler = Sampler(distances, domain, None, pattern, pattern, *rules)
+    tree, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)
+    contents = DecodedFile(domain, model, tree, stored, cut_off=cut_off_leaves(reach, tree))
     return plr_of_leaves(contents if field is None else _with_proof(contents, field, straight))
 
 
@@ -349,7 +338,8 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     meet = (lo <= hi).all(axis=1)
     leaf, cell, turn, lo, hi = (each[meet] for each in (leaf, cell, turn, lo, hi))
     coefficients = filled_coefficients(contents)
-    if np.isinf(coefficients[leaf, 0]).any():
+    is_lost = np.isinf(coefficients[:, 0]) & (True if contents.cut_off is None else ~contents.cut_off)
+    if is_lost[leaf].any():
         raise ValueError(
             "Nothing can be proven: some leaves answer inf, although some of their points, which no sample met, may "
             "reach the goal. Allow more max_bytes, or leave it out."

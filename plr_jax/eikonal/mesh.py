@@ -20,9 +20,6 @@ from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 _MOST_SLENDER = 2e5  # largest ratio of a cell's widths: beyond it, the equations lose all digits along the long axis
 _NO_BIT = 62  # a bit that is 0 in every slot: descents stop at leaves
 _LONG = 0.7  # a cell is halved along axes in which it is wider than this share of its largest width
-_CUT_OFF_SPLITS = (
-    8  # splits along each axis of cells that hold points cut off from the goal beside points that reach it
-)
 _LEAST_PERIODIC = 2  # least number of halvings of a periodic axis: no two cells may touch on both sides
 CellIndex: TypeAlias = Int[np.ndarray, "n"]
 Fractions: TypeAlias = Float[np.ndarray, "n dim"]
@@ -159,14 +156,6 @@ class Mesh:
         part = connected_components(graph, directed=False)[1]
         return np.isin(part, part[cells])
 
-    def straddling(self, cut_off: ConfigurationSpace) -> CellIndex:
-        """Return the cells that may answer a finite number somewhere in space that is cut off from the goals."""
-        # Leaves that touch a leaf with a finite answer borrow its function.
-        finite = self.state != CellState.BLOCKED
-        blocked = np.flatnonzero(~finite)
-        finite[touching_leaves(self.tree, blocked, self.open_cells, self.domain.periodic)[0]] = True
-        return straddling_cells(self.cells, finite, self.domain, cut_off)
-
     def with_state(self, state: States) -> "Mesh":
         mesh = copy.copy(self)  # shares the cached properties of the cells
         mesh.state = state
@@ -217,14 +206,6 @@ class Mesh:
         parts = Cells(cells.depth[cell] + is_halved[cell], (cells.position[cell] << is_halved[cell]) + bits[part])
         state = np.where(least == most, least, np.int8(CellState.MIXED))
         return parts, state, np.bincount(of_part.ravel(), is_flush.ravel()) * (state == CellState.BLOCKED) > 0
-
-
-def straddling_cells(cells: Cells, finite: Mask, domain: Box, cut_off: ConfigurationSpace) -> CellIndex:
-    """Return the cells of some width that are ``finite`` and, as far as known, hold points of a space ``cut_off``."""
-    some = np.flatnonzero(finite & (cells.depth < _CUT_OFF_SPLITS).any(axis=1))
-    some = some[np.argsort(cells.depth[some].sum(axis=1), kind="stable")]
-    lo, hi = cells[some].boxes(domain)
-    return some[cut_off.classify(lo, hi) != CellState.BLOCKED]
 
 
 def coarse_mesh(space: ConfigurationSpace, num_cells: int, max_cells: int) -> Mesh:

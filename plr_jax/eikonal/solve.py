@@ -5,7 +5,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,8 @@ from plr_jax.eikonal.goals import Goals
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
 from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
-from plr_jax.plr._construct import BuildOptions, construct
+from plr_jax.geometry.reach import Fractions, Reach
+from plr_jax.plr._construct import BuildOptions, construct, warn_if_cut_off
 from plr_jax.plr._plr import PLR
 from plr_jax.plr.frame import max_axis_depth
 from plr_jax.plr.growth import ConstructionInterrupted, check_memory, largest_error
@@ -32,9 +32,7 @@ from plr_jax.spaces import (
     ConfigurationSpace,
     CostMap,
     FreeTest,
-    PlaneSpace,
     Separable,
-    VoxelSpace,
     require_space,
 )
 
@@ -44,8 +42,6 @@ _MAX_LEAVES = 2_000
 _LEAVES_PER_BYTE = 2  # no file has more leaves per byte
 _BYTES_A_CELL = 4_000  # least memory that construction takes for each cell
 _LEAF_SAMPLES = 64  # samples in a leaf of an estimate, in which the grid has few nodes
-_NUM_SAMPLES_BEYOND = 4_096  # samples of the domain that estimate the volume from which the goal cannot be reached
-_BESIDE_WALLS = 64  # answers may be finite within this part of the domain's width of points that reach the goal
 _LEAST_COST = 1e-30  # least cost that 32 bits resolve
 _BESIDE = 1e-6  # share of the domain's width by which a goal may lie outside: a space may count such goals as free
 
@@ -188,7 +184,8 @@ def solve_eikonal(
             on_mesh = plr_on_mesh(estimate, proven, most_bytes)
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
         which = field.which
-        _warn_if_cut_off(plr, field)
+        reach = field.reach or (None if field.guide is None else field.guide.reach(domain))
+        warn_if_cut_off(reach, plr._contents)
     return plr if goal.ndim == 1 else plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), which))
 
 
@@ -216,40 +213,6 @@ def _error_by_norm(fit: CellFit) -> Float[np.ndarray, "cells"]:
     return np.sqrt(largest_error(fit) * norm)
 
 
-def _warn_if_cut_off(plr: PLR, field: CostToGoField) -> None:
-    # Warn of finite answers at points that cannot reach the goal and are not just beside points that can.
-    space, cut_off, domain, rng = field.space, field.cut_off, plr.domain, np.random.default_rng(0)
-    estimate = field.guide or field.estimate
-    is_known = isinstance(space, PlaneSpace) or (isinstance(space, VoxelSpace) and space.radius == 0)
-
-    def is_beyond(x: Float[np.ndarray, "n dim"]) -> Bool[np.ndarray, "n"]:
-        return space.is_free(x) & np.isinf(estimate(x)) if cut_off is None or not is_known else cut_off.is_free(x)
-
-    # 1. Sample leaves that hold points beyond walls; if these leaves are not known, sample the domain.
-    lo, hi, num = domain.lo[None], domain.hi[None], _NUM_SAMPLES_BEYOND
-    if is_known:
-        if cut_off is None:
-            return
-        (lo, hi), num = plr.leaf_boxes, _LEAF_SAMPLES
-        some = np.isfinite(plr.numpy()((lo + hi) / 2)) & (cut_off.classify(lo, hi) != CellState.BLOCKED)
-        lo, hi = lo[some], hi[some]
-    x = (lo[:, None] + (hi - lo)[:, None] * rng.random((len(lo), num, domain.dim))).reshape(-1, domain.dim)
-    volume = np.repeat((hi - lo).prod(axis=1) / num, num)
-    some = np.flatnonzero(np.isfinite(plr.numpy()(x)) & is_beyond(x))
-    # 2. Leave out points within a 64th of the domain of others.
-    for step in product((-1, 0, 1), repeat=domain.dim):
-        beside = domain.wrapped(x[some] + domain.width / _BESIDE_WALLS * step / max(np.linalg.norm(step), 1))
-        some = some[~space.is_free(beside) | is_beyond(beside)]
-    if len(some):
-        beyond = is_beyond(domain.at(rng.random((_NUM_SAMPLES_BEYOND, domain.dim)))).mean() * domain.width.prod()
-        share = min(volume[some].sum() / max(beyond, volume[some].sum()), 1.0)
-        warnings.warn(
-            f"{share:.2%} of the free space from which the goal cannot be reached is answered with a finite number. "
-            "Allow more max_leaves and max_bytes.",
-            stacklevel=3,
-        )
-
-
 def _require_costs(largest: float) -> None:
     if 0 < largest < _LEAST_COST:
         raise ValueError(
@@ -258,12 +221,23 @@ def _require_costs(largest: float) -> None:
         )
 
 
+def _reach_of_spaces(reached: ConfigurationSpace, cut_off: ConfigurationSpace) -> Reach:
+    domain = reached.domain
+
+    def meets(space: ConfigurationSpace, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
+        return space.classify(*(domain.at(np.clip(end, 0.0, 1.0)) for end in (lo, hi))) != CellState.BLOCKED
+
+    tests = partial(meets, reached), partial(meets, cut_off)
+    return Reach(*tests, tests[1])
+
+
 def _field(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, most: int, tolerance: float, places: Goals
 ) -> CostToGoField:
     # `goals` are fractions of the domain; rounding has moved them from their `places`.
     reached, cut_off = space.separated(places) if isinstance(space, Separable) else (space, None)
-    solver = SlopeSolver(reached, cost_map, goals, most, tolerance, cut_off)
+    reach = None if cut_off is None else _reach_of_spaces(reached, cut_off)
+    solver = SlopeSolver(reached, cost_map, goals, most, tolerance, reach)
     with tqdm(desc="solve_eikonal", total=most, unit=" cells", delay=3, leave=False, disable=None) as progress:
         try:
             solver.refine(progress)
@@ -280,7 +254,7 @@ def _field(
         nodal_estimate, nodal_goal = likely.cost[:num], likely.ends[:num] - num
     else:
         nodal_estimate = guide(domain.at(mesh.nodes))
-    return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, cut_off, guide)
+    return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, reach, guide)
 
 
 # Share of all cells in the first mesh, and its least number: in one cell, flows to a goal in its middle cancel.
@@ -308,9 +282,9 @@ class SlopeSolver:
         goals: Goals,  # fractions of the domain
         max_cells: int,
         tolerance: float,
-        cut_off: ConfigurationSpace | None = None,  # what paths do not join to the goals, which `space` lacks
+        reach: Reach | None = None,  # if the space lacks free configurations that paths do not join to the goals
     ):
-        self.space, self.cost_map, self.goals, self.cut_off = space, cost_map, goals, cut_off
+        self.space, self.cost_map, self.goals, self.reach = space, cost_map, goals, reach
         self.max_cells, self.tolerance = max_cells, tolerance
         mesh = coarse_mesh(space, max(int(_COARSEST * max_cells), _FEWEST), max_cells)
         self.program = SlopeProgram.on(mesh, space, cost_map, goals)
@@ -335,7 +309,7 @@ class SlopeSolver:
             if not len(which) or room < parts:
                 break
             coarse = self.mesh
-            mesh = self._without_straddling(coarse.refined(which, self.space, room))
+            mesh = self._without_borders(coarse.refined(which, self.space, room))
             finer = SlopeProgram.on(mesh, self.space, self.cost_map, self.goals)
             fine = finer.space.mesh
             # Interpolate function and flow on the finer mesh.
@@ -364,10 +338,12 @@ class SlopeSolver:
                 stacklevel=4,
             )
 
-    def _without_straddling(self, mesh: Mesh) -> Mesh:
+    def _without_borders(self, mesh: Mesh) -> Mesh:
         # An answer beyond a wall errs by about the size of the domain. Half of all cells are for other errors.
-        while self.cut_off is not None and len(which := mesh.straddling(self.cut_off)):
-            finer = mesh.refined(which, self.space, (self.max_cells - len(mesh.state)) // 2)
+        while self.reach is not None:
+            border = np.flatnonzero(self.reach.is_border(*mesh.cells.fractions))
+            border = border[np.argsort(mesh.cells.depth[border].sum(axis=1), kind="stable")]
+            finer = mesh.refined(border, self.space, (self.max_cells - len(mesh.state)) // 2)
             if len(finer.state) == len(mesh.state):
                 break
             mesh = finer

@@ -24,7 +24,8 @@ from plr_jax._types import (
     Points,
 )
 from plr_jax.geometry.box import Box
-from plr_jax.plr._file import DecodedFile, encode
+from plr_jax.geometry.reach import Reach
+from plr_jax.plr._file import DecodedFile, cut_off_leaves, encode
 from plr_jax.plr._proof import BuildInputs, can_be_updated, certificate_of
 from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
@@ -216,7 +217,7 @@ def construct(
         contents = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
     else:
         contents = build(leaf)
-    warn_if_cut_off(distance_fn, contents)
+    warn_if_cut_off(None if contents.folding is not None else reach_of(distance_fn, domain), contents)
     if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
         return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
     plr = plr_of_leaves(contents)
@@ -277,7 +278,7 @@ def _build_leaves(
     sampler = replace(sampler, is_sparse=seen.mean() < _SPARSE)
     tree, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
     model = leaf_model(model.name)  # files store no options of a model
-    cut_off = None if reach is None else reach.is_cut_off(*tree.leaves.fractions)
+    cut_off = cut_off_leaves(reach, tree)
     contents = DecodedFile(domain, model, tree, stored, folding=folding, cut_off=cut_off)
 
     # 4. Prove its error bounds.
@@ -303,9 +304,8 @@ def proof_of(certified: bool | str) -> Proof:
     return Proof.CLASSES if certified else Proof.NONE
 
 
-def warn_if_cut_off(distance_fn: DistanceFn, contents: DecodedFile) -> None:
+def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
     """Warn if most of free space cannot reach the goal, or a PLR answers free points there with a finite number."""
-    reach = None if contents.folding is not None else reach_of(distance_fn, contents.domain)
     if reach is None:
         return
     lo, hi = contents.tree.leaves.fractions

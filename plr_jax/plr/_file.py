@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 
 from plr_jax._arrays import sum_of_columns
 from plr_jax.geometry.box import Box
+from plr_jax.geometry.reach import Reach
 from plr_jax.plr.certificate import Certificate, Proof, read_certificate
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import Container, Layer
@@ -28,6 +29,10 @@ class DecodedFile:
     certificate: Certificate | None = None
     folding: Folding | None = None  # mirror symmetries that map all points of the PLR's domain to ``domain``
     cut_off: Bool[np.ndarray, "leaves"] | None = None  # leaves that answer ``inf``; None: no leaf does for certain
+
+
+def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, "leaves"] | None:
+    return None if reach is None else reach.is_cut_off(*tree.leaves.fractions)
 
 
 def encode(contents: DecodedFile) -> bytes:
