@@ -44,7 +44,7 @@ def test_build_counts_specks_in_pixels(path, tmp_path):
     gray[21:23, 15] = 255  # a free place of 2 pixels
     Image.fromarray(gray).save(tmp_path / "scan.png")
     (tmp_path / "scan.yaml").write_text("image: scan.png\nresolution: 0.05\norigin: [0, 0, 0]\n")
-    limits = ["--goal", "1,1", "-o", path, "--leaf", "plane", "--max-leaves", 4]
+    limits = ["--goal", "1,1", "-o", path, "--leaf", "plane", "--max-leaves", 60]
     for name, options, summary, upper in (
         ("scan.png", [], "workspace units, 4 specks of at most 4 pixels (--drop-specks 4 drops them)", 5),
         ("scan.yaml", ["--radius", 0.3], "workspace units, 4 specks of at most 4 pixels", 4.7),

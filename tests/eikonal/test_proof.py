@@ -115,16 +115,17 @@ CUT_OFF = {  # a space, a goal, cells, bytes, which points reach the goal, and t
     "narrow door": (NARROW, (0.5, 1), 200, None, lambda x: x[:, 0] < 1.8, 0),
     "corners": (VoxelSpace(CORNERS), (0.5, 0.5), 150, None, lambda x: x[:, 0] < 1, 1e-3),
     "voxel": (VoxelSpace(CORNERS[:, :, None] & CORNERS), (0.5,) * 3, 500, None, lambda x: x[:, 0] < 1, 1e-3),
-    "few bytes": (SLANTED, (3, 2.5), 300, 400, lambda x: x.sum(axis=1) > 2, 0.6),
+    "few bytes": (SLANTED, (3, 2.5), 300, 100, lambda x: x.sum(axis=1) > 2, 0.6),
 }
 
 
 @pytest.mark.parametrize(
     "place", [*list(CUT_OFF)[:3], *(pytest.param(k, marks=pytest.mark.full) for k in ("voxel", "few bytes"))]
 )
+@pytest.mark.filterwarnings("ignore:The goal cannot be reached")
 def test_points_that_are_cut_off_answer_inf_and_have_no_upper_bound(place):
     space, goal, max_leaves, max_bytes, reaches, most = CUT_OFF[place]
-    with pytest.warns(UserWarning, match=r"% .* cannot be reached is answered") if most > 1e-3 else nullcontext():
+    with pytest.warns(UserWarning, match="% of the domain, the PLR answers") if most > 0.1 else nullcontext():
         plr = solve_eikonal(space, goal, max_leaves=max_leaves, max_bytes=max_bytes).numpy()
     x = np.random.default_rng(0).uniform(space.domain.lo, space.domain.hi, (20_000, space.domain.dim))
     x = x[space.is_free(x)]

@@ -183,7 +183,7 @@ def test_hardly_reached_domains_get_many_leaves(leaf):
     roads, tunnels = np.zeros((90, 90), bool), np.zeros((24, 24, 24), bool)
     roads[40] = roads[:, 13] = tunnels[:, 11, 5] = tunnels[7, :, 5] = tunnels[7, 11, :] = True
     grid = GridGraph(roads, (13.5, 40.5))
-    for oracle, fn in ((grid, grid), (grid, lambda x: grid(x)), (VoxelGraph(tunnels, (7.5, 11.5, 5.5)), None)):
+    for oracle, fn in ((grid, grid), (grid, grid.__call__), (VoxelGraph(tunnels, (7.5, 11.5, 5.5)), None)):
         domain = Box(np.zeros(oracle.dim), np.array(oracle.free.shape))
         plr = construct(fn or oracle, domain, leaf=leaf, max_leaves=300)
         cells = np.argwhere(oracle.free)
