@@ -45,7 +45,8 @@ class CostDistance:
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
             ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the distance apart, and up to
             100 % near sources and beside much cheaper cells.
-        plr: A PLR of the distance, without bounds and with finite values in barriers; None if not asked for.
+        plr: A PLR of the distance, without bounds and with finite values in barriers; None if not asked for. It
+            answers ``inf`` where no source can be reached, except near cells that reach one.
     """
 
     distance: Any

@@ -79,9 +79,9 @@ Ctrl-C returns the PLR built so far, with a `plr_jax.ConstructionInterrupted` wa
 # Files and queries
 
 `plr(x)` is `plr_jax.evaluate(plr, x)`. It takes NumPy or JAX arrays `(..., dim)`, also under `jit`, `vmap` and
-`grad`. A PLR does not store walls, so a point in a wall may get a number. `outside="clamp"` extends a PLR beyond
-its domain. Far from the origin, as in UTM coordinates, 32-bit points are too coarse: give NumPy's 64-bit points,
-outside `jit`.
+`grad`. A PLR does not store walls, so a point in a wall, or just behind it, may get a number. Farther behind walls,
+rooms without a path to the goal get `inf`. `workspace.reachable(x, goal)` is exact. `outside="clamp"` extends a PLR
+beyond its domain. Far from the origin, 32-bit points are too coarse: give NumPy's 64-bit points, outside `jit`.
 
 ```python
 import jax

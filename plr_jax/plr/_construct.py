@@ -188,7 +188,9 @@ def construct(
 
     Returns:
         The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning.
-        Another warning tells if most free points cannot reach the goal.
+        Most distance functions of this package know where free points cannot reach the goal. There, the PLR answers
+        ``inf``, except within a 64th of the domain of points that can. If the limits are too small for that, a warning
+        says in which share of the domain. Another warning tells if most of free space cannot reach the goal.
 
     Raises:
         ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does

@@ -131,7 +131,7 @@ def test_points_that_are_cut_off_answer_inf_and_have_no_upper_bound(place):
     x = x[space.is_free(x)]
     is_reached, is_finite, (lower, upper) = reaches(x), np.isfinite(plr(x)), plr.bounds(x)
     assert 0.1 < is_reached.mean() < 0.95 and is_finite[is_reached].all() and np.isfinite(lower[is_reached]).all()
-    assert np.isinf(upper[~is_reached]).all() and np.isfinite(upper[is_reached]).mean() > 0.3
+    assert np.isinf(upper[~is_reached]).all() and np.isfinite(upper[is_reached]).mean() > 0.2
     assert is_finite[~is_reached].mean() <= most
 
 
