@@ -38,7 +38,7 @@ from plr_jax.spaces import (
 
 # Default limits: cells by the number of axes, cells in more axes, and leaves of an estimate.
 _MAX_CELLS, _MAX_CELLS_BEYOND = {1: 2_000, 2: 10_000}, 50_000
-_MAX_LEAVES = 2_000
+_MAX_LEAVES = {1: 2_000, 2: 2_000, 3: 4_000}
 _LEAVES_PER_BYTE = 2  # no file has more leaves per byte
 _BYTES_A_CELL = 4_000  # least memory that construction takes for each cell
 _LEAF_SAMPLES = 64  # samples in a leaf of an estimate, in which the grid has few nodes
@@ -92,8 +92,9 @@ def solve_eikonal(
             counts, and ``plr.which(x)`` returns its index.
         cost_map: A factor of the cost of motions, such as the reciprocal of a speed, with bounds over boxes. None: 1.
         max_leaves: Most leaves, and most cells of the mesh on which bounds are computed. More cells give tighter
-            bounds, even if ``max_bytes`` stays equal, and take longer. None: 2,000, or as many as ``max_bytes``
-            allows, if not certified; else 2,000 on a line, 10,000 in the plane, 50,000 in more dimensions.
+            bounds, even if ``max_bytes`` stays equal, and take longer. None, if not certified: as many as
+            ``max_bytes`` allows, else 2,000, or 4,000 in three dimensions. None, if certified: 2,000 on a line,
+            10,000 in the plane, 50,000 in more dimensions.
         max_bytes: Most bytes of the file. A certified PLR has a leaf for each cell of a mesh, which is refined where
             bounds are loose. If these leaves take more bytes, it has fewer, larger leaves, with the worst bounds of
             the cells that each meets.
@@ -154,7 +155,7 @@ def solve_eikonal(
     at = at[first]
     cells = space if isinstance(space, ConfigurationSpace) else SampledSpace(space, int(seed))
     if not certified:
-        leaves = _MAX_LEAVES if max_leaves is None and max_bytes is None else max_leaves
+        leaves = _MAX_LEAVES[domain.dim] if max_leaves is None and max_bytes is None else max_leaves
         guide = grid_estimate(cells, cost_map, domain.at(at), leaves or 0)
         nodes, is_seen = " x ".join(map(str, guide.cost.shape)), np.ones(len(goals), bool)
         is_seen[first[guide.unseen]] = False

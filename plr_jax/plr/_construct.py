@@ -55,6 +55,7 @@ if TYPE_CHECKING:
 
 _DENSE_FACTOR = 8  # a cell in which few samples reach the goal is sampled again with this many times more samples
 _MAX_SAMPLES = 2**16
+_LEAVES_OF_VOLUMES = 2048  # default limit where rooms must be separated from others in more than two dimensions
 _SAMPLE_FACTORS = 1, 8, 64  # of the number of samples, tried until enough of them reach the goal
 _SPARSE = 1 / 16  # if a smaller share of the domain reaches the goal, cells with few samples are split first
 _PARTS = 8  # of a leaf along each axis, which show how much of the leaf is cut off from the goal
@@ -147,7 +148,8 @@ def construct(
 
     Choose ``"cone"`` for shortest paths among polygons (``VisibilityGraph``), often exact; ``"continuous"``
     for other distance functions; ``"plane"`` for the paper's leaf and the fastest queries. Limits may be combined:
-    construction stops at the first one that is reached, without limits at 512 leaves.
+    construction stops at the first one that is reached; without limits at 512 leaves, or at 2,048 leaves in more than
+    two dimensions if rooms without a path to the goal must be separated.
 
     Args:
         distance_fn: Function from points ``(n, dim)`` to distances to the goal ``(n,)``; ``inf`` or a masked entry
@@ -248,6 +250,10 @@ def _build_leaves(
     folding = None
     if proof is Proof.NONE and not isinstance(model, Cone) and not answers_for_cells:
         folding = folding_of(distance_fn, domain)
+    reach = None if folding is not None else reach_of(distance_fn, domain)
+    if limits == (None,) * 4 and domain.dim > 2 and reach is not None:
+        if reach.is_border(*Cells.root(domain.dim).fractions)[0]:
+            limits = None, _LEAVES_OF_VOLUMES, None, None
     checked = check_limits(model, domain.dim, *limits, proof, frame_size(domain, folding))
     num_samples = model.num_samples if options.num_samples is None else options.num_samples
     require_integer("num_samples", num_samples, model.min_samples(domain.dim))
@@ -257,7 +263,6 @@ def _build_leaves(
     if answers_for_cells and domain.dim == 2:
         memory = CellMemory(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
     weight_fn, checkpoint = options.weight_fn, None
-    reach = None if folding is not None else reach_of(distance_fn, domain)
     if options.checkpoint is not None:
         checkpoint = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
     if options.executor is not None or checkpoint is not None:

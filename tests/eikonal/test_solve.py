@@ -137,8 +137,8 @@ def test_points_behind_contacts_answer_inf(space):
 
 def test_estimates_refine_leaves_where_they_serve_most(monkeypatch):
     """A road of one cell leads through expensive cells."""
-    assert solve._MAX_LEAVES == 2_000  # as documented
-    monkeypatch.setattr(solve, "_MAX_LEAVES", 30)
+    assert solve._MAX_LEAVES == {1: 2_000, 2: 2_000, 3: 4_000}  # as documented
+    monkeypatch.setattr(solve, "_MAX_LEAVES", {2: 30})
     values = np.full((60, 60), 10.0)
     values[30] = 1.0
     road = RasterCost(values, ((0, 0), (60, 60)), "nearest")
