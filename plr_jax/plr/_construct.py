@@ -191,8 +191,8 @@ def construct(
     Returns:
         The PLR. After an interrupt (Ctrl-C), the PLR built so far, with a ``ConstructionInterrupted`` warning.
         Most distance functions of this package know where free points cannot reach the goal. There, the PLR answers
-        ``inf``, except within a 64th of the domain of points that can. If the limits are too small for that, a warning
-        says in which share of the domain. Another warning tells if most of free space cannot reach the goal.
+        ``inf``, except within a 64th of the domain of points that can. If the limits are too small for that, a
+        warning says in which share of the domain. Another warning tells if most of free space cannot reach the goal.
 
     Raises:
         ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does
@@ -251,9 +251,9 @@ def _build_leaves(
     if proof is Proof.NONE and not isinstance(model, Cone) and not answers_for_cells:
         folding = folding_of(distance_fn, domain)
     reach = None if folding is not None else reach_of(distance_fn, domain)
-    if limits == (None,) * 4 and domain.dim > 2 and reach is not None:
-        if reach.is_border(*Cells.root(domain.dim).fractions)[0]:
-            limits = None, _LEAVES_OF_VOLUMES, None, None
+    has_border = reach is not None and bool(reach.is_border(*Cells.root(domain.dim).fractions)[0])
+    if limits == (None,) * 4 and domain.dim > 2 and has_border:
+        limits = None, _LEAVES_OF_VOLUMES, None, None
     checked = check_limits(model, domain.dim, *limits, proof, frame_size(domain, folding))
     num_samples = model.num_samples if options.num_samples is None else options.num_samples
     require_integer("num_samples", num_samples, model.min_samples(domain.dim))
