@@ -98,16 +98,6 @@ class NearestFn(CellwiseFn, Protocol):
 
 
 @runtime_checkable
-class ChangingFn(CellwiseFn, Protocol):
-    """A distance function in the plane that can compare itself with its version before the map changed."""
-
-    @property
-    def sources(self) -> Sources: ...
-    def sources_of_boxes(self, lo: Any, hi: Any, /) -> CellSources: ...
-    def changed_since(self, before: Any, /) -> Any: ...
-
-
-@runtime_checkable
 class ReachFn(Protocol):
     """A distance function that knows which boxes of a domain hold free points that cannot reach the goal."""
 

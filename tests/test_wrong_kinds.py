@@ -93,8 +93,8 @@ def test_iterables_and_buffers_are_accepted():
         assert pj.from_bytes(kind(plr.to_bytes())).to_bytes() == plr.to_bytes()
 
 
-def test_missing_update_names_updated():
-    with pytest.raises(AttributeError, match=r"for a changed map use plr.updated\(oracle\)"):
+def test_missing_update_names_construct():
+    with pytest.raises(AttributeError, match="immutable: construct a new PLR for a changed map"):
         _ = built().update
 
 

@@ -1,7 +1,7 @@
 """Guide: keep a distance function up to date while obstacles of the map come and go.
 
-After a change, make three calls: for the map, for the oracle, and for the PLR. Each call reuses what the change does
-not affect, and returns a new object. The old objects stay valid for the old map.
+After a change, make three calls: for the map, for the oracle, and for the PLR. The first two reuse what the change
+does not affect. Each call returns a new object, and the old objects stay valid for the old map.
 
 ```python
 import plr_jax
@@ -14,13 +14,13 @@ plr = plr_jax.construct(oracle, workspace.bounds, leaf="cone", max_bytes=1024, c
 door = [(0.71, 0.19), (0.80, 0.19), (0.80, 0.23), (0.71, 0.23)]  # makes the lowest passage narrower
 closed = workspace.with_obstacles(add=[door])
 oracle_closed = oracle.with_workspace(closed)
-plr_closed = plr.updated(oracle_closed)
+plr_closed = plr_jax.construct(oracle_closed, closed.bounds, leaf="cone", max_bytes=1024, certified=True)
 
 x = closed.sample_free(1000, seed=0)
 print(plr_jax.metrics.error_map(plr_closed, oracle_closed, x), "no error above", plr_closed.max_error)
 
 opened = closed.with_obstacles(remove=[door])
-plr_opened = plr_closed.updated(oracle_closed.with_workspace(opened))
+oracle_opened = oracle_closed.with_workspace(opened)
 ```
 
 # The map
@@ -37,21 +37,12 @@ affects. Its distances equal those of a new oracle, up to rounding. For another 
 
 # The PLR
 
-`plr.updated(oracle)` repairs a `plr_jax.PLR` instead of rebuilding it. It has three conditions:
-
-- The PLR has leaves `"cone"` and a proof: it was built with `certified=True` or `certified="leaves"`.
-- Both oracles are visibility graphs of the same goal.
-- The PLR still knows the oracle it was built from. A PLR from a file does not: call
-  `plr.updated(new_oracle, old_oracle)`.
-
-The new PLR keeps the byte budget, unless `max_bytes` sets another one, and has its own proof. Its errors are about as
-large as those of a PLR that is built for the new map. The first update of a PLR takes longest.
+A PLR stores the distances of one map, so construct a new PLR with the oracle of the new map, by the same call as
+before. To know whether a PLR still holds after a change, call `plr_jax.certify(plr, oracle)`
+with the new oracle, which proves the largest error on the new map.
 
 ```python
-plr_jax.save(plr, "maze.plr")
-loaded = plr_jax.load("maze.plr")
-same = loaded.updated(oracle_closed, oracle)
-print(same.num_bytes, same.max_error)
+print(plr_closed.max_error, plr_jax.certify(plr, oracle_closed).max_error)
 ```
 
 # For other changes

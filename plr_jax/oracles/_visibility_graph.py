@@ -9,13 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, index_of, set_fields, shortened
+from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, Indices, cells_of_goals
 from plr_jax.geometry.cell_sight import CellSources, Sight, goal_sight, lists_of_goal
-from plr_jax.geometry.changed_distances import ChangedDistances, TriangleSources, hulls_meet_boxes
-from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility, may_see_polygons
+from plr_jax.geometry.changes import Change, GoalView, changed_triangulation, changed_visibility
 from plr_jax.geometry.corners import (
     CornerVisibility,
     TurnPoints,
@@ -30,8 +29,6 @@ from plr_jax.geometry.single_points import FEW, Place, PointSight
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables, triangles_within, viewpoints_at, visibility_of
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.oracles._pair_distances import PairDistances
-
-_ROUNDING = 1e-12  # changes count as equal up to this share of the largest distance
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -151,19 +148,7 @@ class VisibilityGraph:
 
     def cell_sources(self, domain: Box) -> CellSources:
         """Return a box's convex pieces of free space, and the corners or goal to which paths from each go first."""
-        return self.sources_of_boxes(domain.lo[None], domain.hi[None])
-
-    def sources_of_boxes(self, lo: Float[np.ndarray, "cells 2"], hi: Float[np.ndarray, "cells 2"]) -> CellSources:
-        """Return each box's convex pieces of free space, and the corners or goal to which paths go first."""
-        return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), lo, hi)
-
-    def changed_since(self, before: "VisibilityGraph") -> ChangedDistances:
-        """Return how distances differ from those of ``before``, on another map; ``ValueError`` if goals differ."""
-        if not isinstance(before, VisibilityGraph):
-            raise ValueError(f"before must be a VisibilityGraph, got {shortened(before)}.")
-        if (self.goal != before.goal).any():
-            raise ValueError(f"Both oracles must have one goal, got {before.goal.tolist()} and {self.goal.tolist()}.")
-        return _changed_distances(before, self)
+        return CellSources.of_boxes(self.sight, lists_of_goal(self.regions), domain.lo[None], domain.hi[None])
 
     @property
     def family(self) -> CornerVisibility:
@@ -188,7 +173,7 @@ class VisibilityGraph:
     def cells_of_members(
         self, shared: FamilyCells, members: "Sequence[VisibilityGraph]", box: Indices, member: Indices
     ) -> CellSources:
-        """Return the result of :meth:`sources_of_boxes` for pairs of a box and one of several oracles of a map.
+        """Return the result of :meth:`cell_sources` for pairs of a box and one of several oracles of a map.
 
         Pair ``i`` has the box at index ``box[i]`` of the result ``shared`` of :meth:`shared_cells`, and the oracle
         ``members[member[i]]``. Sources of all members are numbered one after another.
@@ -342,80 +327,3 @@ def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
         where = "in an obstacle" if is_in else f"outside the bounds {workspace.bounds}"
         raise ValueError(f"The goal {goal.tolist()} lies {where} {clearance}; move it into free space.")
     return goal
-
-
-def _changed_distances(before: VisibilityGraph, after: VisibilityGraph) -> ChangedDistances:
-    change = Change.between(before.workspace.boundary, after.workspace.boundary)
-    old, new = before.workspace.triangulation, after.workspace.triangulation
-    boxes = change.boxes(old.tolerance)
-    rounding = _ROUNDING * float(before.distances[np.isfinite(before.distances)].max(initial=0.0))
-    # 1. Match old sources (the goal and corners) with new ones, and compute the changes of their distances.
-    vertex = np.empty(len(before.family.corners.points), int)
-    vertex[before.family.views.owner] = change.old.edges[before.family.views.edge, 0]
-    corner = np.append(after.family.of_vertex, -1)[change.vertex[vertex]]
-    source = np.append(0, np.where(corner >= 0, 1 + corner, -1))
-    with np.errstate(invalid="ignore"):
-        source_change = np.where(source >= 0, after.distances[source] - before.distances, np.nan)
-    source_change[np.abs(source_change) <= rounding] = 0.0
-    # 2. Match old turn points with new ones if paths bend around both in the same way.
-    turn_of = np.full(len(after.distances) + 1, -1)
-    turn_of[after._turns.vertex] = np.arange(len(after._turns.vertex))
-    now = turn_of[source[before._turns.vertex]]
-    same_turn = now >= 0
-    normals = after._turns.normal[:, now[same_turn]], before._turns.normal[:, same_turn]
-    same_turn[same_turn] = (normals[0] == normals[1]).all(axis=(0, 2))
-    change_before = np.where(same_turn, source_change[before._turns.vertex], np.nan)
-    change_after = np.full(len(after._turns.vertex), np.nan)
-    change_after[now[same_turn]] = change_before[same_turn]
-    # 3. List pairs of a triangle and a source that may see a part of it.
-    pairs_before = _triangle_sources(before, change_before, boxes)
-    pairs_after = _triangle_sources(after, change_after, boxes)
-    # 4. List all triangles once: old ones first, then new ones without an equal old one.
-    size = np.int64(len(change.new.vertices))
-    keys = []
-    for corners in (change.vertex[old.origin], new.origin):
-        a, b, c = np.sort(corners.reshape(-1, 3), axis=1).astype(np.int64).T
-        keys.append(np.where(a < 0, -1, (a * size + b) * size + c))
-    number, num_old = index_of(*keys), len(keys[0])  # the old triangle that equals each new one, or -1
-    is_gone = ~np.isin(np.arange(num_old), number)
-    number[number < 0] = num_old + np.arange(np.count_nonzero(number < 0))
-    triangles = np.concatenate([old.triangles, new.triangles[number >= num_old]])
-    pairs_after = replace(pairs_after, triangle=number[pairs_after.triangle])
-    # 5. Compute the shift of each triangle: the common change of its pairs, or NaN if they differ. A pair is in doubt
-    #    only if the hull of source and triangle meets what changed.
-    shift = np.zeros(len(triangles))
-    least, most = np.full(len(triangles), np.inf), np.full(len(triangles), -np.inf)
-    for oracle, pairs in ((before, pairs_before), (after, pairs_after)):
-        rows = np.flatnonzero(pairs.is_doubted)
-        points = oracle.sources.points[pairs.source[rows], None]
-        hulls = np.concatenate([points, triangles[pairs.triangle[rows]]], axis=1)
-        pairs.is_doubted[rows] = hulls_meet_boxes(hulls, boxes)
-        shift[pairs.triangle[pairs.is_doubted | np.isnan(pairs.change)]] = np.nan
-        known = ~np.isnan(pairs.change)
-        np.minimum.at(least, pairs.triangle[known], pairs.change[known])
-        np.maximum.at(most, pairs.triangle[known], pairs.change[known])
-    has_pairs = least <= most
-    shift[has_pairs & ~(most - least <= rounding)] = np.nan
-    shift[has_pairs & ~np.isnan(shift)] = least[has_pairs & ~np.isnan(shift)]
-    shift[:num_old][is_gone] = shift[num_old:] = np.nan
-    shift[np.abs(shift) <= rounding] = 0.0
-    was_cut_off = np.arange(len(triangles)) < num_old
-    was_cut_off[pairs_before.triangle] = False
-    pairs = pairs_before.of_triangles(np.isnan(shift)), pairs_after.of_triangles(np.isnan(shift))
-    slack = 4 * before.workspace.tolerance
-    return ChangedDistances(boxes, source, source_change, triangles, shift, was_cut_off, *pairs, rounding, slack)
-
-
-def _triangle_sources(
-    oracle: VisibilityGraph, change: Float[np.ndarray, "turns"], boxes: list[Float[np.ndarray, "4 2"]]
-) -> TriangleSources:
-    regions, triangles = oracle.regions, oracle.workspace.triangulation.triangles
-    seen = np.flatnonzero(may_see_polygons(oracle._goal_table, np.zeros(len(triangles), int), triangles))
-    triangle = np.append(np.repeat(np.arange(len(triangles)), np.diff(regions.first)), seen)
-    source = np.append(oracle._turns.vertex[regions.turn], 0 * seen)
-    is_doubted = np.zeros(len(oracle.distances), bool)
-    for first, table in ((0, oracle._goal_table), (1, oracle.family.table)):
-        view = np.arange(len(table.points))
-        for box in boxes:
-            is_doubted[first + view] |= may_see_polygons(table, view, box)
-    return TriangleSources(triangle, source, np.append(change[regions.turn], 0.0 * seen), is_doubted[source])

@@ -1,4 +1,4 @@
-"""PLRs (piecewise linear regressions): build, prove, store, evaluate and update them."""
+"""PLRs (piecewise linear regressions): build, prove, store and evaluate them."""
 
 import lazy_loader
 

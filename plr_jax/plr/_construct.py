@@ -17,7 +17,6 @@ from plr_jax._types import (
     ArrayLike,
     CellSources,
     CellwiseFn,
-    ChangingFn,
     DistanceFn,
     Distances,
     NearestFn,
@@ -26,7 +25,7 @@ from plr_jax._types import (
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
 from plr_jax.plr._file import DecodedFile, cut_off_leaves, encode
-from plr_jax.plr._proof import BuildInputs, can_be_updated, certificate_of
+from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
@@ -222,8 +221,6 @@ def construct(
     else:
         contents = build(leaf)
     warn_if_cut_off(None if contents.folding is not None else reach_of(distance_fn, domain), contents)
-    if can_be_updated(contents) and isinstance(distance_fn, ChangingFn):
-        return plr_of_leaves(contents, BuildInputs(distance_fn, max_bytes, max_leaves, tolerance))
     plr = plr_of_leaves(contents)
     if isinstance(distance_fn, NearestFn) and not isinstance(contents.leaf, Cone):  # files of cones name goals
         return plr.with_nearest_goal(distance_fn.which)
@@ -448,10 +445,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     visible = CellMemory(plr.domain, root).sources_of_leaves(plr._contents.tree)
     proven = replace(plr._contents, certificate=certificate_of(plr._contents, visible, proof))
-    certified = plr_of_leaves(proven).with_label(plr.label)
-    if isinstance(plr.leaf, Cone) and isinstance(oracle, ChangingFn):
-        certified.build_inputs = BuildInputs(oracle, certified.num_bytes)
-    return certified
+    return plr_of_leaves(proven).with_label(plr.label)
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:

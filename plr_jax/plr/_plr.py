@@ -18,10 +18,9 @@ from plr_jax._arrays import (
     padded,
     padded_size,
     require_function,
-    require_integer,
     shortened,
 )
-from plr_jax._types import ArrayLike, DistanceFn
+from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import (
     DecodedFile,
@@ -32,7 +31,6 @@ from plr_jax.plr._file import (
     planes_of_leaves,
     relative_to_origin,
 )
-from plr_jax.plr._proof import BuildInputs, require_updatable, updated_contents
 from plr_jax.plr.container import Container, FileBacked, padded_file
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.leaves import as_sourced, goal_of_leaves
@@ -67,16 +65,14 @@ class PLR(FileBacked):
         self,
         file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"],
         *,
-        build_inputs: BuildInputs | None = None,
         nearest_goal: Callable[[np.ndarray], np.ndarray] | None = None,
     ) -> None:
         """Wrap ``file``, the bytes that :func:`save` writes, padded by :func:`~plr_jax.plr.container.padded_file`.
 
-        Only :meth:`updated` uses ``build_inputs``. Only :meth:`which` uses ``nearest_goal``, a function from points
-        ``(n, dim)`` to indices of goals ``(n,)``, instead of the goals that cones store.
+        Only :meth:`which` uses ``nearest_goal``, a function from points ``(n, dim)`` to indices of goals ``(n,)``,
+        instead of the goals that cones store.
         """
         self.file = file
-        self.build_inputs = build_inputs
         self.nearest_goal = nearest_goal
 
     @cached_property
@@ -107,8 +103,7 @@ class PLR(FileBacked):
         return plr
 
     def __getattr__(self, name: str) -> Any:
-        remedy = "for a changed map use plr.updated(oracle), for another goal construct a new PLR."
-        raise no_attribute(self, name, f"A PLR is immutable: {remedy}")
+        raise no_attribute(self, name, "A PLR is immutable: construct a new PLR for a changed map or another goal.")
 
     def with_label(self, label: str) -> "PLR":
         labeled = super().with_label(label)
@@ -124,7 +119,7 @@ class PLR(FileBacked):
         return self._copied(self.file, nearest_goal)
 
     def _copied(self, file: Any, nearest_goal: Callable[[np.ndarray], np.ndarray] | None) -> "PLR":
-        plr = PLR(file, build_inputs=self.build_inputs, nearest_goal=nearest_goal)
+        plr = PLR(file, nearest_goal=nearest_goal)
         plr.tables, plr.band = self.tables, self.band
         return plr
 
@@ -243,43 +238,6 @@ class PLR(FileBacked):
     @cached_property
     def _goal_of_leaf(self) -> Int[np.ndarray, "leaves"]:
         return goal_of_leaves(self.leaf, self.stored)
-
-    def updated(self, oracle: DistanceFn, before: DistanceFn | None = None, *, max_bytes: int | None = None) -> "PLR":
-        """Return the PLR of a locally changed map, much faster than a new construction.
-
-        Only PLRs of cones with a proof can be updated. The result is a new PLR with the same domain, label and kind
-        of proof, whose ``bounds`` hold for the new map. Its mean error is about that of a new construction. It keeps
-        its oracle and intermediate results in memory, so updating it again is faster than the first update.
-
-        Args:
-            oracle: Oracle of the new map for the same goal, such as ``before.with_workspace(workspace)``.
-            before: Oracle of the old map; None for the oracle with which this process built or last updated this PLR.
-            max_bytes: Most bytes of the file; None for the limits of the construction or, for a PLR from a file, the
-                file's size.
-
-        Raises:
-            ValueError: If this PLR has no cones or no proof, the oracles are not visibility graphs with the same
-                goal, ``before`` is None although the old oracle is unknown, distances of ``before`` contradict the
-                bounds of this PLR, or as for :func:`construct`.
-        """
-        require_updatable(self._contents)
-        inputs = self.build_inputs
-        if inputs is None:
-            if before is None:
-                raise ValueError(
-                    "An update needs the oracle of the old map, which a PLR from a file does not know: call "
-                    "plr.updated(oracle, before)."
-                )
-            inputs = BuildInputs(before, self.num_bytes)
-        elif before is not None and before is not inputs.oracle:
-            inputs = replace(inputs, oracle=before, bounds=None, node_costs=None)
-        if max_bytes is not None:
-            require_integer("max_bytes", max_bytes, 1)
-            inputs = replace(inputs, max_bytes=int(max_bytes))
-        contents, inputs = updated_contents(self._contents, inputs, oracle, self.label)
-        plr = plr_of_leaves(contents, inputs).with_label(self.label)
-        plr._contents = contents
-        return plr
 
     def numpy(self) -> NumpyPLR:
         """Return the PLR as a :class:`NumpyPLR`, which needs no JAX and is fast for single points."""
@@ -502,9 +460,9 @@ def from_bytes(data: bytes) -> PLR:
     return plr_of_leaves(decode(data), data=data)
 
 
-def plr_of_leaves(contents: DecodedFile, build_inputs: BuildInputs | None = None, data: bytes | None = None) -> PLR:
+def plr_of_leaves(contents: DecodedFile, data: bytes | None = None) -> PLR:
     """Build a PLR and its lookup tables from the content of a file; ``data`` has the file's bytes, if known."""
-    plr = PLR(padded_file(encode(contents) if data is None else data), build_inputs=build_inputs)
+    plr = PLR(padded_file(encode(contents) if data is None else data))
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
     _ = plr.tables, plr.band, plr._corner_if_far

@@ -1,7 +1,7 @@
-"""Prove error bounds of all leaves of a PLR, and update proven PLRs of cones after the map changed."""
+"""Prove error bounds of all leaves of a PLR."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -9,15 +9,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import shortened
-from plr_jax._types import CellSources, ChangingFn, DistanceFn
+from plr_jax._types import CellSources
 from plr_jax.plr._file import DecodedFile, body_of_leaves, filled_coefficients
 from plr_jax.plr.certificate import Certificate, Errors, LeafBounds, LeafFunctions, Proof, prove_bounds
-from plr_jax.plr.container import frame_size
-from plr_jax.plr.growth import BudgetTooSmall
-from plr_jax.plr.leaves import Cone, ConeLeaves, NodeCosts, updated_cones
-from plr_jax.plr.leaves.base import check_limits
-from plr_jax.plr.sampling import reach_of
 
 _COARSEST = 1e-4  # largest uncertainty of free space for a proof, in units of the domain's shorter side
 
@@ -86,75 +80,3 @@ class _Targets:
 def _volume_and_size(contents: DecodedFile) -> dict[str, Any]:
     volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
     return {"volume": volume, "num_bytes": len(body_of_leaves(contents).to_bytes())}
-
-
-@dataclass(frozen=True, eq=False)
-class BuildInputs:
-    """The inputs of a PLR's construction that :meth:`PLR.updated` needs and a PLR file does not store."""
-
-    oracle: DistanceFn
-    max_bytes: int | None
-    max_leaves: int | None = None
-    tolerance: int | float | None = None
-    bounds: LeafBounds | None = None  # proven; None to use the wider bounds that the file stores
-    node_costs: NodeCosts | None = None  # errors that nodes of the tree would have as leaves
-
-
-def can_be_updated(contents: DecodedFile) -> bool:
-    return contents.certificate is not None and isinstance(contents.leaf, Cone)
-
-
-def require_updatable(contents: DecodedFile) -> None:
-    if not can_be_updated(contents):
-        not_ = "not " if contents.certificate is None else ""
-        raise ValueError(
-            f"Only a PLR of certified cones can be updated, got leaves of kind {contents.leaf.name!r} that are {not_}"
-            "certified. Construct it with leaf='cone' and certified=True."
-        )
-
-
-def updated_contents(
-    contents: DecodedFile, origin: BuildInputs, oracle: DistanceFn, label: str
-) -> tuple[DecodedFile, BuildInputs]:
-    certificate, model, domain, before = contents.certificate, contents.leaf, contents.domain, origin.oracle
-    assert certificate is not None and isinstance(model, Cone), "require_updatable has checked this"
-    if not isinstance(oracle, ChangingFn) or not isinstance(before, ChangingFn):
-        got = f"{shortened(oracle)} and {shortened(before)}"
-        raise ValueError(
-            f"oracle and before must be VisibilityGraphs of the map after and before its change, got {got}."
-        )
-    frame = frame_size(domain)
-    of_label, max_bytes = frame_size(domain, label=label) - frame, origin.max_bytes
-    if max_bytes is not None and (max_bytes := max_bytes - of_label) < 1:
-        raise ValueError(
-            f"max_bytes={origin.max_bytes} must exceed the label's {of_label} bytes. Use a shorter label."
-        )
-    of_origin = origin.max_leaves, max_bytes, origin.tolerance
-    limits = check_limits(model, domain.dim, None, *of_origin, certificate.proof, frame)
-    bounds, changed = origin.bounds, oracle.changed_since(before)
-    if bounds is None:
-        lower, upper = np.broadcast_to(certificate.bounds(), (2, len(contents.tree.leaves))).astype(np.float64)
-        bounds = LeafBounds(lower, upper)
-    leaves = ConeLeaves(domain, contents.tree, contents.stored, bounds, changed.slack)
-    try:
-        found = updated_cones(leaves, origin.node_costs, changed, oracle, before, limits)
-    except BudgetTooSmall as error:
-        raise BudgetTooSmall(limits.max_bytes + of_label, error.num_bytes + of_label) from None
-    reach = reach_of(oracle, domain)
-    cut_off = None if reach is None else reach.is_cut_off(*found.tree.leaves.fractions)
-    new = DecodedFile(domain, model, found.tree, found.stored, cut_off=cut_off)
-    bounds, coefficients = found.bounds, filled_coefficients(new)
-    coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
-    rounding, rebuilt = model.rounding_bounds(domain, new.tree.leaves, coefficients), found.rebuilt
-
-    def sufficient(least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
-        return certificate.sufficient_bounds(least, most, rounding[rebuilt])
-
-    functions = LeafFunctions(model, *new.tree.leaves[rebuilt].boxes(domain), coefficients[rebuilt])
-    proven = prove_bounds(functions, found.visible, sufficient)
-    bounds.lower[rebuilt], bounds.upper[rebuilt] = proven.lower, proven.upper
-    new = replace(
-        new,
-        certificate=Certificate.of(bounds, rounding, certificate.proof, before=certificate, **_volume_and_size(new)),
-    )
-    return new, replace(origin, oracle=oracle, bounds=bounds, node_costs=found.node_costs)

@@ -28,7 +28,7 @@ LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
 # assumption, a quarter more boxes are computed for errors as small; with a factor of 2, some bounds are less narrow.
 _MOST_DROP = 3.0
 BOXES_PER_BATCH = 1 << 14
-UNKNOWN, PRUNED = -1, -2  # instead of the index of a half: not computed yet, or excluded to save time
+UNKNOWN = -1  # instead of the index of a half that is not computed yet
 
 
 @dataclass(eq=False)
@@ -37,7 +37,7 @@ class BoxLevel:
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
     key: UInt64[np.ndarray, "boxes"]  # hash of each box
-    child: Int[np.ndarray, "2 2 boxes"]  # halves in the next level by axis, half and box, or UNKNOWN or PRUNED
+    child: Int[np.ndarray, "2 2 boxes"]  # halves in the next level by axis, half and box, or UNKNOWN
 
     @staticmethod
     def of(boxes: Any, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
@@ -88,11 +88,10 @@ def cost_if_halved(peak: Float[np.ndarray, "boxes"], price: float) -> Float[np.n
     return (1 + more) * price + peak * _MOST_DROP**-more
 
 
-def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits, margin: float = np.inf) -> None:
+def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits) -> None:
     """Halve all boxes that the tree of least cost might split, and add the halves to ``levels``.
 
-    Each leaf of a tree costs ``price``, plus the integral of its error, plus ``share`` times its largest error. If a
-    box was halved along both axes, a pair of halves is dropped if it costs over ``margin`` times the other pair.
+    Each leaf of a tree costs ``price``, plus the integral of its error, plus ``share`` times its largest error.
     """
     costs: dict[int, TreeCosts] = {}
 
@@ -110,13 +109,6 @@ def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits, m
         )
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
-            if margin < np.inf:
-                # Prune the far more expensive halves of boxes that were halved along both axes.
-                parent = np.unique(parent)
-                child, cost = level.child[:, :, parent], levels[depth + 1].costs(share)
-                halves = np.where((child >= 0).all(axis=1), cost[child].sum(axis=1), np.inf)
-                axis, which = np.nonzero((halves > margin * halves[::-1]) & (halves < np.inf))
-                level.child[axis, :, parent[which]] = PRUNED
             update_costs(depth + 1)
             update_costs(depth)
         if depth + 1 < len(levels):

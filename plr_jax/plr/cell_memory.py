@@ -1,9 +1,7 @@
 """Cache the *sources* of cells: corners (or the goal) to which shortest paths from points of a cell may go first."""
 
-from collections.abc import Iterator
-
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from plr_jax._arrays import parts, take_ragged
 from plr_jax._types import CellSources
@@ -47,9 +45,15 @@ class CellMemory:
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
         if not self._knows(tree.leaves).all():
-            for nodes, visible in sources_by_level(tree, self.sources(Cells.root(2)), self._domain):
-                is_leaf = np.flatnonzero(tree.child[nodes] < 0)
-                self.remember(tree.cells[nodes[is_leaf]], visible.of_cells(is_leaf))
+            nodes, visible = np.zeros(1, np.int64), self.sources(Cells.root(2))
+            while len(nodes):
+                is_leaf = tree.child[nodes] < 0
+                leaf, inner = np.flatnonzero(is_leaf), np.flatnonzero(~is_leaf)
+                self.remember(tree.cells[nodes[leaf]], visible.of_cells(leaf))
+                parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
+                nodes = tree.halves(nodes[inner])
+                lo, hi = tree.cells[nodes].grown_boxes(self._domain)
+                visible = visible.parts(parent, axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
         return self._recall(tree.leaves)
 
     def _knows(self, cells: Cells) -> Bool[np.ndarray, "cells"]:
@@ -63,19 +67,6 @@ class CellMemory:
         runs = np.split(order, np.flatnonzero(np.diff(part[order])) + 1)
         first, *others = (self._parts[part[run[0]]].of_cells(place[run]) for run in runs)
         return first.append(*others).of_cells(np.argsort(order)) if others else first
-
-
-def sources_by_level(
-    tree: Tree, root: CellSources, domain: Box
-) -> Iterator[tuple[Int[np.ndarray, "nodes"], CellSources]]:
-    nodes, visible = np.zeros(1, np.int64), root
-    while len(nodes):
-        yield nodes, visible
-        inner = np.flatnonzero(tree.child[nodes] >= 0)
-        parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
-        nodes = tree.halves(nodes[inner])
-        lo, hi = tree.cells[nodes].grown_boxes(domain)
-        visible = visible.parts(parent, axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
 
 
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:

@@ -147,8 +147,8 @@ def test_two_classes_have_the_least_mean_width(seed):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_classes_stay_where_they_hold_after_an_update(seed):
-    """Some leaves change. With seed 0, a changed leaf exceeds the largest error before, so classes must change."""
+def test_classes_stay_where_they_hold_after_some_leaves_change(seed):
+    """With seed 0, a changed leaf exceeds the largest error before, so classes must change."""
     rng = np.random.default_rng(seed)
     error, rounding = rng.uniform(1e-4, 2e-4, 5_000), np.full(5_000, 1e-9)
     error[:20] = rng.uniform(0.05, 0.1, 20)

@@ -3,7 +3,6 @@
 from plr_jax._arrays import shortened
 from plr_jax.plr.container import PAIRS_CODE
 from plr_jax.plr.leaves.base import LeafModel
-from plr_jax.plr.leaves.cone.changed_leaves import ConeLeaves as ConeLeaves
 from plr_jax.plr.leaves.cone.codec import CUT_OFF as CUT_OFF
 from plr_jax.plr.leaves.cone.codec import ConeFiles as ConeFiles
 from plr_jax.plr.leaves.cone.codec import read_goals as read_goals
@@ -13,8 +12,6 @@ from plr_jax.plr.leaves.cone.family import family_task as family_task
 from plr_jax.plr.leaves.cone.model import Cone as Cone
 from plr_jax.plr.leaves.cone.model import as_sourced as as_sourced
 from plr_jax.plr.leaves.cone.model import goal_of_leaves as goal_of_leaves
-from plr_jax.plr.leaves.cone.update import NodeCosts as NodeCosts
-from plr_jax.plr.leaves.cone.update import updated_cones as updated_cones
 from plr_jax.plr.leaves.cone.worst_first import WorstFirst as WorstFirst
 from plr_jax.plr.leaves.continuous import Continuous
 from plr_jax.plr.leaves.continuous import StoredValues as StoredValues

@@ -1,1 +1,1 @@
-"""Cone leaves: model, file format, search for the best partition, and updates after a change of the map."""
+"""Cone leaves: model, file format, and search for the best partition."""

@@ -247,26 +247,20 @@ def change_sources(
 _ROOM = 64  # one byte in this many is reserved for changes to visible sources
 
 
-def run_quietly(tree: PricedTree, step: Callable[[PricedTree], PricedTree | None]) -> PricedTree:
-    """Apply ``step`` to a tree again and again; return the last tree when ``step`` returns None."""
-    while (larger := step(tree)) is not None:
-        tree = larger
-    return tree
-
-
 def best_cones_of_goal(
     visible: CellSources,
     domain: Box,
     limits: Limits,
     pattern: Pattern,
-    run: Callable[..., PricedTree] = run_quietly,
-    reach: Reach | None = None,
+    run: Callable[..., PricedTree],
+    reach: Reach | None,
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
     ``visible`` has the whole domain as its only cell. ``pattern`` places the samples in a leaf that show from where
-    walls hide its source. ``run`` repeats the steps of the search for the price, like :func:`run_quietly`. Return the
-    tree, its leaves as in a file, and the leaves' boxes with the sources before step 3 of this module.
+    walls hide its source. ``run(tree, step)`` replaces ``tree`` by ``step(tree)`` until that is None, and returns the
+    last tree. Return the tree, its leaves as in a file, and the leaves' boxes with the sources before step 3 of this
+    module.
     """
     negligible = max(limits.tolerance, query_resolution(visible.distance))
     box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE, reach)
