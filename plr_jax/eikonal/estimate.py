@@ -93,7 +93,7 @@ class GridEstimate:
         """Return which boxes of a domain hold nodes that reach a goal, and open nodes that do not."""
         is_reached = np.isfinite(self.cost if self.rest is None else np.minimum(self.cost, self.rest))
         # Points beside a node that reaches a goal may have a value.
-        beside = ndimage.binary_dilation(is_reached, np.ones(3 * np.ones(is_reached.ndim, int)))
+        beside: Any = ndimage.binary_dilation(is_reached, np.ones((3,) * is_reached.ndim))
         return reach_of_cells(beside, self.is_open & ~beside, self.ratio.bounds, domain)
 
     def which(self, x: Points) -> Int[np.ndarray, "n"]:

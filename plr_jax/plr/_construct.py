@@ -279,7 +279,7 @@ def _build_leaves(
         seen = sampler(Cells.root(domain.dim)).reachable
         if reach is not None or seen.sum() > few_samples(domain.dim):
             break
-    sampler = replace(sampler, is_sparse=seen.mean() < _SPARSE)
+    sampler = replace(sampler, is_sparse=bool(seen.mean() < _SPARSE))
     tree, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
     model = leaf_model(model.name)  # files store no options of a model
     cut_off = cut_off_leaves(reach, tree)

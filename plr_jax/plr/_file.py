@@ -45,7 +45,7 @@ def encode(contents: DecodedFile) -> bytes:
     if goals is not None:
         write_goals(body, goals)
     has_cut_off = contents.cut_off is not None and bool(contents.cut_off.any())
-    if has_cut_off:
+    if contents.cut_off is not None and has_cut_off:
         body.write_set(contents.cut_off)
     layer = Layer(code_of_leaf(contents.leaf), body.to_bytes(), int(proof))
     return Container(domain, (layer,), contents.folding, "", goals is not None, has_cut_off).to_bytes()
