@@ -288,12 +288,12 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
     contents = DecodedFile(mesh.domain, leaf_model("continuous"), mesh.tree, stored, cut_off=cut_off)
     plr = plr_of_leaves(contents)
     if field is not None and plr.num_bytes <= max_bytes:
-        plr = plr_of_leaves(_with_proof(contents, field, _straight_bound(field, max_bytes)))
+        plr = plr_of_leaves(_with_proof(contents, field, _straight_bound(field, float(max_bytes))))
     return plr if plr.num_bytes <= max_bytes else None
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    straight = None if field is None else _straight_bound(field, max_bytes)
+    straight = None if field is None else _straight_bound(field, float(max_bytes))
     of_straight = 0 if straight is None else 4 * len(straight.numbers)
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES

@@ -233,7 +233,12 @@ def _reach_of_spaces(reached: ConfigurationSpace, cut_off: ConfigurationSpace) -
 
 
 def _field(
-    space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, most: int, tolerance: float, places: Goals
+    space: ConfigurationSpace,
+    cost_map: CostMap | None,
+    goals: Goals,
+    most: int,
+    tolerance: float,
+    places: Float[np.ndarray, "places dim"],
 ) -> CostToGoField:
     # `goals` are fractions of the domain; rounding has moved them from their `places`.
     reached, cut_off = space.separated(places) if isinstance(space, Separable) else (space, None)

@@ -32,7 +32,7 @@ def check_boxes(reach, free, reached, at, rng):
     assert not (is_border & is_cut_off).any() and is_border.any() and is_cut_off.any()
 
 
-@pytest.mark.parametrize("goal", [(0.5, 0.5), (3, 3)])
+@pytest.mark.parametrize("goal", [(0.5, 0.5), (3.0, 3.0)])
 def test_boxes_of_polygons(goal):
     workspace, rng = Workspace(DOMAIN, RINGS), np.random.default_rng(0)
     x = np.append(rng.random((4000, 2)) * 10, workspace.boundary.vertices, axis=0)
