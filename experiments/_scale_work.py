@@ -45,12 +45,7 @@ def family(scene: str, num_goals: int, seed: int) -> list[VisibilityGraph]:
 
 
 def files_of(oracles: list[DistanceFn], scene: str, leaf: str, max_bytes: int, **work: Any) -> list[bytes]:
-    """Return the files of the PLRs of oracles, built by an ``executor`` or with a ``checkpoint``."""
+    """Return the files of the PLRs of oracles, built by an ``executor``, if one is given."""
     domain, options = getattr(scenes, scene)().workspace.bounds, BuildOptions(**work)
     plrs = construct_many(oracles, domain, leaf=leaf, max_bytes=max_bytes, options=options)
     return [plr.to_bytes() for plr in plrs]
-
-
-def build(scene: str, leaf: str, num_goals: int, max_bytes: int, seed: int, checkpoint: Path) -> None:
-    """All files, with a checkpoint."""
-    files_of(family(scene, num_goals, seed), scene, leaf, max_bytes, checkpoint=checkpoint)

@@ -254,32 +254,18 @@ def car(results: dict[str, Any]) -> str:
 
 
 def scale(results: dict[str, Any]) -> str:
-    """Who builds for a fleet, and how often they were killed."""
-
-    def table(rows: list[dict[str, Any]]) -> str:
-        return formatted(
-            (row | {"file": row["digest"][:8], "equal": "yes" if row["same"] else "no"} for row in rows),
-            *(("workers", "{kind}"), ("files", "{file}"), ("the same", "{equal}"), ("number", "{workers}")),
-            ("s", "{seconds:.1f}"),
-            words=3,
-        )
-
-    def resumed(kills: list[dict[str, Any]]) -> str:
-        shares = sorted(row["share"] for row in kills if row["killed"])
-        return (
-            f"{len(kills)} processes that are killed at random moments. {len(shares)} were killed before their end, "
-            f"when {min(shares):.0%} to {max(shares):.0%} of the checkpoint was written; "
-            f"{sum(row['same'] for row in kills)} were resumed and wrote the same file.\n"
-        )
-
+    """Who builds for a fleet, and whether the files are equal."""
     goals = results["goals"]
-    cones, planes = (
-        f"{number:,} goals, files of {size:,} bytes" for number, size in (goals["cones"], goals["planes"])
+    table = formatted(
+        (row | {"file": row["digest"][:8], "equal": "yes" if row["same"] else "no"} for row in goals["workers"]),
+        *(("workers", "{kind}"), ("files", "{file}"), ("the same", "{equal}"), ("number", "{workers}")),
+        ("s", "{seconds:.1f}"),
+        words=3,
     )
-    built = (
-        f"Workers build {cones} of cones, or of planes if a worker is killed. A second test builds {planes} of planes"
+    return table + (
+        f"\nWorkers build {goals['goals']:,} goals, files of {goals['bytes']:,} bytes: of cones, or of planes if a "
+        "worker is killed.\n"
     )
-    return table(goals["workers"]) + f"\n{built}, by {resumed(goals['kills'])}"
 
 
 def shaping(learning: dict[str, Any], speed: dict[str, Any]) -> str:

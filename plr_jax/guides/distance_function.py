@@ -111,7 +111,7 @@ print(plr_jax.load("exits.plr").which(x[:3]), exits.which(x[:3]), exits.shortest
 `plr_jax.BuildOptions` replaces the rules of the paper's Algorithm 1. A rule is a function of a `plr_jax.CellFit`, the
 samples of a batch of cells. Fitting: `plr_jax.least_squares`. Which cell to split: `plr_jax.largest_error`,
 `plr_jax.center_error`, `plr_jax.maximum_depth`. Along which axis: `plr_jax.best_axis`, `plr_jax.cyclic_axis`.
-`executor` and `checkpoint` are for oracles that take minutes. File formats and leaf classes are in `plr_jax.plr`.
+`executor` is for oracles that take minutes. File formats and leaf classes are in `plr_jax.plr`.
 
 ```python
 options = plr_jax.BuildOptions(should_split=plr_jax.maximum_depth, split=plr_jax.cyclic_axis)

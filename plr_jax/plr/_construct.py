@@ -1,7 +1,6 @@
 """Build PLRs with :func:`construct` (Algorithm 1 of the paper), and prove error bounds with :func:`certify`."""
 
 import math
-import os
 import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
@@ -34,7 +33,7 @@ from plr_jax.plr.frame import table_corners
 from plr_jax.plr.growth import ConstructionInterrupted, ShouldSplitRule, SplitRule, best_axis, largest_error
 from plr_jax.plr.leaves import Cone, leaf_model, leaf_names
 from plr_jax.plr.leaves.base import LeafModel, Rules, check_limits
-from plr_jax.plr.parallel_builds import Checkpoint, ParallelOracle, digest_of
+from plr_jax.plr.parallel_builds import ParallelOracle
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.sampling import (
     FitRule,
@@ -68,7 +67,7 @@ _ERROR_POINTS = 4096
 
 @dataclass(frozen=True)
 class BuildOptions:
-    """Options of :func:`construct` that few users need: rules of Algorithm 1, samples, workers and a checkpoint.
+    """Options of :func:`construct` that few users need: rules of Algorithm 1, samples and workers.
 
     The paper's own configuration is ``BuildOptions(should_split=maximum_depth, split=cyclic_axis)`` with
     ``max_depth=9``, or ``should_split=center_error`` with a tolerance. ``ValueError`` if an option has a wrong type
@@ -85,9 +84,6 @@ class BuildOptions:
         weight_fn: Function from points ``(n, dim)`` to error weights ``(n,)``, finite and >= 0. None: weight 1.
         executor: ``concurrent.futures.Executor`` that evaluates a slow distance function, 1,024 points at a time; the
             number of workers does not change the PLR. Processes need a picklable function. None: this process.
-        checkpoint: Path of a file that keeps all answers of the distance function, 8 bytes each. After the process
-            was killed, call ``construct`` again with the same arguments: only missing answers are computed. Answers
-            at 256 points tell whether the distance function is the same. None: no file.
     """
 
     compute_coefficients: FitRule = least_squares
@@ -97,7 +93,6 @@ class BuildOptions:
     margin: int | float = 0
     weight_fn: WeightFn | None = None
     executor: Executor | None = None
-    checkpoint: str | os.PathLike | None = None
 
     def __post_init__(self):
         for name in ("compute_coefficients", "should_split", "split", "weight_fn"):
@@ -112,13 +107,6 @@ class BuildOptions:
             raise ValueError(
                 f"executor must be a concurrent.futures.Executor or None, got {shortened(self.executor)}."
             )
-
-    @property
-    def names(self) -> str:
-        """Text that identifies all options but the executor and the checkpoint."""
-        rules = self.compute_coefficients, self.should_split, self.split, self.weight_fn
-        names = " ".join(getattr(rule, "__qualname__", type(rule).__qualname__) for rule in rules)
-        return f"{names} {self.num_samples} {self.margin}"
 
 
 DEFAULT_OPTIONS = BuildOptions()
@@ -166,7 +154,7 @@ def construct(
             ``"leaves"`` stores bounds of every leaf, 2 bytes each. Needs a distance function that *answers for whole
             cells*, as ``VisibilityGraph`` does: see :func:`certify`.
         seed: Seed of the samples. The same seed gives the same PLR.
-        options: Rules of fitting and splitting, samples, workers and a checkpoint: see :class:`BuildOptions`.
+        options: Rules of fitting and splitting, samples and workers: see :class:`BuildOptions`.
 
     Leaf models:
         - ``"plane"``: one plane a leaf, fitted best-first. The function may jump between leaves.
@@ -195,9 +183,8 @@ def construct(
 
     Raises:
         ValueError: If an argument is out of range, a budget is too small for one leaf, the leaf model or a proof does
-            not support this distance function or domain, ``distance_fn`` returns NaN or a wrong shape, no sample
-            reaches the goal, or the checkpoint belongs to other work.
-        OSError: If the checkpoint cannot be read or written.
+            not support this distance function or domain, ``distance_fn`` returns NaN or a wrong shape, or no sample
+            reaches the goal.
 
     References:
         Section III-B of the paper. ``"smooth"``: Bogner, Fox, Schmit 1965. Partition of cones: Donoho, "CART and
@@ -255,15 +242,13 @@ def _build_leaves(
     num_samples = model.num_samples if options.num_samples is None else options.num_samples
     require_integer("num_samples", num_samples, model.min_samples(domain.dim))
 
-    # 2. Wrap the distance function: cell sources, workers and a checkpoint, folded points.
+    # 2. Wrap the distance function: cell sources, workers, folded points.
     memory = None
     if answers_for_cells and domain.dim == 2:
         memory = CellMemory(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
-    weight_fn, checkpoint = options.weight_fn, None
-    if options.checkpoint is not None:
-        checkpoint = Checkpoint(options.checkpoint, digest_of([distance_fn], domain, "answers"))
-    if options.executor is not None or checkpoint is not None:
-        distance_fn = ParallelOracle(distance_fn, options.executor, checkpoint)
+    weight_fn = options.weight_fn
+    if options.executor is not None:
+        distance_fn = ParallelOracle(distance_fn, options.executor)
     if folding is not None:
         domain, weight_fn = folding.box, partial(folded_weights, weight_fn, folding)
         distance_fn = partial(_folded_distances, distance_fn, folding)

@@ -20,10 +20,10 @@ from plr_jax.plr.container import frame_size, padded_file
 from plr_jax.plr.growth import ConstructionInterrupted
 from plr_jax.plr.leaves import Cone, FamilyTask, WorstFirst, family_task, leaf_model
 from plr_jax.plr.leaves.base import LeafModel, check_limits
-from plr_jax.plr.parallel_builds import BuildResults, Checkpoint, Chunk, digest_of
+from plr_jax.plr.parallel_builds import Chunk, build_chunks
 from plr_jax.plr.sampling import reach_of
 
-_MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that progress is stored from time to time
+_MEMBERS_AT_ONCE = 64  # goals in a task of a worker, so that an interrupt keeps what is finished
 
 
 def construct_many(
@@ -67,18 +67,16 @@ def construct_many(
         tolerance: As for :func:`construct`.
         certified: As for :func:`construct`.
         seed: Seed of the samples. The same seed gives the same files, whatever the executor.
-        options: As for :func:`construct`, with two differences. Each task of the ``executor``, such as Dask's
-            ``Client.get_executor()``, builds up to 64 PLRs of a family or a single PLR; None: one thread per core. If
-            a worker dies, threads of this process build what is left. The ``checkpoint`` stores whole PLRs: a later
-            call with the same arguments builds only the missing PLRs, and ends with the same file, byte for byte.
+        options: As for :func:`construct`, except the ``executor``, such as Dask's ``Client.get_executor()``. Each of
+            its tasks builds up to 64 PLRs of a family or a single PLR. If a worker dies, threads of this process
+            build what is left. None: one thread per core.
 
     Returns:
         The PLRs, in the order of ``oracles``; lookup tables are made at the first query. After an interrupt (Ctrl-C),
         the list has None for each missing PLR, and there is a ``ConstructionInterrupted`` warning.
 
     Raises:
-        ValueError: If ``oracles`` is empty, the checkpoint belongs to other work, or as for :func:`construct`.
-        OSError: If the checkpoint cannot be read or written.
+        ValueError: If ``oracles`` is empty, or as for :func:`construct`.
     """
     try:
         oracles = list(oracles)
@@ -91,24 +89,17 @@ def construct_many(
             raise ValueError(f"oracles must be functions, got {shortened(oracle)} at index {number}.")
     domain, model, proof = Box.of(domain), leaf_model(leaf), proof_of(certified)
     require_integer("seed", seed, 0)
-    executor, checkpoint = options.executor, options.checkpoint
-    options = replace(options, executor=None, checkpoint=None)
+    executor, options = options.executor, replace(options, executor=None)
     limits = check_limits(model, domain.dim, max_depth, max_leaves, max_bytes, tolerance, proof, frame_size(domain))
     is_plane = domain.dim == 2 and not domain.is_periodic
     as_family = isinstance(model, Cone) and is_plane and limits.tolerance == 0 and options == DEFAULT_OPTIONS
-    checkpoint_file = None
-    if checkpoint is not None:
-        rules = "" if options == DEFAULT_OPTIONS else f" {options.names}"
-        checkpoint_file = Checkpoint(checkpoint, digest_of(oracles, domain, f"{model} {limits} {int(seed)}{rules}"))
     most = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
     alone = partial(construct, domain=domain, leaf=leaf, **most, certified=certified, seed=seed, options=options)
-    done = BuildResults(len(oracles), checkpoint_file)
     families: dict[int, list[int]] = {}  # keys of single oracles are negative
     for number, oracle in enumerate(oracles):
-        if done.results[number] is None:
-            is_member = as_family and isinstance(oracle, FamilyFn) and reach_of(oracle, domain) is None
-            key = id(oracle.family) if is_member else -1 - number
-            families.setdefault(key, []).append(number)
+        is_member = as_family and isinstance(oracle, FamilyFn) and reach_of(oracle, domain) is None
+        key = id(oracle.family) if is_member else -1 - number
+        families.setdefault(key, []).append(number)
     chunks: list[Chunk] = []
     for key, numbers in families.items():
         first = oracles[numbers[0]]
@@ -117,15 +108,12 @@ def construct_many(
         split = np.array_split(np.array(numbers), -(-len(numbers) // (_MEMBERS_AT_ONCE if task else 1)))
         chunks += [(part.tolist(), partial(work, [oracles[i] for i in part])) for part in split]
     total = len(oracles)
-    with tqdm(
-        desc="construct_many", unit=" PLRs", total=total, initial=done.count, delay=2, leave=False, disable=None
-    ) as progress:
-        try:
-            done.build(chunks, executor, progress)
-        except KeyboardInterrupt:
-            message = f"Interrupted at {done.count} of {total} PLRs: the list has None for the others."
-            warnings.warn(message, ConstructionInterrupted, stacklevel=2)
-    return [None if file is None else PLR(padded_file(file)) for file in done.results]
+    with tqdm(desc="construct_many", unit=" PLRs", total=total, delay=2, leave=False, disable=None) as progress:
+        files, is_interrupted = build_chunks(chunks, executor, progress)
+    if is_interrupted:
+        message = f"Interrupted at {len(files)} of {total} PLRs: the list has None for the others."
+        warnings.warn(message, ConstructionInterrupted, stacklevel=2)
+    return [PLR(padded_file(files[number])) if number in files else None for number in range(total)]
 
 
 def _files(
