@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from shapely.geometry import MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 
@@ -216,25 +218,18 @@ class Workspace:
         False for points that are not free, and for all points if the goal is not free.
         """
         x, goal = as_points("x", self.bounds.settled(x), 2), as_finite_point("goal", self.bounds.settled(goal), 2)
-        parts, free = shapely.get_parts(self.free_space), self.is_free(x)
-        is_reached = shapely.dwithin(parts, shapely.Point(goal), self.tolerance)
-        if self.squeeze:  # paths pass where parts touch
-            contacts: Any = shapely.points(self.boundary.vertices[self.boundary.contacts])
-            touches = shapely.dwithin(parts[:, None], contacts, self.tolerance)
-            while (spread := touches[:, touches[is_reached].any(axis=0)].any(axis=1) & ~is_reached).any():
-                is_reached |= spread
-        part, place = shapely.STRtree(parts[is_reached]), np.zeros(len(x), bool)
-        points: Any = shapely.points(x[free])
-        place[np.flatnonzero(free)[part.query(points, predicate="dwithin", distance=self.tolerance)[0]]] = True
-        return place
+        parts, is_reached = shapely.get_parts(self.free_space), self.is_free(x)
+        tree = shapely.STRtree(parts[joined_parts(parts, goal[None], self.tolerance, self.squeeze)])
+        points: Any = shapely.points(x)
+        beside = tree.query(points, predicate="dwithin", distance=self.tolerance)[0]
+        return is_reached & np.isin(np.arange(len(x)), beside)
 
     def reach(self, goals: Float[np.ndarray, "goals 2"], domain: Box) -> Reach | None:
         """Return which boxes of a domain hold free points that reach one of several goals; None if all reach one."""
         parts = shapely.get_parts(self.free_space)
         if len(parts) < 2:
             return None
-        inside = shapely.get_coordinates(shapely.point_on_surface(parts))
-        reaches = np.any([self.reachable(inside, goal) for goal in goals], axis=0)
+        reaches = joined_parts(parts, goals, self.tolerance, self.squeeze)
         if reaches.all():
             return None
         parts = shapely.transform(parts, lambda x: (x - domain.lo) / domain.width)
@@ -367,6 +362,18 @@ class Workspace:
         u, v = rng.random((2, n, 1))
         u, v = np.where(u + v > 1, [1 - u, 1 - v], [u, v])  # fold the far half of the parallelogram back
         return corner[pick] + u * first[pick] + v * second[pick]
+
+
+def joined_parts(
+    parts: Any, points: Float[np.ndarray, "n 2"], tolerance: float, may_squeeze: bool
+) -> Bool[np.ndarray, "parts"]:
+    """Return which polygons hold one of the points, or touch such polygons if paths may squeeze through contacts."""
+    tree = shapely.STRtree(parts)
+    pairs = tree.query(parts, predicate="intersects") if may_squeeze else np.stack([np.arange(len(parts))] * 2)
+    graph = coo_array((np.ones(pairs.shape[1], bool), tuple(pairs)), (len(parts),) * 2)
+    group = connected_components(graph, directed=False)[1]
+    held = tree.query(np.asarray(shapely.points(points)), predicate="dwithin", distance=tolerance)[1]
+    return np.isin(group, group[held])
 
 
 def _meeting(polygons: Any) -> BoxTest:

@@ -7,15 +7,13 @@ from typing import Any, TypeAlias
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int8
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import as_points, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.collision.walls import motion_test
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
-from plr_jax.geometry.workspace import Workspace, require_workspace
+from plr_jax.geometry.workspace import Workspace, joined_parts, require_workspace
 from plr_jax.robots.robot import PointRobot, Robot
 from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
@@ -174,15 +172,9 @@ class PlaneSpace(BodySpace):
 
     def separated(self, q: ArrayLike) -> "tuple[PlaneSpace, PlaneSpace | None]":
         """Divide the space into the polygons of free space that hold positions ``q``, and the rest, or None."""
-        polygons, near = shapely.get_parts(self._passable), 2 * self.workspace.tolerance
-        is_point, tree = self.robot.circumscribed_radius == 0, shapely.STRtree(polygons)
-        joined = np.stack([np.arange(len(polygons))] * 2)
-        if is_point and self.workspace.squeeze:  # polygons that touch are one
-            joined = tree.query(polygons, predicate="dwithin", distance=near)
-        graph = coo_array((np.ones(joined.shape[1], bool), tuple(joined)), (len(polygons),) * 2)
-        part = connected_components(graph, directed=False)[1]
-        held = tree.query(shapely.points(as_points("q", q, 2)), predicate="dwithin", distance=near)[1]
-        holds = np.isin(part, part[held])
+        polygons, may_squeeze = shapely.get_parts(self._passable), self.robot.circumscribed_radius == 0
+        may_squeeze &= self.workspace.squeeze
+        holds = joined_parts(polygons, as_points("q", q, 2), 2 * self.workspace.tolerance, may_squeeze)
         if holds.all() or not holds.any():
             return self, None
         kept, rest = (shapely.MultiPolygon(polygons[some].tolist()) for some in (holds, ~holds))

@@ -1,5 +1,3 @@
-from contextlib import nullcontext
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -111,7 +109,7 @@ SLANTED = PlaneSpace(Workspace(BOUNDS, [[(0, 2), (2, 0), (2.2, 0), (0, 2.2)]]))
 NARROW = PlaneSpace(Workspace(BOUNDS, [rectangle(1.8, 0, 2, 1.4), rectangle(1.8, 1.6, 2, 3)]), DiscRobot(0.2))
 CORNERS = np.eye(2, dtype=bool)
 CUT_OFF = {  # a space, a goal, cells, bytes, which points reach the goal, and the share of others that may be finite
-    "slanted wall": (SLANTED, (3, 2.5), 300, None, lambda x: x.sum(axis=1) > 2, 0.01),
+    "slanted wall": (SLANTED, (3, 2.5), 300, None, lambda x: x.sum(axis=1) > 2, 0.001),
     "narrow door": (NARROW, (0.5, 1), 200, None, lambda x: x[:, 0] < 1.8, 0),
     "corners": (VoxelSpace(CORNERS), (0.5, 0.5), 150, None, lambda x: x[:, 0] < 1, 1e-3),
     "voxel": (VoxelSpace(CORNERS[:, :, None] & CORNERS), (0.5,) * 3, 500, None, lambda x: x[:, 0] < 1, 1e-3),
@@ -122,11 +120,10 @@ CUT_OFF = {  # a space, a goal, cells, bytes, which points reach the goal, and t
 @pytest.mark.parametrize(
     "place", [*list(CUT_OFF)[:3], *(pytest.param(k, marks=pytest.mark.full) for k in ("voxel", "few bytes"))]
 )
-@pytest.mark.filterwarnings("ignore:The goal cannot be reached")
+@pytest.mark.filterwarnings("ignore:The goal cannot be reached", "ignore:In about")
 def test_points_that_are_cut_off_answer_inf_and_have_no_upper_bound(place):
     space, goal, max_leaves, max_bytes, reaches, most = CUT_OFF[place]
-    with pytest.warns(UserWarning, match="% of the domain, the PLR answers") if most > 0.1 else nullcontext():
-        plr = solve_eikonal(space, goal, max_leaves=max_leaves, max_bytes=max_bytes).numpy()
+    plr = solve_eikonal(space, goal, max_leaves=max_leaves, max_bytes=max_bytes).numpy()
     x = np.random.default_rng(0).uniform(space.domain.lo, space.domain.hi, (20_000, space.domain.dim))
     x = x[space.is_free(x)]
     is_reached, is_finite, (lower, upper) = reaches(x), np.isfinite(plr(x)), plr.bounds(x)

@@ -8,16 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from robot_helpers import BAR, PEBBLE, POINT, WING, AnyShape, shapes
-from space_helpers import (
-    BOUNDS,
-    check_classification,
-    check_motions,
-    keep_clear,
-    of_drone,
-    random_boxes,
-    random_workspace,
-    rectangle,
-)
+from space_helpers import check_classification, check_motions, keep_clear, of_drone, random_boxes, random_workspace
 from voxel_helpers import clearances
 
 from plr_jax import Box, ClearanceSpace, DiscRobot, FreeTest, PlanarArm, RectangleRobot, RigidBodySpace, Workspace
@@ -202,14 +193,14 @@ def test_blocks_of_motion_costs_compare_by_value():
     assert cost == MotionCost((((1, 0), 1.0), ((2,), 3.0))) and len({cost, cost}) == 1
 
 
-WALL = Workspace(BOUNDS, [rectangle(1, 0, 1.5, 3)])
+WALL = Workspace(((0, 0), (4, 3)), [shapely.box(1, 0, 1.5, 3)])
 
 
 @pytest.mark.parametrize(
     ("space", "largest"),  # the first coordinate of points that the goal joins
     [
         (PlaneSpace(WALL), 1),
-        (PlaneSpace(Workspace(BOUNDS, [rectangle(1, 0, 2, 1), rectangle(1, 1.3, 2, 3)]), DiscRobot(0.2)), 1),
+        (PlaneSpace(Workspace(WALL.bounds, [shapely.box(1, 0, 2, 1), shapely.box(1, 1.3, 2, 3)]), DiscRobot(0.2)), 1),
         (RigidBodySpace(WALL, RectangleRobot(0.4, 0.2)), 1),
         (VoxelSpace([True, False, True, True], ((0,), (4,))), 1),
     ],
@@ -225,13 +216,9 @@ def test_separated_spaces_hold_the_points_that_a_goal_joins_and_the_others(space
     states, (here, there) = space.classify(lo, hi), (part.classify(lo, hi) for part in (joined, rest))
     assert ((here == CellState.BLOCKED) | (there == CellState.BLOCKED) | (states == CellState.MIXED)).all()
     assert (np.where(lo[:, 0] < largest, here, there) == states)[(states == CellState.FREE)].all()
-    assert joined.separated(goal)[1] is None
 
 
-def test_only_squeezing_points_join_squares_that_touch_in_a_corner():
-    squares = [rectangle(0, 0, 2, 1), rectangle(2, 1, 4, 3)]  # free squares are between them
-    spaces = (PlaneSpace(Workspace(BOUNDS, squares, squeeze=squeeze)) for squeeze in (False, True))
-    assert [space.separated([[1, 2]])[1] is None for space in spaces] == [False, True]
+def test_a_goal_in_a_corner_is_in_both_voxels_that_touch_there():
     corner, (joined, rest) = [[1.0, 1.0]], VoxelSpace(np.eye(2, dtype=bool)).separated([[0.5, 0.5]])
     assert joined.is_free(corner) and rest.is_free(corner)
     assert VoxelSpace(np.eye(2, dtype=bool)).separated(corner)[1] is None  # a goal in the corner is in both
