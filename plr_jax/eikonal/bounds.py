@@ -53,6 +53,7 @@ class MeshEstimate:
 
     mesh: Mesh
     corner_values: CellCorners  # 0 in blocked cells
+    reach: Reach | None  # if known: which boxes hold points that paths join to a goal, and which hold others
 
     def __call__(self, x: Points) -> Numbers:
         mesh = self.mesh
@@ -72,7 +73,7 @@ class CostToGoField:
     nodal_estimate: Float[np.ndarray, "nodes"]  # at the corners of cells; inf where unknown
     nodal_goal: Int[np.ndarray, "nodes"] | None  # the goal of the estimated path from each node, without a guide
     space: ConfigurationSpace
-    reach: Reach | None  # if known: which boxes hold points that paths join to a goal, and which hold others
+    reach: Reach | None  # of the estimate
     guide: GridEstimate | None  # an estimate interpolated on a grid, for up to three axes; of the other part
 
     @property
@@ -125,7 +126,7 @@ class CostToGoField:
             )
         values = np.zeros(mesh.corners.shape)
         values[cell] = np.minimum(lower[cell] + _filled(np.maximum(excess, 0.0), node), upper[cell])
-        return MeshEstimate(mesh, values)
+        return MeshEstimate(mesh, values, self.reach)
 
     def which(self, x: Points) -> CellIndex:
         mesh = self.mesh
@@ -284,7 +285,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
     step = max(step, _SMALLEST_STEP * float(np.abs(values).max()), float(np.finfo(np.float32).tiny))
     partition = TiedPartition(mesh.tree, closed, mesh.all_faces, mesh.is_open_face)
     stored = StoredValues.quantize_corners(partition, values, step)
-    cut_off = cut_off_leaves(None if field is None else field.reach, mesh.tree)
+    cut_off = cut_off_leaves(estimate.reach, mesh.tree)
     contents = DecodedFile(mesh.domain, leaf_model("continuous"), mesh.tree, stored, cut_off=cut_off)
     plr = plr_of_leaves(contents)
     if field is not None and plr.num_bytes <= max_bytes:
@@ -305,11 +306,10 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
         on_grid = on_mesh if field is None or field.guide is None else field.guide(x)
         return np.where(np.isfinite(on_grid), on_grid, on_mesh)
 
-    reach = None if field is None else field.reach
-    rules = limits.max_axis_depth, least_squares, None, reach
+    rules = limits.max_axis_depth, least_squares, None, estimate.reach
     sampler = Sampler(distances, domain, None, pattern, pattern, *rules)
     tree, stored = model.construct(sampler, Rules(largest_error, best_axis), limits)
-    contents = DecodedFile(domain, model, tree, stored, cut_off=cut_off_leaves(reach, tree))
+    contents = DecodedFile(domain, model, tree, stored, cut_off=cut_off_leaves(estimate.reach, tree))
     return plr_of_leaves(contents if field is None else _with_proof(contents, field, straight))
 
 

@@ -93,7 +93,8 @@ class GridEstimate:
         """Return which boxes of a domain hold nodes that reach a goal, and open nodes that do not."""
         is_reached = np.isfinite(self.cost if self.rest is None else np.minimum(self.cost, self.rest))
         # Points beside a node that reaches a goal may have a value.
-        beside: Any = ndimage.binary_dilation(is_reached, np.ones((3,) * is_reached.ndim))
+        mode: Any = ["wrap" if wraps else "nearest" for wraps in self.space.domain.periodic]
+        beside: Any = ndimage.maximum_filter(is_reached, 3, mode=mode)
         return reach_of_cells(beside, self.is_open & ~beside, self.ratio.bounds, domain)
 
     def which(self, x: Points) -> Int[np.ndarray, "n"]:

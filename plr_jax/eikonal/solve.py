@@ -185,8 +185,7 @@ def solve_eikonal(
             on_mesh = plr_on_mesh(estimate, proven, most_bytes)
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
         which = field.which
-        reach = field.reach or (None if field.guide is None else field.guide.reach(domain))
-        warn_if_cut_off(reach, plr._contents)
+        warn_if_cut_off(field.reach or (field.guide and field.guide.reach(domain)), plr._contents)
     return plr if goal.ndim == 1 else plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), which))
 
 
@@ -260,6 +259,8 @@ def _field(
         nodal_estimate, nodal_goal = likely.cost[:num], likely.ends[:num] - num
     else:
         nodal_estimate = guide(domain.at(mesh.nodes))
+    if isinstance(space, SampledSpace) and guide is not None:  # nothing is proven of such a space
+        reach = guide.reach(domain)
     return CostToGoField(program, solver.values, paths, nodal_estimate, nodal_goal, space, reach, guide)
 
 

@@ -203,7 +203,10 @@ def reach_of_cells(
     """Return the reach of a goal on a grid of cells that fill ``bounds``; array axes are coordinate axes."""
     from scipy import ndimage
 
-    shape = np.array(reached.shape)
+    # Periodic axes have a period more on either side.
+    shape, periodic = np.array(reached.shape), np.array(bounds.periodic)
+    more = np.where(periodic, shape, 0)
+    reached, cut_off = (np.pad(each, np.stack([more, more], axis=1), mode="wrap") for each in (reached, cut_off))
     far = np.zeros_like(cut_off)
     if cut_off.any() and reached.any():
         side = bounds.width / shape / domain.width
@@ -215,8 +218,10 @@ def reach_of_cells(
 
         def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
             first, last = ((domain.lo + end * domain.width - bounds.lo) / bounds.width * shape for end in (lo, hi))
-            first, last = np.maximum(np.floor(first), 0), np.minimum(np.ceil(last), shape) - 1
-            return sums.within(first.astype(np.int64).T, last.astype(np.int64).T) > 0
+            ends = (
+                np.clip(each + more, 0, reached.shape).astype(np.int64) for each in (np.floor(first), np.ceil(last))
+            )
+            return sums.within(next(ends).T, next(ends).T - 1) > 0
 
         return test
 

@@ -305,10 +305,10 @@ class GridField:
                 "np.maximum(values, 0) for a field that is negative inside the goal."
             )
         is_free = np.isfinite(numbers) if free is None else np.array(free)
-        if is_free.dtype != bool or is_free.shape != numbers.shape:
+        if is_free.dtype != bool or is_free.shape != numbers.shape or np.ma.is_masked(free):
             got = f"{is_free.dtype} of shape {is_free.shape}"
-            raise ValueError(f"free must be booleans like values, of shape {numbers.shape}, got {got}.")
-        numbers.flags.writeable = False
+            raise ValueError(f"free must be booleans like values, of shape {numbers.shape}, none masked, got {got}.")
+        numbers.flags.writeable = is_free.flags.writeable = False
         set_fields(self, values=numbers, bounds=bounds, free=is_free)
 
     def __repr__(self) -> str:

@@ -12,14 +12,13 @@ from plr_jax._types import ArrayLike, Sources
 from plr_jax.pairs.stored import PairsFileData
 from plr_jax.plr._file import DecodedFile
 from plr_jax.plr._plr import PLR, plr_of_leaves
-from plr_jax.plr.leaves import CUT_OFF, ConeFiles, leaf_model
+from plr_jax.plr.leaves import ConeFiles, leaf_model
 from plr_jax.plr.tree import Cells, Tree, tree_of
 
 _SAMPLES = 0.96 * np.array(list(product((-1, 0, 1), repeat=2)))  # a grid just inside a leaf, in local coordinates
 _HALVINGS = 4  # halvings of a leaf that no corner fits well
 _DEPTH = 13  # halvings that the leaves of a file and further halvings may reach together
 _MAX_AXIS_DEPTH = 13
-_NONE = CUT_OFF - 1  # instead of an apex, for a node whose leaves have different ones
 _NEGLIGIBLE = 1e-5  # acceptable mean error of a cell, in domain widths
 _ROUNDING = 1e-6  # more than a query's error, relative to the distance plus the domain width
 PairFn: TypeAlias = Callable[[ArrayLike, ArrayLike], ArrayLike]
@@ -51,9 +50,8 @@ def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Po
     tree = tree_of(cells)
     cells, source = _joined(tree, source[tree.order])
     tree = tree_of(cells)
-    source = source[tree.order]
-    cones = ConeFiles(sources, domain).stored(source)
-    return plr_of_leaves(DecodedFile(domain, leaf_model("cone"), tree, cones, cut_off=source == CUT_OFF))
+    cones = ConeFiles(sources, domain).stored(source[tree.order])
+    return plr_of_leaves(DecodedFile(domain, leaf_model("cone"), tree, cones))
 
 
 def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sources:
@@ -76,7 +74,7 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
 def _best_sources(
     stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
 ) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
-    # The source of a cell is the apex of the cone of least mean error; else -1, or CUT_OFF if a sample is free.
+    # The source of a cell, -1 for none, is the apex of the cone that has the least mean error there.
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
     is_free = stored.outline.contains(x.reshape(-1, 2)).reshape(x.shape[:2])
@@ -90,20 +88,18 @@ def _best_sources(
     order = np.lexsort((error, cell))
     best = order[np.searchsorted(cell[order], np.arange(len(cells)))]
     reaches = np.isfinite(distance).any(axis=1) & np.isfinite(sources.distances[source[best]])
-    is_cut_off = (is_free & np.isinf(distance)).any(axis=1)
-    none = np.where(is_cut_off, CUT_OFF, -1)
-    return np.where(reaches, source[best], none), np.where(reaches, np.where(is_cut_off, np.inf, error[best]), 0.0)
+    return np.where(reaches, source[best], -1), np.where(reaches, error[best], 0.0)
 
 
 def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
     """Merge halves of a cell whose cones have the same apex, ``source``; return the leaves and their apexes."""
-    of_node = np.full(len(tree.child), _NONE)
+    of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
     for split in reversed(tree.splits):
         lower, upper = of_node[tree.child[split]], of_node[tree.child[split] + 1]
-        of_node[split] = np.where(lower == upper, lower, _NONE)
+        of_node[split] = np.where(lower == upper, lower, -2)
     is_inside = np.zeros(len(tree.child), bool)
     for split in tree.splits:
-        is_inside[tree.child[split]] = is_inside[tree.child[split] + 1] = is_inside[split] | (of_node[split] > _NONE)
-    kept = np.flatnonzero((of_node > _NONE) & ~is_inside)
+        is_inside[tree.child[split]] = is_inside[tree.child[split] + 1] = is_inside[split] | (of_node[split] > -2)
+    kept = np.flatnonzero((of_node > -2) & ~is_inside)
     return tree.cells[kept], of_node[kept]

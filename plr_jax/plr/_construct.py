@@ -23,7 +23,7 @@ from plr_jax._types import (
 )
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
-from plr_jax.plr._file import DecodedFile, cut_off_leaves, encode
+from plr_jax.plr._file import DecodedFile, cut_off_leaves, encode, filled_coefficients
 from plr_jax.plr._proof import certificate_of
 from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
@@ -196,10 +196,10 @@ def construct(
     require_function("distance_fn", distance_fn)
     if not isinstance(options, BuildOptions):
         raise ValueError(f"options must be BuildOptions(...), got {shortened(options)}.")
-    limits = max_depth, max_leaves, max_bytes, tolerance
+    limits, reach = (max_depth, max_leaves, max_bytes, tolerance), reach_of(distance_fn, domain)
 
     def build(name: LeafModel | str, root: CellSources | None = None) -> DecodedFile:
-        return _build_leaves(distance_fn, domain, leaf_model(name), limits, proof, seed, options, root)
+        return _build_leaves(distance_fn, domain, leaf_model(name), limits, proof, seed, options, root, reach)
 
     if leaf == "best":
         has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
@@ -207,7 +207,7 @@ def construct(
         contents = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
     else:
         contents = build(leaf)
-    warn_if_cut_off(None if contents.folding is not None else reach_of(distance_fn, domain), contents)
+    warn_if_cut_off(None if contents.folding is not None else reach, contents)
     plr = plr_of_leaves(contents)
     if isinstance(distance_fn, NearestFn) and not isinstance(contents.leaf, Cone):  # files of cones name goals
         return plr.with_nearest_goal(distance_fn.which)
@@ -223,6 +223,7 @@ def _build_leaves(
     seed: int,
     options: BuildOptions,
     root: CellSources | None,
+    reach: Reach | None,
 ) -> DecodedFile:
     # 1. Check the arguments.
     model.check_dim(domain.dim)
@@ -234,7 +235,7 @@ def _build_leaves(
     folding = None
     if proof is Proof.NONE and not isinstance(model, Cone) and not answers_for_cells:
         folding = folding_of(distance_fn, domain)
-    reach = None if folding is not None else reach_of(distance_fn, domain)
+    reach = None if folding is not None else reach
     has_border = reach is not None and bool(reach.is_border(*Cells.root(domain.dim).fractions)[0])
     if limits == (None,) * 4 and domain.dim > 2 and has_border:
         limits = None, _LEAVES_OF_VOLUMES, None, None
@@ -297,25 +298,28 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
     """Warn if most of free space cannot reach the goal, or a PLR answers free points there with a finite number."""
     if reach is None:
         return
-    lo, hi = contents.tree.leaves.fractions
-    lo, hi = (end[reach.is_border(lo, hi)] for end in (lo, hi))
-    if len(lo):
-        # Divide these leaves into equal boxes, and add up the volumes of boxes that hold far cut-off points.
-        steps = np.moveaxis(np.indices((_PARTS,) * lo.shape[1]), 0, -1).reshape(-1, lo.shape[1])
+    (lo, hi), dim = contents.tree.leaves.fractions, contents.domain.dim
+    try:
+        # Divide finite leaves with cut-off points into equal boxes; add up the volumes of boxes with far ones.
+        is_wrong = (reach.is_border(lo, hi) | reach.is_cut_off(lo, hi)) & np.isfinite(
+            filled_coefficients(contents)[:, 0]
+        )
+        lo, hi = lo[is_wrong], hi[is_wrong]
+        steps = np.moveaxis(np.indices((_PARTS,) * dim), 0, -1).reshape(-1, dim)
         part = lo[:, None] + (hi - lo)[:, None] * steps / _PARTS
-        size = np.broadcast_to((hi - lo)[:, None] / _PARTS, part.shape).reshape(-1, lo.shape[1])
-        share = size[reach.far(part.reshape(size.shape), part.reshape(size.shape) + size)].prod(axis=1).sum()
+        size = np.broadcast_to((hi - lo)[:, None] / _PARTS, part.shape).reshape(-1, dim)
+        part = part.reshape(size.shape)
+        wrong, share = size[reach.far(part, part + size)].prod(axis=1).sum(), reach.share_cut_off(dim)
+    except KeyboardInterrupt:  # the PLR is complete without these warnings
+        return
+    if wrong > 0:
         message = (
-            f"In about {100 * share:.2g} % of the domain, the PLR answers a finite number, although no path leads to "
-            "the goal. Allow more bytes or leaves, or ask workspace.reachable(x, goal)."
+            f"In about {100 * wrong:.2g} % of the domain, the PLR answers a finite number, but no path leads to "
         )
-        warnings.warn(message, stacklevel=3)
-    if (share := reach.share_cut_off(lo.shape[1])) > 0.5:
-        message = (
-            f"The goal cannot be reached from about {share:.0%} of free space. Check that the goal is in the "
-            "intended part of free space."
-        )
-        warnings.warn(message, stacklevel=3)
+        warnings.warn(f"{message}the goal. Allow more bytes or leaves.", stacklevel=3)
+    if share > 0.5:
+        message = f"The goal cannot be reached from about {share:.0%} of free space. Check that it is in the right "
+        warnings.warn(f"{message}part.", stacklevel=3)
 
 
 def build_best_model(

@@ -167,7 +167,8 @@ class PLR(FileBacked):
         """Return proven bounds of the distance at points of free space from which the goal can be reached.
 
         Return lower bounds, at least 0, and upper bounds, ``(...)`` each, for points ``(..., dim)``. Both are ``inf``
-        outside the domain and NaN for NaN. In obstacles, and where the goal cannot be reached, they are meaningless.
+        outside the domain and where the PLR answers ``inf``, and NaN for NaN. In obstacles, and elsewhere where the
+        goal cannot be reached, they are meaningless.
         ``ValueError`` if the PLR has no proof, or as for :func:`evaluate`.
 
         The proof refers to the oracle or space that :func:`construct`, :func:`certify` or :func:`solve_eikonal` was

@@ -13,7 +13,7 @@ from plr_jax._arrays import as_distances, as_numbers, as_values, row_products
 from plr_jax._types import DistanceFn, Distances, Points, ReachFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
-from plr_jax.geometry.reach import BoxTest, Fractions, Reach
+from plr_jax.geometry.reach import BoxTest, Reach
 from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.tree import Cells, Rows
@@ -259,14 +259,12 @@ class Sampler:
     def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, "cells"]) -> Int[np.ndarray, "cells"]:
         reach, axis = self.reach, np.full(len(cells), -1)
         if reach is not None:
-            set_urgent_axes(axis, cells, reach.is_border, self.max_axis_depth)
+            axis = urgent_axes(cells, reach.is_border, self.max_axis_depth)
         if self.is_sparse:
-            few = np.flatnonzero((num_reachable <= few_samples(cells.dim)) & (cells.depth < _FINE).any(axis=1))
-            holds = _holds_all if reach is None else reach.holds_reached
-            few = few[num_reachable[few] > 0] if reach is None else few
-            axis_of_few = axis[few]
-            set_urgent_axes(axis_of_few, cells[few], holds, self.max_axis_depth)
-            axis[few] = axis_of_few
+            few = (num_reachable <= few_samples(cells.dim)) & (cells.depth < _FINE).any(axis=1)
+            few = np.flatnonzero(few if reach is not None else few & (num_reachable > 0))
+            holds = (lambda lo, hi: np.ones(len(lo), bool)) if reach is None else reach.holds_reached
+            axis[few] = np.maximum(axis[few], urgent_axes(cells[few], holds, self.max_axis_depth))
         return axis
 
     def sample_densely(self, cells: Cells) -> CellFit:
@@ -308,8 +306,9 @@ def reach_of(distance_fn: DistanceFn, domain: Box) -> Reach | None:
     return distance_fn.reach(domain) if isinstance(distance_fn, ReachFn) else None
 
 
-def set_urgent_axes(axis: Int[np.ndarray, "cells"], cells: Cells, holds: BoxTest, max_axis_depth: int) -> None:
-    """Set the axis of each cell that passes a test: the one along which the fewest halves pass it, or the longest."""
+def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.ndarray, "cells"]:
+    """Return, for cells that pass a test, the axis along which fewest halves pass, or the longest; else -1."""
+    axis = np.full(len(cells), -1)
     some = np.flatnonzero(holds(*cells.fractions))
     count, depth = np.empty((len(some), cells.dim)), cells.depth[some]
     for each in range(cells.dim):
@@ -318,10 +317,7 @@ def set_urgent_axes(axis: Int[np.ndarray, "cells"], cells: Cells, holds: BoxTest
     count += depth / (1 + depth.max(initial=0))
     count[is_closed(depth, max_axis_depth)] = np.inf
     axis[some] = np.argmin(count, axis=1)
-
-
-def _holds_all(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
-    return np.ones(len(lo), bool)
+    return axis
 
 
 def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[np.ndarray, "cells dim"]:

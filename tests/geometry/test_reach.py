@@ -58,6 +58,13 @@ def test_boxes_of_cells():
     distance = np.where(reached, 1.0, np.inf)
     for fn in (GridGraph(free, goal), GridField(distance, domain, free)):
         check_boxes(fn.reach(domain), free[cell], reached[cell], at, rng)
-    assert not GridField(distance, domain).reach(domain).cut_off(np.zeros((1, 2)), np.ones((1, 2))).any()
     with pytest.raises(ValueError, match=r"free must be booleans like values, of shape \(40, 30\)"):
         GridField(distance, domain, free[1:])
+
+
+def test_boxes_beyond_a_grid_and_across_the_seam_of_a_periodic_one():
+    free, reached = np.repeat([0, 1, 0, 1, 0], [1, 14, 2, 14, 1]) > 0, np.arange(32) < 15
+    values, lo = np.where(reached & free, 1.0, np.inf), np.array([[0.0], [0.25], [0.5], [0.75]])
+    for wraps, expected in ((False, [0, 1, 0, 0]), (True, [0, 1, 0, 1])):
+        field = GridField(values, Box([0.0], [32.0], (wraps,)), free)
+        assert field.reach(Box([0.0], [64.0])).is_cut_off(lo, lo + 0.25).tolist() == expected

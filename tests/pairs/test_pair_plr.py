@@ -163,13 +163,6 @@ def test_one_goal_gives_a_plr_of_cones(maze, goal):
     assert plr_jax.from_bytes(plr.to_bytes()).num_bytes == plr.num_bytes
 
 
-def test_a_plr_to_one_goal_answers_inf_where_no_path_leads():
-    corner = Workspace(((0, 0), (10, 10)), [[(0, 5), (5, 0), (5.3, 0), (0, 5.3)]])
-    plr, x = construct_pairs(corner).to((8, 8)), corner.sample_free(2000, 0)
-    assert (np.isfinite(plr.numpy()(x)) == corner.reachable(x, (8, 8))).mean() > 0.99
-    assert plr_jax.trace(plr, [(1, 1), (9, 9)]).status.tolist() == [1, 0]  # no path, and one that arrives
-
-
 def test_leaves_are_halved_or_joined_for_one_goal(maze):
     stored, count = maze.stored, maze.num_corners
     one_leaf = tree_of(Cells.root(2)), np.zeros(count, int), np.arange(count)

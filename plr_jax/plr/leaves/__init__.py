@@ -3,7 +3,6 @@
 from plr_jax._arrays import shortened
 from plr_jax.plr.container import PAIRS_CODE
 from plr_jax.plr.leaves.base import LeafModel
-from plr_jax.plr.leaves.cone.codec import CUT_OFF as CUT_OFF
 from plr_jax.plr.leaves.cone.codec import ConeFiles as ConeFiles
 from plr_jax.plr.leaves.cone.codec import read_goals as read_goals
 from plr_jax.plr.leaves.cone.codec import write_goals as write_goals
