@@ -218,9 +218,7 @@ def reach_of_cells(
 
         def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
             first, last = ((domain.lo + end * domain.width - bounds.lo) / bounds.width * shape for end in (lo, hi))
-            ends = (
-                np.clip(each + more, 0, reached.shape).astype(np.int64) for each in (np.floor(first), np.ceil(last))
-            )
+            ends = (np.clip(end + more, 0, reached.shape).astype(int) for end in (np.floor(first), np.ceil(last)))
             return sums.within(next(ends).T, next(ends).T - 1) > 0
 
         return test
