@@ -301,9 +301,8 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
     (lo, hi), dim = contents.tree.leaves.fractions, contents.domain.dim
     try:
         # Divide finite leaves with cut-off points into equal boxes; add up the volumes of boxes with far ones.
-        is_wrong = (reach.is_border(lo, hi) | reach.is_cut_off(lo, hi)) & np.isfinite(
-            filled_coefficients(contents)[:, 0]
-        )
+        is_finite = np.isfinite(filled_coefficients(contents)[:, 0])
+        is_wrong = is_finite & (reach.is_border(lo, hi) | reach.is_cut_off(lo, hi))
         lo, hi = lo[is_wrong], hi[is_wrong]
         steps = np.moveaxis(np.indices((_PARTS,) * dim), 0, -1).reshape(-1, dim)
         part = lo[:, None] + (hi - lo)[:, None] * steps / _PARTS
@@ -318,8 +317,8 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
         )
         warnings.warn(f"{message}the goal. Allow more bytes or leaves.", stacklevel=3)
     if share > 0.5:
-        message = f"The goal cannot be reached from about {share:.0%} of free space. Check that it is in the right "
-        warnings.warn(f"{message}part.", stacklevel=3)
+        message = f"The goal cannot be reached from about {share:.0%} of free space: is the goal in the right part?"
+        warnings.warn(message, stacklevel=3)
 
 
 def build_best_model(
