@@ -12,10 +12,11 @@ from jaxtyping import Bool, Float, Int
 from plr_jax._arrays import parts, ragged_indices
 from plr_jax.eikonal.elements import basis, to_bernstein
 from plr_jax.eikonal.estimate import GridEstimate
-from plr_jax.eikonal.goals import Points, nearest_goals
+from plr_jax.eikonal.goals import Goals, Points, nearest_goals
 from plr_jax.eikonal.mesh import CellIndex, Mesh
 from plr_jax.eikonal.paths import NodePaths
 from plr_jax.eikonal.program import ROUNDING, SlopeProgram
+from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
 from plr_jax.oracles import VoxelGraph
 from plr_jax.plr._file import DecodedFile, cut_off_leaves, filled_coefficients
@@ -29,7 +30,7 @@ from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
 from plr_jax.plr.leaves.base import UNIT, Rules, check_limits, largest_coordinates
 from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
 from plr_jax.plr.tree import PLACING, Cells, corner_bits
-from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, SeesBoxes, VoxelSpace
+from plr_jax.spaces import CellState, CheckedSpace, ConfigurationSpace, MotionCost, SeesBoxes, VoxelSpace
 
 _MOST_VOXELS = 1 << 24  # most voxels of spaces in which paths from voxel to voxel give upper bounds
 _VOXEL_GOALS = 8  # goals to which such paths lead; any of all goals serve
@@ -289,13 +290,13 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
     contents = DecodedFile(mesh.domain, leaf_model("continuous"), mesh.tree, stored, cut_off=cut_off)
     plr = plr_of_leaves(contents)
     if field is not None and plr.num_bytes <= max_bytes:
-        plr = plr_of_leaves(_with_proof(contents, field, _straight_bound(field, float(max_bytes))))
+        plr = plr_of_leaves(_with_proof(contents, field, _line_of(field, max_bytes)))
     return plr if plr.num_bytes <= max_bytes else None
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
-    straight = None if field is None else _straight_bound(field, float(max_bytes))
-    of_straight = 0 if straight is None else 4 * len(straight.numbers)
+    straight = None if field is None else _line_of(field, max_bytes)
+    of_straight = 0 if straight is None else straight.num_bytes
     model, domain = leaf_model("continuous"), estimate.mesh.domain
     proof = Proof.NONE if field is None else Proof.OPEN_LEAVES
     limits = check_limits(model, domain.dim, None, None, max_bytes, None, proof, frame_size(domain) + of_straight)
@@ -362,26 +363,39 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
         upper = np.minimum(upper, _above_voxel_paths(field, field.space, cells, coefficients, across))
     rounding = contents.leaf.rounding_bounds(contents.domain, cells, coefficients) + changes
     certificate = Certificate.of(LeafBounds(lower, upper), rounding, Proof.OPEN_LEAVES)
-    return replace(contents, certificate=replace(certificate, straight=straight))
+    return replace(contents, certificate=certificate, straight=straight)
 
 
-def _straight_bound(field: CostToGoField, max_bytes: float) -> StraightBound | None:
-    domain, costs = field.mesh.domain, field.program.costs
-    largest = float(largest_coordinates(domain).sum())
+def _line_of(field: CostToGoField, max_bytes: int | float) -> StraightBound | None:
+    costs = field.program.costs
+    return straight_bound(field.mesh.domain, costs.motion, costs.least_rate, field.program.at, max_bytes)
+
+
+def straight_bound(
+    domain: Box, motion: MotionCost, least_rate: float, goals: Goals, max_bytes: int | float
+) -> StraightBound | None:
+    """Return the least cost of straight motions to goals, less a margin for rounding.
+
+    ``goals`` are fractions of the domain, and ``least_rate`` is the least cost of a motion whose norm is 1. The bound
+    is 0 if there are more than 64 goals, if goals take more than 40 % of ``max_bytes``, or if 32 bits do not hold the
+    squares of costs; None if 32 bits do not hold the squares of lengths.
+    """
+    largest, blocks = float(largest_coordinates(domain).sum()), motion.blocks
+    if not _TINIEST < largest < _LARGEST:
+        return None
     # Rates cover the rounding of lengths, the margin that of coordinates to 32 bits.
-    rates = (1 - _OF_LENGTHS) * costs.least_rate * np.array([weight for _, weight in costs.motion.blocks])
-    sizes = np.append(largest, rates * largest)
-    num_bytes = 4 * (len(field.goals) + 2) * domain.dim
+    rates = (1 - _OF_LENGTHS) * least_rate * np.array([weight for _, weight in blocks])
+    sizes = rates * largest
     if (
-        num_bytes > _STRAIGHT_BYTES * max_bytes
-        or len(field.goals) > MOST_GOALS
+        4 * (len(goals) + 2) * domain.dim > _STRAIGHT_BYTES * max_bytes
+        or len(goals) > MOST_GOALS
         or not ((sizes > _TINIEST) & (sizes < _LARGEST)).all()
     ):
-        return None
-    groups = np.array([np.isin(np.arange(domain.dim), axes) for axes, _ in costs.motion.blocks], float)
+        goals, rates, blocks = np.zeros((1, domain.dim)), np.zeros(1), ((tuple(range(domain.dim)), 0.0),)
+    groups = np.array([np.isin(np.arange(domain.dim), axes) for axes, _ in blocks], float)
     rates = np.float32(rates).astype(float)
     margin = (16 if domain.is_periodic else 8) * UNIT * largest * rates.sum()
-    goals = np.float32(field.program.at * domain.width).astype(float)
+    goals = np.float32(goals * domain.width).astype(float)
     is_simple = len(goals) == len(rates) == 1 and not domain.is_periodic
     return StraightBound(goals, groups, rates, float(np.float32(margin)), is_simple)
 

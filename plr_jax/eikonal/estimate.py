@@ -75,7 +75,8 @@ class GridEstimate:
 
     def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
         ratio, is_open = self.ratio.interpolated(x)
-        cost = ratio * _divisors(self.space, self.goals, self.at_goals, x)
+        divisor = _divisors(self.space, self.goals, self.at_goals, x)
+        cost = np.multiply(ratio, divisor, out=np.zeros(len(x)), where=divisor != 0)  # not inf * 0 at a goal
         if self.rest is not None:
             closed = np.flatnonzero(~is_open)
             rest = self.rest[self._nodes(x[closed])]

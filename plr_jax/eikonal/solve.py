@@ -3,9 +3,8 @@
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
@@ -14,7 +13,7 @@ from tqdm import tqdm
 
 from plr_jax._arrays import as_bool, as_booleans, as_finite, as_numbers, require_integer, row_products, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.eikonal.bounds import CostToGoField, plr_of_bytes, plr_on_mesh
+from plr_jax.eikonal.bounds import CostToGoField, plr_of_bytes, plr_on_mesh, straight_bound
 from plr_jax.eikonal.estimate import MOST_AXES, grid_estimate
 from plr_jax.eikonal.goals import Goals
 from plr_jax.eikonal.mesh import Mesh, coarse_mesh
@@ -22,9 +21,9 @@ from plr_jax.eikonal.paths import graph_costs, shortest_paths
 from plr_jax.eikonal.program import Iterate, SlopeProgram
 from plr_jax.geometry.reach import Fractions, Reach
 from plr_jax.plr._construct import BuildOptions, construct, warn_if_cut_off
-from plr_jax.plr._plr import PLR
+from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.frame import max_axis_depth
-from plr_jax.plr.growth import ConstructionInterrupted, check_memory, largest_error
+from plr_jax.plr.growth import BudgetTooSmall, ConstructionInterrupted, check_memory, largest_error
 from plr_jax.plr.sampling import CellFit, sample_pattern
 from plr_jax.spaces import (
     CellState,
@@ -33,6 +32,7 @@ from plr_jax.spaces import (
     CostMap,
     FreeTest,
     Separable,
+    cost_bounds,
     require_space,
 )
 
@@ -74,8 +74,9 @@ def solve_eikonal(
     - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
       near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
 
-    ``certified=False`` gives the estimate alone. In the plane it takes about a second: scikit-fmm marches over a grid
-    of 160,000 nodes, and the mean error is mostly 0.01 to 0.5 %. Volumes take longer, up to about 20 s and 2 GB for
+    ``certified=False`` gives the estimate alone. It is nowhere below the least cost of straight motions to the goals,
+    or below 0 if the file does not hold the goals. In the plane it takes about a second: scikit-fmm marches over
+    160,000 nodes, and the mean error is mostly 0.01 to 0.5 %. Volumes take longer, up to about 20 s and 2 GB for
     90 million voxels: nodes are voxels, or groups of voxels if the volume has more than 4 million. Mean and largest
     errors at random points, from 20 voxels to the goal on, were with default limits:
 
@@ -166,13 +167,24 @@ def solve_eikonal(
             ": it is too close to obstacles. Move it, or leave out certified=False",
         )
         _require_costs(float(guide.cost.max(where=np.isfinite(guide.cost), initial=-np.inf)))
-        limits: dict[str, Any] = {"max_leaves": leaves, "max_bytes": max_bytes, "seed": seed}
+        leaf, options = "continuous", BuildOptions(should_split=_error_by_norm, num_samples=_LEAF_SAMPLES)
         if len(space.motion_cost.blocks) > 1:
             # The free space of a turning body is thin: continuous leaves would reach through its walls.
-            plr = construct(guide, domain, leaf="plane", **limits)
-        else:
-            options = BuildOptions(should_split=_error_by_norm, num_samples=_LEAF_SAMPLES)
-            plr = construct(guide, domain, leaf="continuous", options=options, **limits)
+            leaf, options = "plane", BuildOptions()
+        least_rate = 1.0
+        if cost_map is not None:
+            least_rate = float(cost_bounds(space.motion_cost, cost_map, domain.lo[None], domain.hi[None])[0][0])
+        straight = straight_bound(domain, space.motion_cost, least_rate, at, max_bytes or math.inf)
+        # Before the bound, the file has a float that says that nothing else is proven.
+        spare = 0 if straight is None else straight.num_bytes + 4
+        most_bytes = None if max_bytes is None else max(int(max_bytes) - spare, 1)
+        try:
+            plr = construct(
+                guide, domain, leaf=leaf, max_leaves=leaves, max_bytes=most_bytes, seed=seed, options=options
+            )
+        except BudgetTooSmall as error:
+            raise BudgetTooSmall(max_bytes, error.num_bytes + spare) from None
+        plr = plr_of_leaves(replace(plr._contents, straight=straight))
         which = guide.which_reached
     else:
         most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
@@ -186,7 +198,11 @@ def solve_eikonal(
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
         which = field.which
         warn_if_cut_off(field.reach or (field.guide and field.guide.reach(domain)), plr._contents)
-    return plr if goal.ndim == 1 else plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), which))
+    return (
+        plr
+        if certified and goal.ndim == 1
+        else plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), which))
+    )
 
 
 def _row_of_goal(

@@ -432,7 +432,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
     visible = CellMemory(plr.domain, root).sources_of_leaves(plr._contents.tree)
-    proven = replace(plr._contents, certificate=certificate_of(plr._contents, visible, proof))
+    proven = replace(plr._contents, certificate=certificate_of(plr._contents, visible, proof), straight=None)
     return plr_of_leaves(proven).with_label(plr.label)
 
 

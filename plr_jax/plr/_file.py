@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from plr_jax._arrays import sum_of_columns
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
-from plr_jax.plr.certificate import Certificate, Proof, read_certificate
+from plr_jax.plr.certificate import Certificate, Proof, StraightBound, read_proof, write_proof
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import Container, Layer
 from plr_jax.plr.faces import neighbor_of_largest_contact
@@ -27,6 +27,7 @@ class DecodedFile:
     tree: Tree
     stored: Any
     certificate: Certificate | None = None
+    straight: StraightBound | None = None  # a lower bound of the distance, and of the PLR's answers
     folding: Folding | None = None  # mirror symmetries that map all points of the PLR's domain to ``domain``
     cut_off: Bool[np.ndarray, "leaves"] | None = None  # leaves that answer ``inf``; None: no leaf does for certain
 
@@ -36,10 +37,8 @@ def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, "leaves"
 
 
 def encode(contents: DecodedFile) -> bytes:
-    body, proof = body_of_leaves(contents), Proof.NONE
-    if contents.certificate is not None:
-        contents.certificate.write(body)
-        proof = contents.certificate.proof
+    body = body_of_leaves(contents)
+    proof = write_proof(body, contents.certificate, contents.straight)
     domain = contents.domain if contents.folding is None else contents.folding.domain
     goals = contents.stored.sources.goals if isinstance(contents.leaf, Cone) else None
     if goals is not None:
@@ -74,7 +73,7 @@ def decode(data: bytes) -> DecodedFile:
     stored = leaf.read(body, container.folded_domain, cells)
     if layer.proof_code not in tuple(Proof):
         raise ValueError(f"its proof must be of kind 0 to {max(Proof)}, got {layer.proof_code}; update plr_jax")
-    certificate = read_certificate(body, Proof(layer.proof_code), len(cells), dim)
+    certificate, straight = read_proof(body, Proof(layer.proof_code), len(cells), dim)
     if container.names_goals:
         if not isinstance(leaf, Cone):
             raise ValueError("it names goals, but its leaves have no sources")
@@ -83,7 +82,7 @@ def decode(data: bytes) -> DecodedFile:
     cut_off = body.read_set(len(cells)) if container.has_cut_off else None
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
-    return DecodedFile(container.folded_domain, leaf, tree, stored, certificate, container.folding, cut_off)
+    return DecodedFile(container.folded_domain, leaf, tree, stored, certificate, straight, container.folding, cut_off)
 
 
 def decode_cells(data: bytes) -> Cells:

@@ -419,8 +419,8 @@ def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) ->
     """Build the lookup tables of a decoded file of ``num_bytes`` bytes, for points given relative to ``origin``."""
     domain, numbers = relative_to_origin(contents, origin)
     tables = build_tables(domain, contents.tree.leaves, numbers, contents.leaf, num_bytes)
-    if contents.certificate is not None and contents.certificate.straight is not None:
-        tables = replace(tables, straight=jax.device_put(contents.certificate.straight.arrays))
+    if contents.straight is not None:
+        tables = replace(tables, straight=jax.device_put(contents.straight.arrays))
     return tables.with_folding(contents.folding, origin)
 
 

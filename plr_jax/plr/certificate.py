@@ -287,7 +287,7 @@ class Proof(IntEnum):
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
         """Return the most bits of this kind of proof in a file whose leaves take ``num_bytes`` bytes."""
         of_leaves = _MAX_ERROR_BITS + 2 * _CODE_BITS * num_leaves
-        # The caller adds the bits of ``Certificate.straight``.
+        # The caller adds the bits of a ``StraightBound``.
         return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
 
 
@@ -326,6 +326,10 @@ class StraightBound:
         header = [] if self.is_simple else [-len(self.goals), *self.groups.argmax(axis=0)]
         return np.concatenate([header, self.goals.ravel(), self.rates, [self.margin]])
 
+    @property
+    def num_bytes(self) -> int:
+        return 4 * len(self.numbers)
+
     @staticmethod
     def read(body: BitReader, dim: int) -> "StraightBound":
         first, num, group = body.read_floats(1), 1, np.zeros(dim)
@@ -349,7 +353,6 @@ class Certificate:
     scale: float  # at least the largest finite bound, exact in 32 bits; codes stand for fractions of it
     codes: UInt8[np.ndarray, "2 leaves"] | None  # of lower and upper bounds; None if only the scale is stored
     proof: Proof
-    straight: StraightBound | None = None  # one more lower bound of the distance, and of the PLR's answers
 
     @staticmethod
     def of(
@@ -417,31 +420,45 @@ class Certificate:
         low, high = (np.where(is_held, each[place], 0.0) for each in (lower, upper))
         return np.minimum(least, low + rounding), np.maximum(most, high - rounding)
 
-    def write(self, body: BitWriter) -> None:
-        classes = self.codes if self.proof is Proof.CLASSES else None
-        has_more = classes is not None or self.straight is not None
-        body.write_floats(np.array([-self.scale if has_more else self.scale]))
-        if classes is not None:
-            write_classes(body, classes)
-        elif self.codes is not None:
-            body.write(self.codes.ravel().astype(np.int64), _CODE_BITS)
-        if self.straight is not None:
-            body.write_floats(self.straight.numbers)
+
+def write_proof(body: BitWriter, certificate: Certificate | None, straight: StraightBound | None) -> Proof:
+    """Encode error bounds and a straight-line bound, and return the kind of proof that the file's header names."""
+    if certificate is None:
+        if straight is None:
+            return Proof.NONE
+        body.write_floats(np.append(np.inf, straight.numbers))
+        return Proof.CLASSES
+    proof, codes = certificate.proof, certificate.codes
+    has_classes = proof is Proof.CLASSES and codes is not None
+    has_more = has_classes or straight is not None
+    body.write_floats(np.array([-certificate.scale if has_more else certificate.scale]))
+    if has_classes:
+        write_classes(body, codes)
+    elif codes is not None:
+        body.write(codes.ravel().astype(np.int64), _CODE_BITS)
+    if straight is not None:
+        body.write_floats(straight.numbers)
+    return proof
 
 
-def read_certificate(body: BitReader, proof: Proof, num_leaves: int, dim: int) -> Certificate | None:
+def read_proof(
+    body: BitReader, proof: Proof, num_leaves: int, dim: int
+) -> tuple[Certificate | None, StraightBound | None]:
     if proof is Proof.NONE:
-        return None
-    scale, codes, straight = float(body.read_floats(1)[0]), None, None
+        return None, None
+    scale = float(body.read_floats(1)[0])
+    if proof is Proof.CLASSES and scale == np.inf:
+        return None, StraightBound.read(body, dim)
     if not 0 < (scale if proof is Proof.LEAVES else abs(scale)) < LARGEST:
         raise ValueError(f"it states a largest error of {scale}")
-    if scale < 0 and proof is Proof.CLASSES:
-        codes = read_classes(body, num_leaves)
-    elif proof is not Proof.CLASSES:
-        codes = body.read_fixed_width(2 * num_leaves, _CODE_BITS).reshape(2, num_leaves)
-    if scale < 0 and proof is Proof.OPEN_LEAVES:
-        straight = StraightBound.read(body, dim)
-    return Certificate(abs(scale), None if codes is None else codes.astype(np.uint8), proof, straight)
+    codes = None
+    if proof is not Proof.CLASSES:
+        codes = body.read_fixed_width(2 * num_leaves, _CODE_BITS).reshape(2, num_leaves).astype(np.uint8)
+    elif scale < 0:
+        codes = read_classes(body, num_leaves).astype(np.uint8)
+    has_straight = proof is Proof.OPEN_LEAVES and scale < 0
+    straight = StraightBound.read(body, dim) if has_straight else None
+    return Certificate(abs(scale), codes, proof), straight
 
 
 def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:

@@ -89,7 +89,7 @@ def _straight_bound(tables: Tables, x: Points) -> Values:
     for goal in range(goals.shape[0]):
         squares = []
         for axis in range(tables.dim):
-            change = x[..., axis] - frame[Frame.LO, axis] - frame[Frame.LO_REST, axis] - goals[goal, axis]
+            change = without_fusion(x[..., axis] - frame[Frame.LO, axis]) - goals[goal, axis]
             if axis in tables.periodic:  # the short way around
                 change = xp.minimum(xp.abs(change), ends[axis] - xp.abs(change))
             squares.append(without_fusion(xp.square(change)))

@@ -116,8 +116,7 @@ class SlowReader:
     def _value(self, x):
         if (z := self._placed(x)) is None:
             return np.nan if np.isnan(x).any() else np.inf
-        value, certificate = self._leaf_value(z - self.lo), self.contents.certificate
-        straight = None if certificate is None else certificate.straight
+        value, straight = self._leaf_value(z - self.lo), self.contents.straight
         return value if straight is None else max(value, self._straight(straight, z - self.lo))
 
     def _straight(self, bound, above):

@@ -14,9 +14,10 @@ from plr_jax.plr.certificate import (
     Proof,
     StraightBound,
     classify_bounds,
-    read_certificate,
     read_classes,
+    read_proof,
     write_classes,
+    write_proof,
 )
 from plr_jax.plr.coding import BitReader, BitWriter
 
@@ -26,9 +27,9 @@ from plr_jax.plr.coding import BitReader, BitWriter
 PROOFS = st.sampled_from([Proof.CLASSES, Proof.LEAVES, Proof.OPEN_LEAVES])
 
 
-def written(certificate):
+def written(certificate, straight=None):
     body = BitWriter()
-    certificate.write(body)
+    write_proof(body, certificate, straight)
     return body
 
 
@@ -56,7 +57,7 @@ def test_stored_bounds_are_rounded_outward_and_read_as_written(seed, scale, proo
     assert certificate.max_error == (np.inf if is_open.any() else found)
     body = written(certificate)
     assert body.num_bits == proof.num_bits(50, 0)
-    again = read_certificate(BitReader(body.to_bytes()), proof, 50, 2)
+    again, _ = read_proof(BitReader(body.to_bytes()), proof, 50, 2)
     assert again is not None and again.proof is proof is certificate.proof
     assert again.max_error == certificate.max_error
     np.testing.assert_array_equal(again.bounds(), certificate.bounds())
@@ -65,19 +66,21 @@ def test_stored_bounds_are_rounded_outward_and_read_as_written(seed, scale, proo
 def test_straight_lower_bounds_are_read_as_written_and_checked():
     goals, groups = np.array([[0.5, 0.25], [1.0, 0.0]]), np.eye(2)
     straight = StraightBound(goals, groups, np.array([1.0, 0.5]), 2.0**-20, False)
-    certificate = Certificate(1.0, np.zeros((2, 3), np.uint8), Proof.OPEN_LEAVES, straight)
-    again = read_certificate(BitReader(written(certificate).to_bytes()), Proof.OPEN_LEAVES, 3, 2)
-    assert again is not None and again.scale == 1.0
-    for mine, theirs in zip(again.straight.arrays, straight.arrays, strict=True):
-        np.testing.assert_array_equal(mine, theirs)
+    certificate = Certificate(1.0, np.zeros((2, 3), np.uint8), Proof.OPEN_LEAVES)
+    for proven, proof in ((certificate, Proof.OPEN_LEAVES), (None, Proof.CLASSES)):
+        body = written(proven, straight)
+        again, bound = read_proof(BitReader(body.to_bytes()), proof, 3, 2)
+        assert again is None if proven is None else again.scale == 1.0
+        for mine, theirs in zip(bound.arrays, straight.arrays, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
     for change, message in (
         *(({"margin": wrong}, "to the goal with numbers that are none") for wrong in (np.nan, np.inf, -1.0)),
         ({"goals": np.zeros((65, 2))}, "to a wrong number of goals"),
         ({"groups": 3 * np.eye(4)[:, ::2]}, "to a wrong number of goals, or with wrong groups of axes"),
     ):
-        body = written(replace(certificate, straight=replace(straight, **change)))
+        body = written(certificate, replace(straight, **change))
         with pytest.raises(ValueError, match=message):
-            read_certificate(BitReader(body.to_bytes()), Proof.OPEN_LEAVES, 3, 2)
+            read_proof(BitReader(body.to_bytes()), Proof.OPEN_LEAVES, 3, 2)
 
 
 @pytest.mark.parametrize(("upper", "proof"), [(0.0, Proof.LEAVES), (np.inf, Proof.OPEN_LEAVES)])
@@ -90,17 +93,17 @@ def test_bounds_of_zero_and_infinity_can_be_stored(upper, proof):
 
 @pytest.mark.parametrize(
     ("proof", "value"),
-    [(Proof.LEAVES, -1.0), *((Proof.CLASSES, value) for value in (0.0, -0.0, np.nan, np.inf, -np.inf, 3.4e38))],
+    [(Proof.LEAVES, -1.0), *((Proof.CLASSES, value) for value in (0.0, -0.0, np.nan, -np.inf, 3.4e38))],
 )
 def test_invalid_max_error_in_file_raises(proof, value):
     with pytest.raises(ValueError, match="states a largest error of"):
-        read_certificate(BitReader(BitWriter().write_floats(np.array([value])).to_bytes()), proof, 0, 2)
+        read_proof(BitReader(BitWriter().write_floats(np.array([value])).to_bytes()), proof, 0, 2)
 
 
 def test_certificates_cut_short_raise():
     body = BitWriter().write_floats(np.array([0.5])).write(np.arange(5), 8)
     with pytest.raises(ValueError, match="end too early"):
-        read_certificate(BitReader(body.to_bytes()), Proof.LEAVES, 3, 2)
+        read_proof(BitReader(body.to_bytes()), Proof.LEAVES, 3, 2)
 
 
 # Classes of leaves.

@@ -80,7 +80,7 @@ def test_numpy_answers_outside_the_domain(plr):
 FULL = ("maze of planes", "random planes on a line", "cones in space", "random values", "around", "smooth around")
 
 
-@pytest.mark.parametrize("name", ["maze of gradients", "deep", "folded car", *full(*FULL)])
+@pytest.mark.parametrize("name", ["maze of gradients", "deep", "folded car", "estimate of planes", *full(*FULL)])
 def test_numpy_answers_equal_compiled_answers(name):
     plr = case(name)
     f, x = plr.numpy(), points_around(plr)
@@ -223,7 +223,7 @@ def compiler():
 # Each has parts of the text that no other has.
 KINDS = ("maze of planes", "maze of gradients", "cones in space", "one leaf", "random planes on a line", "deep")
 KINDS += ("values in six dimensions", "smooth around", "folded car of planes", "far cones", "far folded car")
-KINDS += ("straight lines",)
+KINDS += ("straight lines", "estimate of planes")
 COMPACT = pytest.mark.parametrize("compact", [False, True], ids=["tables", "compact"])
 
 

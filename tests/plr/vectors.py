@@ -10,6 +10,7 @@ points.
 """
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -45,12 +46,16 @@ def write(name: str) -> None:
     reader = SlowReader(plr)
     table = {
         "type": x.dtype.name,
-        "points": [[float(along).hex() for along in point] for point in x],
+        "points": [[_hex(along) for along in point] for point in x],
         "distances": [f"{bits:08x}" for bits in reader(x).view(np.uint32)],
     }
     if plr.leaf.name == "cone":
-        table["waypoints"] = [[float(along).hex() for along in point] for point in reader.waypoint(x)]
+        table["waypoints"] = [[_hex(along) for along in point] for point in reader.waypoint(x)]
     (FOLDER / f"{name}.json").write_text(json.dumps(table, indent=0) + "\n")
+
+
+def _hex(value: float) -> str:
+    return re.sub(r"\.?0*p", "p", float(value).hex())  # 32-bit floats end with zeros
 
 
 if __name__ == "__main__":

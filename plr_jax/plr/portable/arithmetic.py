@@ -105,7 +105,7 @@ class Program:
             self.periods[axis] = lo, hi, column[Frame.SCALE], np.float32(_TOLERANCE) * max(abs(lo), abs(hi))
             lo, hi = domain.lo[axis], domain.hi[axis]
             self.double_periods[axis] = lo, hi, 1 / (hi - lo), np.float64(0)
-        self.straight = None if contents.certificate is None else contents.certificate.straight
+        self.straight = contents.straight
         self.folding_arrays = None
         if contents.folding is not None:
             self.folding_arrays = folding_numbers(contents.folding, origin)
@@ -176,7 +176,7 @@ class Program:
         return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
     def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
-        """Return the proven lower bound by straight lines to the goals; None if none is stored."""
+        """Return the lower bound by straight lines to the goals; None if none is stored."""
         if self.straight is None:
             return None
         goals, groups, rates, margin = self.straight.arrays

@@ -696,23 +696,21 @@ static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint3
         for (sum = n[0], axis = 0; axis < dim; ++axis) {
             sum = sum + n[1u + axis] * x[axis];
         }
-        return sum;
-    }
-    if (!(models & (1u << PLR_JAX_CONTINUOUS | 1u << PLR_JAX_SMOOTH))) {
-        return sum;
-    }
-    for (axis = dim; axis--;) { /* Horner's rule, the last axis first */
-        const float start = plr_jax_frame(f, axis, PLR_JAX_START);
-        float t = x[axis] * plr_jax_frame(f, axis, PLR_JAX_SCALE);
-        t = start < 1.0f ? t + (start - 1.0f) : t;
-        t = t * (float)(PLR_JAX_WHOLE / cell[axis][1]) - (float)(cell[axis][0] / cell[axis][1]);
-        count /= powers;
-        for (i = 0; i < count; ++i) {
-            sum = n[powers * i + powers - 1u];
-            for (k = powers - 1u; k--;) {
-                sum = sum * t + n[powers * i + k];
+        n[0] = sum;
+    } else if (models & (1u << PLR_JAX_CONTINUOUS | 1u << PLR_JAX_SMOOTH)) {
+        for (axis = dim; axis--;) { /* Horner's rule, the last axis first */
+            const float start = plr_jax_frame(f, axis, PLR_JAX_START);
+            float t = x[axis] * plr_jax_frame(f, axis, PLR_JAX_SCALE);
+            t = start < 1.0f ? t + (start - 1.0f) : t;
+            t = t * (float)(PLR_JAX_WHOLE / cell[axis][1]) - (float)(cell[axis][0] / cell[axis][1]);
+            count /= powers;
+            for (i = 0; i < count; ++i) {
+                sum = n[powers * i + powers - 1u];
+                for (k = powers - 1u; k--;) {
+                    sum = sum * t + n[powers * i + k];
+                }
+                n[i] = sum;
             }
-            n[i] = sum;
         }
     }
     if (models & PLR_JAX_LINES && plr_jax_word(f, PLR_JAX_W_KIND) >> 16 & PLR_JAX_STRAIGHT) {
