@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 import plr_jax
 from plr_jax.cli import INTERRUPTED_EXIT
@@ -36,12 +36,6 @@ _LEAVES = ("best", "plane", "continuous", "smooth", "cone")
 _PROVEN_TOLERANCE = ("plane", "cone")  # leaves of which --tolerance limits the proven error, not a sampled one
 _ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _ERROR_POINTS = 20_000
-_NUM_DIRECTIONS = 16  # points around a contact, at which the distance on each side of the walls is measured
-_CONTACT_RADIUS = 1e-5  # radius of these points, as a share of the map's width
-# A contact of walls is reported if half of its jump is between these shares of the largest proven error. The proven
-# error of a cone that fits one side of a contact is the whole jump.
-_BINDING = 0.4, 1.001
-_MOST_NAMED = 3  # largest number of contacts whose coordinates are printed
 _SPECK = 4  # pixels; smaller obstacles and free components are reported as specks
 
 
@@ -184,19 +178,12 @@ def _print_errors(
     assert largest is not None
     with progress("measuring the error"):
         report = plr_jax.metrics.error_map(plr.numpy(), oracle, points)
-        contacts, errors = _binding_contacts(workspace, oracle, largest)
     typer.echo(f"leaf    {plr.leaf.name}: no error above {largest:.3g}, proven")
     if (
         tolerance is not None
         and (largest if plr.leaf.name in _PROVEN_TOLERANCE else report.max) > _ROUNDED * tolerance
     ):
         typer.echo(f"        --tolerance {tolerance:g} was not reached")
-    if len(contacts):
-        named = ", ".join(f"({x:.6g}, {y:.6g})" for x, y in contacts[:_MOST_NAMED])
-        where = f"the point {named}" if len(contacts) == 1 else f"{len(contacts):,} points, such as {named}"
-        typer.echo(f"        walls touch in {where}, where the distance jumps by up to {2 * errors.max():.3g}:")
-        typer.echo("        no error below half of that can be proven there. Thicken the wall there;")
-        typer.echo("        the bounds that --leaf-bounds stores are smaller elsewhere")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     share = 100 * report.mean / report.max_distance
     typer.echo(f"        mean is {share:.2g} % of the largest distance, {report.max_distance:.4g}")
@@ -204,27 +191,3 @@ def _print_errors(
         typer.echo(f"        {report.num_unreachable:,} of the points cannot reach the goal")
     if report.num_unanswered:
         typer.echo(f"        {report.num_unanswered:,} reachable points got no answer")
-
-
-def _binding_contacts(
-    workspace: "Workspace", oracle: "DistanceFn", max_error: float
-) -> tuple[Float[np.ndarray, "contacts 2"], Float[np.ndarray, "contacts"]]:
-    """Return the points where walls touch and force an error of 40 to 100 % of ``max_error``, and these errors.
-
-    The leaf at such a point covers both sides of the walls, so its error is at least half of the distance's jump.
-    """
-    boundary = workspace.boundary
-    contacts = boundary.vertices[boundary.contacts]
-    if not len(contacts):
-        return contacts, np.empty(0)
-    radius = _CONTACT_RADIUS * workspace.bounds.width.max()
-    angles = 2 * np.pi * (np.arange(_NUM_DIRECTIONS) + 0.5) / _NUM_DIRECTIONS
-    around = contacts[:, None] + radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    distance = np.ma.filled(oracle(around.reshape(-1, 2)), np.inf).reshape(len(contacts), -1)
-    is_finite = np.isfinite(distance)
-    largest = np.where(is_finite, distance, -np.inf).max(axis=1)
-    error = (largest - np.where(is_finite, distance, np.inf).min(axis=1)) / 2 - radius  # at least this error
-    least, most = (share * max_error for share in _BINDING)
-    order = np.argsort(-error, kind="stable")
-    order = order[((error > 0) & (error >= least) & (error <= most))[order]]
-    return contacts[order], error[order]

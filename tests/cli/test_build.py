@@ -56,18 +56,15 @@ def test_build_counts_specks_in_pixels(path, tmp_path):
     assert "vertices, 100 x 100 pixels\n" in done("build", tmp_path / "scan.png", *limits, "--drop-specks", 4)
 
 
-def test_build_reports_walls_that_touch(path, tmp_path):
+def test_build_says_if_the_tolerance_was_not_reached(path, tmp_path):
     gray = np.full((6, 8), 255, np.uint8)
-    gray[2, :4] = gray[3, 4:7] = 0  # walls that touch only in the point (4, 3)
+    gray[2, :4] = gray[3, 4:7] = 0  # walls that touch only in the point (4, 3), where no small error can be proven
     command = ["build", tmp_path / "scan.png", "--goal", "1,1", "-o", path, "--leaf", "cone", "--tolerance", 0.01]
     Image.fromarray(gray).save(tmp_path / "scan.png")
-    printed, note = done(*command), "walls touch in the point (4, 3), where the distance jumps by up to "
-    assert "--tolerance 0.01 was not reached" in printed
-    assert load(path).max_error >= float(printed.split(note)[1].split(":")[0]) / 2 > 3
+    assert "--tolerance 0.01 was not reached" in done(*command)
     gray[2, 4] = 0  # thicker
     Image.fromarray(gray).save(tmp_path / "scan.png")
-    printed = done(*command)
-    assert load(path).max_error < 0.0101 and "touch" not in printed and "not reached" not in printed
+    assert "not reached" not in done(*command) and load(path).max_error < 0.0101
 
 
 def test_build_writes_what_construct_returns(tmp_path, monkeypatch):
