@@ -1,42 +1,28 @@
 """The command ``plr-jax build``: compress the distance to a goal in a map, with proven error bounds."""
 
 import time
-from dataclasses import replace
+import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 import typer
-from jaxtyping import Bool
 
 import plr_jax
-from plr_jax.cli import INTERRUPTED_EXIT
-from plr_jax.cli.app import command, finish_or_stop, progress
-from plr_jax.cli.inputs import (
-    DEFAULT_BYTES,
-    DropSpecksOption,
-    GoalOption,
-    MapArgument,
-    NamedMap,
-    PolygonsOption,
-    RadiusOption,
-    ResolutionOption,
-    ThresholdOption,
-    choices,
-    joined_goals,
-    oracle_of,
-    require_writable,
-)
+from plr_jax.cli.app import command, fail_interrupted, warn
+from plr_jax.cli.inputs import DEFAULT_BYTES, SCENES, NamedMap, check_output, oracle_of, parse_goals
 
 if TYPE_CHECKING:
     from plr_jax import PLR, DistanceFn
     from plr_jax.geometry.workspace import Workspace
 
-_LEAVES = ("best", "plane", "continuous", "smooth", "cone")
+Leaf = Literal["best", "plane", "continuous", "smooth", "cone"]
 _PROVEN_TOLERANCE = ("plane", "cone")  # leaves of which --tolerance limits the proven error, not a sampled one
 _ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _ERROR_POINTS = 20_000
-_SPECK = 4  # pixels; smaller obstacles and free components are reported as specks
+
+
+def _reading_option(help: str, default: str) -> Any:
+    return typer.Option(help=help, show_default=default, rich_help_panel="How MAP is read")
 
 
 @command(
@@ -46,143 +32,135 @@ _SPECK = 4  # pixels; smaller obstacles and free components are reported as spec
     "plr-jax build area.wkt --goal 1,2 --goal 30,4 --leaf cone",
 )
 def build(
-    map: MapArgument,
-    goal: GoalOption = None,
+    map: Annotated[
+        str,
+        typer.Argument(
+            metavar="MAP",
+            help=f"A scene ({', '.join(SCENES)}) or a file: a picture (.png, .pgm, ...), a map of map_server (.yaml; "
+            'costs are ignored), GeoJSON (.geojson, .json; bounded by its "bbox", or else by its polygons), '
+            "well-known text (.wkt), a Moving AI grid (.map), polygons with holes (.json), a scene (.json).",
+            autocompletion=lambda: list(SCENES),
+        ),
+    ],
+    goal: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--goal",
+            "-g",
+            metavar="X,Y",
+            help="The goal; given several times, the nearest of several goals, such as exits.",
+            show_default="the goal of a scene of one robot",
+        ),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="The file to write.", show_default="MAP's name with .plr")
     ] = None,
-    max_bytes: Annotated[
-        int | None,
-        typer.Option(help="Largest size of the file.", show_default=f"{DEFAULT_BYTES} if no limit is given"),
-    ] = None,
-    max_leaves: Annotated[int | None, typer.Option(help="Largest number of cells.", show_default=False)] = None,
-    max_depth: Annotated[int | None, typer.Option(help="Largest depth of the tree.", show_default=False)] = None,
+    max_bytes: Annotated[int, typer.Option(help="Largest size of the file.")] = DEFAULT_BYTES,
     tolerance: Annotated[
         float | None,
         typer.Option(
             help="Stop when the error, in workspace units, is below this: the proven error for planes and cones, the "
-            "sampled error for other leaves.",
-            show_default=False,
+            "sampled error for other leaves."
         ),
     ] = None,
     leaf: Annotated[
-        str,
+        Leaf,
         typer.Option(
             help="Function in each cell: 'plane'; 'continuous', without jumps between connected cells; 'smooth', "
             "without jumps of the gradient either; 'cone', the length of paths by way of one corner. 'best' builds "
-            "only cones if --max-bytes is the only limit of size and has ample room for all corners. Otherwise it "
-            "builds all these kinds, without cones if the corners need far more room, and keeps the smallest proven "
-            "error.",
-            **choices(_LEAVES),
+            "only cones if --max-bytes is the only limit and has ample room for all corners. Otherwise it builds "
+            "all these kinds, without cones if the corners need far more room, and keeps the smallest proven error."
         ),
     ] = "best",
     leaf_bounds: Annotated[
         bool,
         typer.Option(
-            "--leaf-bounds",
-            help="Store proven bounds for every cell, 2 bytes each, instead of one bound for all: certified='leaves' "
-            "in Python.",
+            "--leaf-bounds", help="Store proven bounds for every cell, 2 bytes each, not one bound for all."
         ),
     ] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the sample pattern.")] = 0,
-    resolution: ResolutionOption = None,
-    threshold: ThresholdOption = None,
-    drop_specks: DropSpecksOption = None,
-    polygons: PolygonsOption = None,
-    radius: RadiusOption = None,
+    resolution: Annotated[
+        float | None, _reading_option("Side of a pixel of a picture, in workspace units.", "1")
+    ] = None,
+    threshold: Annotated[
+        float | None, _reading_option("Lightness above which a pixel is free, from 0 (black) to 1 (white).", "0.5")
+    ] = None,
+    drop_specks: Annotated[
+        int | None, _reading_option("Drop obstacles and free components of at most this many pixels.", "0")
+    ] = None,
+    polygons: Annotated[
+        Literal["obstacles", "free"] | None,
+        _reading_option("Whether polygons are obstacles or free space.", "obstacles in GeoJSON, free in .wkt"),
+    ] = None,
+    radius: Annotated[
+        float | None,
+        _reading_option(
+            "Radius of a disc robot, in workspace units; distances are for its center. Error bounds are proven for "
+            "the grown obstacles, whose round corners are polygons; outlines of pictures may be off by half a pixel.",
+            "0, a point",
+        ),
+    ] = None,
 ) -> None:
     """Compress the exact distance to the nearest goal in a MAP into a small file with a proven error bound.
 
     In pictures, y points up, from the lower edge of the picture.
     """
+    from plr_jax.plr import ConstructionInterrupted
     from plr_jax.plr.container import MOST_LABEL_BYTES, frame_size
     from plr_jax.plr.growth import BudgetTooSmall
-    from plr_jax.scenes._pictures import PICTURE_ENDINGS
 
     began = time.perf_counter()
     output = output or Path(f"{Path(map).stem}.plr")
-    require_writable(output, inputs=(map,))
-    if max_bytes is max_leaves is max_depth is None:
-        max_bytes = DEFAULT_BYTES
+    check_output(output, inputs=(map,))
 
     # 1. Read the map, and prepare its exact oracle.
-    named = NamedMap(map, joined_goals(goal), resolution, threshold, drop_specks, polygons, radius)
-    with progress(f"reading {map}"):
-        workspace, goals = named.read()
+    reading = {"resolution": resolution, "threshold": threshold, "drop_specks": drop_specks}
+    options = {**reading, "polygons": polygons, "radius": radius}
+    given = {key: value for key, value in options.items() if value is not None}
+    workspace, goals = NamedMap(map, parse_goals(goal) if goal else None, given).read()
     if goals is None:
         raise ValueError(f"expected a goal, but {map} has none, or one for each of several robots: give --goal X,Y.")
-    label = str(replace(named, goal=";".join(f"{x!r},{y!r}" for x, y in goals.tolist())))
-    if len(label.encode()) > MOST_LABEL_BYTES:
-        raise ValueError(
-            f"The file's label holds MAP, its options and goals in {MOST_LABEL_BYTES:,} bytes, got "
-            f"{len(label.encode()):,}, of {len(goals)} goals: give fewer goals, or fewer digits."
-        )
-    if (free := named.free_pixels()) is not None:
-        width, height = workspace.bounds.width
-        is_in_pixels = Path(map).suffix.lower() in PICTURE_ENDINGS and resolution is None
-        size = f"{width:g} x {height:g} {'pixels' if is_in_pixels else 'workspace units'}"
-        specks = _specks(free, drop_specks or 0)
-        typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices, {size}{specks}")
-    with progress("computing visibility between corners"):
-        oracle = oracle_of(workspace, goals)
+    label = NamedMap(map, goals, given).label
+    if (length := len(label.encode())) > MOST_LABEL_BYTES:
+        stored = f"MAP, its options and its {len(goals)} goals"
+        raise ValueError(f"The file has {MOST_LABEL_BYTES:,} bytes for {stored}, got {length:,}: give fewer goals.")
+    oracle = oracle_of(workspace, goals)
+    width, height = workspace.bounds.width
+    typer.echo(f"map     {len(workspace.boundary.vertices):,} vertices, {width:g} x {height:g}")
 
-    # 2. Construct the PLR, with room for its label in the file.
+    # 2. Construct the PLR, with room for its label in the file. After Ctrl-C, it holds the leaves built so far.
     label_bytes = frame_size(workspace.bounds, label=label) - frame_size(workspace.bounds)
+    limits = {"max_bytes": max(1, max_bytes - label_bytes), "tolerance": tolerance}
+    certified = "leaves" if leaf_bounds else True
     try:
-        plr, interrupted = finish_or_stop(
-            plr_jax.construct,
-            oracle,
-            workspace.bounds,
-            leaf=leaf,
-            max_bytes=None if max_bytes is None else max(1, max_bytes - label_bytes),
-            max_leaves=max_leaves,
-            max_depth=max_depth,
-            tolerance=tolerance,
-            certified="leaves" if leaf_bounds else True,
-            seed=seed,
-        )
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", ConstructionInterrupted)
+            plr = plr_jax.construct(oracle, workspace.bounds, leaf=leaf, certified=certified, **limits)
     except BudgetTooSmall as error:
-        raise ValueError(
-            f"--max-bytes {max_bytes} is too small: one leaf takes {error.num_bytes} bytes, the label {label_bytes}; "
-            f"allow at least {error.num_bytes + label_bytes}."
-        ) from error
+        needed = error.num_bytes + label_bytes
+        raise ValueError(f"--max-bytes {max_bytes} is too small: allow at least {needed}.") from error
     seconds = time.perf_counter() - began
     plr_jax.save(plr := plr.with_label(label), output)
-    if interrupted:
-        typer.echo(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.", err=True)
-        raise typer.Exit(INTERRUPTED_EXIT)
+    if any(issubclass(warning.category, ConstructionInterrupted) for warning in caught):
+        fail_interrupted(f"Interrupted: {output} holds the {plr.num_leaves:,} leaves built so far.")
+    for warning in caught:
+        warn(str(warning.message))
 
     # 3. Report the error at points of another seed than the samples to which leaves were fitted.
     typer.echo(f"wrote   {output}: {plr.num_bytes:,} bytes; {plr.num_leaves:,} leaves, depth {plr.depth}")
-    _print_errors(plr, oracle, workspace, seed + 1, tolerance)
+    _print_errors(plr, oracle, workspace, tolerance)
     if radius:
         # A total error needs a second oracle, among polygons around the grown obstacles, which may close passages.
         typer.echo("        proven for polygons inside the grown obstacles; the disc's own distances are not smaller")
     typer.echo(f"time    {seconds:.1f} s to build, {time.perf_counter() - began:.1f} s in all")
 
 
-def _specks(free: Bool[np.ndarray, "rows columns"], num_dropped: int) -> str:
-    from plr_jax.geometry.masks import without_specks
-
-    _, count = without_specks(without_specks(free, num_dropped)[0], _SPECK)
-    plural = "s" * (count > 1)
-    return (
-        f", {count:,} speck{plural} of at most {_SPECK} pixels (--drop-specks {_SPECK} drops them)" if count else ""
-    )
-
-
-def _print_errors(
-    plr: "PLR", oracle: "DistanceFn", workspace: "Workspace", seed: int, tolerance: float | None
-) -> None:
-    points, largest = workspace.sample_free(_ERROR_POINTS, seed), plr.max_error
+def _print_errors(plr: "PLR", oracle: "DistanceFn", workspace: "Workspace", tolerance: float | None) -> None:
+    report = plr_jax.metrics.error_map(plr.numpy(), oracle, workspace.sample_free(_ERROR_POINTS, seed=1))
+    largest = plr.max_error
     assert largest is not None
-    with progress("measuring the error"):
-        report = plr_jax.metrics.error_map(plr.numpy(), oracle, points)
     typer.echo(f"leaf    {plr.leaf.name}: no error above {largest:.3g}, proven")
-    if (
-        tolerance is not None
-        and (largest if plr.leaf.name in _PROVEN_TOLERANCE else report.max) > _ROUNDED * tolerance
-    ):
+    limited = largest if plr.leaf.name in _PROVEN_TOLERANCE else report.max
+    if tolerance is not None and limited > _ROUNDED * tolerance:
         typer.echo(f"        --tolerance {tolerance:g} was not reached")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")
     share = 100 * report.mean / report.max_distance

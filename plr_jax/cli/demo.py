@@ -9,12 +9,11 @@ import jax
 import jax.numpy as jnp
 import typer
 
-from plr_jax import BLOptions, VisibilityGraph, Workspace, construct, construct_pairs, metrics, plot, save, scenes
+import plr_jax
+from plr_jax import PLR, Workspace, construct, metrics, plot, scenes
 from plr_jax._types import ArrayLike, DistanceFn
-from plr_jax.cli.app import fail
 from plr_jax.cli.inputs import DEFAULT_BYTES
-from plr_jax.cli.plan import Heuristic, solve
-from plr_jax.plr import PLR
+from plr_jax.cli.plan import solve
 
 _PLR_POINTS, _PLR_REPEATS = 1_000_000, 15
 _ORACLE_POINTS, _ORACLE_REPEATS = 100_000, 3
@@ -27,14 +26,15 @@ def run(output: Path) -> None:
     _maze(output)
     problem = scenes.four_rooms(4)
     typer.echo("Four rooms around a center with narrow doors; four robots move to the opposite rooms at once.")
-    solution, report = solve(problem, Heuristic.plr, BLOptions(), DEFAULT_BYTES)
-    if report is None or not report.valid:
-        fail("There is no valid path for the four rooms.", code=1)
+    oracles = plr_jax.robot_distance_fns(problem)
+    plrs = [construct(oracle, problem.workspace.bounds, max_bytes=DEFAULT_BYTES) for oracle in oracles]
+    typer.echo(f"  heuristic  {len(plrs)} PLRs, {sum(plr.num_bytes for plr in plrs):,} bytes")
+    solution = solve(problem, plr_jax.BLOptions(), plr_jax.sum_of_distances(plrs))
     animation = plot.animate(problem, solution.path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
     for file in (output / "four_rooms.html", output / "four_rooms.gif"):
         animation.save(file)
         typer.echo(f"  wrote      {file}")
-    pairs = construct_pairs(problem.workspace, max_bytes=DEFAULT_BYTES).with_label("four rooms")
+    pairs = plr_jax.construct_pairs(problem.workspace, max_bytes=DEFAULT_BYTES).with_label("four rooms")
     plot.page(pairs).save(page := output / "four_rooms_distances.html")
     typer.echo(f"  wrote      {page}   (drag either end)")
 
@@ -44,10 +44,10 @@ def _maze(output: Path) -> None:
     workspace, goal = problem.workspace, problem.goals[0]
     typer.echo(f"A maze of six walls, and the distance from any point to {tuple(goal.tolist())}, to be compressed.")
     began = time.perf_counter()
-    oracle = VisibilityGraph(workspace, goal)
+    oracle = plr_jax.VisibilityGraph(workspace, goal)
     plr = construct(oracle, workspace.bounds, max_bytes=DEFAULT_BYTES)
     seconds = time.perf_counter() - began
-    save(plr, output / "maze.plr")
+    plr_jax.save(plr, output / "maze.plr")
     typer.echo(f"  built   {plr.num_leaves} planes in {seconds:.1f} s")
     typer.echo(f"  size    {plr.num_bytes:,} bytes in the file, {plr.resident_bytes:,} in memory")
     points = workspace.sample_free(_PLR_POINTS, seed=1)

@@ -26,13 +26,15 @@ plr-jax plan four_rooms --robots 2 --output path.json --animation path.html
   model. `--max-bytes` limits the file; for a small largest error, give `--tolerance` instead.
 - `info FILE` prints what is in a file: size, leaves, domain, proven error.
 - `query FILE POINTS.csv` prints one distance for each line `x,y`; `-` is standard input. A point outside the
-  domain gets `inf`. `--bounds` adds proven bounds, `--gradient` the gradient, and `--which` the index of the nearest
-  goal, if leaves are cones of several goals. For pairs, lines are `x,y,x,y`.
-- `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network. Options that the map was
-  read with are part of its text: `--map "scan.png --resolution=0.05"` of `plot`, or the argument MAP of `view`.
+  domain gets `inf`, a line that is no point gets `nan` and a warning. `--bounds` adds proven bounds, and `--which`
+  the index of the nearest goal, if leaves are cones of several goals. For pairs, lines are `x,y,x,y`.
+- `plot FILE` draws a picture, `view FILE` writes a page for a browser that needs no network. Both draw the walls of
+  the map that the file was built from. If that map has moved, name it: `--map scan.png` of `plot`, or the argument
+  MAP of `view`. It is read with the options that the file was built with.
 - `export FILE` writes C99 (`--c`) or JavaScript (`--js`): see `plr_jax.guides.c_and_javascript`.
 - `plan SCENE` plans for all robots of a scene, checks the path, and exits with code 1 if no path was found. `SCENE`
-  is a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes.
+  is a name or a file, such as `rooms.json`, that `plr_jax.scenes.save(problem, "rooms.json")` writes. Other
+  heuristics and options are those of `bl_plan` in Python.
 - `demo --output FOLDER` builds a maze, compares it with the exact distance, plans for four rooms, and draws both.
 
 # From a picture to C

@@ -50,7 +50,7 @@ def drawn(monkeypatch):
         drawings.append((kind, num_obstacles, None if goal is None else goal.ravel().tolist()))
 
     monkeypatch.setattr("plr_jax.metrics.error_grid", lambda plr, oracle, workspace: oracle)
-    for name, kind in (("contours", "distance"), ("cells", "cells"), ("surface", "surface"), ("error", "error")):
+    for name, kind in (("contours", "distance"), ("cells", "cells"), ("error", "error")):
         monkeypatch.setattr(f"plr_jax.plot.plot_{name}", partial(record, kind))
     monkeypatch.setattr("plr_jax.plot.save", lambda ax, path: None)
     return drawings

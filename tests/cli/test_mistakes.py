@@ -6,7 +6,6 @@ import pytest
 from cli_helpers import mistake, run
 
 from plr_jax import load, save
-from plr_jax.cli.plan import Heuristic
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +16,7 @@ def folder(maze, pairs, maps, tmp_path_factory):
         (folder / path.name).symlink_to(path)
     save(load(maze).with_label(""), folder / "unlabeled.plr")
     (folder / "foreign.plr").write_text("not a PLR at all, but long enough to hold a header")
-    (folder / "points.csv").write_bytes(b"\xff\xfe\x00")
+    (folder / "points.csv").write_text("0.1,0.1\n")
     (folder / "folder.png").mkdir()
     return folder
 
@@ -30,46 +29,41 @@ def folder(maze, pairs, maps, tmp_path_factory):
         ("build grid.map", "give --goal X,Y"),
         ("build team.json", "one for each of several robots"),
         ("build maze --goal '1;2'", "--goal must be two numbers X,Y"),
-        ("build maze --goal 1,1 --goal 2", "such as 3,28, got '2'"),
-        ("build maze" + " --goal 0.1234567890123456,0.1" * 60, "of 60 goals: give fewer goals, or fewer digits"),
+        ("build maze" + " --goal 0.1234567890123456,0.1" * 60, "its 60 goals, got "),
+        ("build cave.3dmap --goal 1,1", "cave.3dmap: expected a file that ends in one of .map, "),
         ("build bow.json --goal 0.5,0.1", "bow.json"),
         ("build maze --goal 0.5,0.45", "goal [0.5, 0.45] lies in an obstacle"),
         ("build maze --goal 1.5,0.5", "goal [1.5, 0.5] lies outside the bounds"),
-        ("build cave.3dmap --goal 1,1,1", "MAP must be a map in the plane, got the volume cave.3dmap"),
         ("build maze --radius 1", "leaves no free space"),
-        ("build maze -o none/a.plr", "No such folder"),
-        ("build maze -o .", "Is a directory"),
+        ("build maze -o none/a.plr", "in a folder that exists"),
+        ("build maze -o folder.png", "folder.png must be a file that you may write"),
         ("build maze -o " + "x" * 300, "File name too long"),
         ("query maze.plr", "stdin has no points"),
         ("query maze.plr none.csv", "No such file"),
         ("query foreign.plr", "foreign.plr"),
-        ("query maze.plr points.csv", "points.csv must be a text file"),
-        ("query maze.plr --which", "build it with --leaf cone and several --goal"),
-        ("query maze.pairs --gradient", "--gradient and --which need a file of a PLR"),
+        ("query maze.plr points.csv --which", "does not store which goal is nearest"),
+        ("query maze.pairs --which", "--which needs a file of a PLR"),
         ("export maze.plr -o 1.h", "a C identifier"),
         ("export maze.plr --goal 0,0 -o a.h", "leave out --goal"),
         ("export maze.plr -o a.txt", "must end in .h"),
         ("export maze.plr --js -o a.h", "must end in .mjs"),
-        ("export maze.plr --js --name a -o a.mjs", "--name is for C headers"),
         ("export maze.plr --js --compact -o a.mjs", "--compact is for C headers"),
         ("export maze.pairs -o a.h", "any two points: give one of them with --goal"),
-        ("export grid.pairs --js -o a.mjs", "cells of a grid, which only C headers support"),
-        ("export grid.pairs --goal 0,0 -o a.h", "leave out --goal"),
-        ("export grid.pairs --compact -o a.h", "leave out --compact"),
+        ("export grid.pairs --goal 0,0 -o a.h", "leave out --js, --goal and --compact"),
         ("view grid.pairs -o a.html", "needs a PLR or a PairPLR"),
         ("view maze.plr -o a.png", "must end in .html"),
         ("plot grid.pairs -o a.png", "any two points: give one of them with --goal"),
         ("plot grid.pairs --goal 0,0 --kind cells -o a.png", "--kind must be distance"),
-        ("plot unlabeled.plr --kind error -o a.png", "give --map"),
-        ("plot unlabeled.plr --goal 0,0 -o a.png", "give --map together with --goal"),
-        ("plot unlabeled.plr --map none.png -o a.png", "Error: none.png: No such file or directory\n"),
+        ("plot unlabeled.plr --kind error -o a.png", "does not name its map and goal"),
+        ("plot maze.plr --goal 0,0 -o a.png", "leave out --goal"),
+        ("plot unlabeled.plr --map none.png -o a.png", "(none.png: No such file or directory): name it with --map"),
         ("plot none.plr -o a.docx", "a.docx must end in .png or .pdf or .svg"),
-        ("plot none.plr -o folder.png", "folder.png: Is a directory"),
+        ("plot none.plr -o folder.png", "folder.png must be a file that you may write"),
         ("plan four_roms", "SCENE must be a scene (single_door, four_rooms, "),
         ("plan polygons.json", "polygons.json: expected a scene file"),
         ("plan four_rooms --robots 5", "four_rooms must have 2, 3, 4, 8 robots, got 5"),
         ("plan tangle --robots 2", "--robots is for the scenes four_rooms and cross, got 'tangle'"),
-        ("plan maze --step -1", "step must be None or a positive finite number"),
+        ("plan maze --time-limit -1", "time_limit must be"),
         ("plan maze -o a.csv", "a.csv must end in .json"),
         ("plan maze --animation a.mp4", "a.mp4 must end in .gif or .html"),
         ("plan maze --picture a.txt", "a.txt must end in .png or .pdf or .svg"),
@@ -83,14 +77,10 @@ def test_commands_explain_mistakes(command, message, folder, monkeypatch):
     assert sorted(folder.iterdir()) == before
 
 
-@pytest.mark.parametrize(
-    ("command", "messages"),
-    [
-        ("build maze --goal 3 28", ["a goal must be one argument X,Y"]),
-        ("build maze --goal -3 2.5", ["a goal must be one argument X,Y"]),
-        ("plan maze --heuristic exact", [f"'{name}'" for name in Heuristic]),
-    ],
-)
-def test_usage_errors_say_what_is_expected(command, messages):
-    result = run(*command.split())
-    assert result.exit_code == 2 and all(message in result.stderr.replace("\n", " ") for message in messages)
+def test_usage_errors_say_what_is_expected():
+    for command, message in (
+        ("build maze --goal 3 28", "unexpected extra argument"),
+        ("plot maze.plr -o a.png --kind surface", "is not one of 'distance', 'cells', 'error'"),
+    ):
+        result = run(*command.split())
+        assert result.exit_code == 2 and message in " ".join(result.stderr.replace("│", "").split())

@@ -122,7 +122,7 @@ def test_closed_pipe_ends_query_quietly(maze):
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is full")
 @pytest.mark.parametrize(
-    ("redirected", "message"), [(">&-", "Standard output is closed"), ("> /dev/full", "No space left on device\n")]
+    ("redirected", "message"), [("<&-", "Standard input is closed"), ("> /dev/full", "No space left on device\n")]
 )
 def test_closed_and_full_streams_are_explained(maze, redirected, message):
     command = f'echo 0.1,0.2 | "{sys.executable}" -m plr_jax query "{maze}" {redirected}'
