@@ -234,7 +234,7 @@ def placed_region(
         raise ValueError(f"origin must be finite numbers (x, y) or (x, y, yaw), got {shortened(origin)}.")
     require_resolved_pixels(free.shape, resolution, np.abs(pose[:2]).max())
     free = free if row0 == "bottom" else free[::-1]
-    free = without_specks(free, drop_specks)[0] if drop_specks else free
+    free = without_specks(free, drop_specks) if drop_specks else free
     if not free.any():
         raise ValueError(f"No pixel of {free.shape[0]} x {free.shape[1]} is free.")
     yaw = pose[2] if len(pose) == 3 else 0.0
@@ -298,15 +298,14 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     return MultiPolygon([Polygon(shell, rings) for shell, rings in zip(shells, holes, strict=True)])
 
 
-def without_specks(free: Mask, num_pixels: int) -> tuple[Mask, int]:
-    """Remove components of at most ``num_pixels`` pixels, blocked, then free; also return how many were removed."""
-    count = 0
+def without_specks(free: Mask, num_pixels: int) -> Mask:
+    """Remove components of at most ``num_pixels`` pixels, blocked, then free."""
     for value, structure in ((False, _ALL_AROUND), (True, None)):
         label = _labels(free == value, structure)
         is_small = np.bincount(label.ravel()) <= num_pixels
         is_small[0] = False
-        free, count = free ^ is_small[label], count + int(is_small.sum())
-    return free, count
+        free = free ^ is_small[label]
+    return free
 
 
 def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> Int[np.ndarray, "rows columns"]:

@@ -29,8 +29,8 @@ def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) 
     Options are those of the reader. A file or an option that is not supported raises ``ValueError``.
     """
     path = path if isinstance(path, BaseGeometry) else Path(path)
-    reader = reader_of(path) if isinstance(path, Path) else Workspace.from_polygons
-    known = options_of(reader)
+    reader = _reader_of(path) if isinstance(path, Path) else Workspace.from_polygons
+    known = list(inspect.signature(reader).parameters)[1:]
     if unknown := ", ".join(name for name in options if name not in known):
         raise ValueError(
             f"{path}: expected options of this kind of file ({', '.join(known) or 'none'}), got {unknown}."
@@ -38,11 +38,7 @@ def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) 
     return reader(path, **options)
 
 
-def options_of(reader: Callable[..., Workspace]) -> list[str]:
-    return list(inspect.signature(reader).parameters)[1:]
-
-
-def reader_of(path: Path) -> Callable[..., Workspace]:
+def _reader_of(path: Path) -> Callable[..., Workspace]:
     match path.suffix.lower():
         case ".map":
             return read_map
