@@ -4,14 +4,18 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from math import prod
+from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.export import is_symbolic_dim
 from jaxtyping import Array, Shaped
 
 from plr_jax._arrays import padded
 
+Columns = TypeVar("Columns")
 _PARTS = 8  # a batch of at most so many small parts is divided into small parts, a larger batch into large parts
 
 
@@ -66,3 +70,22 @@ def answered_in_parts(
         finally:
             pool.shutdown(cancel_futures=True)
     return tuple(result.reshape(batch) for result in results)
+
+
+def part_by_part(answer: Callable[..., Columns], size: int, *rows: Array) -> Columns:
+    """Apply a traced function to arrays of equally many rows, part by part if there are more than ``size`` rows."""
+    # Zeros pad the last part. A batch of symbolic size, as in exported functions, is one part.
+    count = rows[0].shape[0]
+    if is_symbolic_dim(count) or 0 < count <= size:
+        return answer(*rows)
+    filled = [jnp.pad(each, ((0, -count % size), *((0, 0),) * (each.ndim - 1))) for each in rows]
+    parts = tuple(each.reshape(-1, size, *each.shape[1:]) for each in filled)
+    columns = jax.lax.map(lambda part: answer(*part), parts)
+    return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:count], columns)
+
+
+def broadcast_shape(names: str, x: Any, y: Any) -> tuple[int, ...]:
+    try:
+        return jnp.broadcast_shapes(x.shape, y.shape)
+    except ValueError:
+        raise ValueError(f"{names} must broadcast, got shapes {x.shape} and {y.shape}.") from None

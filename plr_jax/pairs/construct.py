@@ -6,7 +6,7 @@ vain, so cells with many such corners are halved first.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from plr_jax.geometry.cell_sight import CellSources, corner_sight, corners_of_ce
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.corners import CornerVisibility, corner_visibility
 from plr_jax.geometry.triangulation import Triangulation
-from plr_jax.geometry.vectors import pseudo_angle
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.pairs.stored import MOST_CORNERS, WIDEST, Outline, PairsFileData, distances_by_rows, most_leaves
 from plr_jax.pairs.thin_parts import FINEST, with_thin_parts
@@ -32,53 +31,59 @@ from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.tree import Cells, tree_of
 
 DEFAULT_MAX_BYTES = 2**16
+PointIndices = Int[np.ndarray, "points"]  # a number for each point of an outline
 _FINEST_EVER = 2.0**-37  # domain widths: files hold coordinates of up to 39 bits
 _SLACK = 8  # number of workspace tolerances by which visibility may err
 
 
 def outline_of(
-    boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float, may_squeeze: bool
-) -> tuple[Outline, Int[np.ndarray, "points"]]:
+    boundary: Boundary, origin: Float[np.ndarray, "2"], width: float, tolerance: float
+) -> tuple[Outline, PointIndices]:
     """Round the boundary of free space to a lattice; also return the boundary vertex at each point of the outline.
 
     ``origin`` is the lattice point (0, 0), and ``width`` the width of the domain. Vertices move by at most the
-    ``tolerance``, if steps of at least 6e-8 widths allow it. If ``may_squeeze``, paths pass where obstacles touch.
+    ``tolerance``, if steps of at least 6e-8 widths allow it.
     """
-    # 1. Find the next edge around free space or, if paths may squeeze through contacts, around the same obstacle.
-    edges = boundary.edges
-    leaving = {
-        (int(at), int(end)): i for i, (at, end) in enumerate(zip(edges[:, 0], boundary.sector_end, strict=True))
-    }
-    onward = np.array([leaving[b, a] for a, b in edges.tolist()])
-    if may_squeeze:
-        direction = boundary.segments[:, 1] - boundary.segments[:, 0]
-        angle = pseudo_angle(direction[:, 0], direction[:, 1])
-        following = np.arange(len(edges))
-        for vertex in boundary.contacts:
-            around = np.flatnonzero(edges[:, 0] == vertex)
-            around = around[np.argsort(angle[around])]
-            following[around] = np.roll(around, -1)
-        onward = following[onward]
-    # 2. Follow the rings, and round their points to the lattice.
-    vertex, first, is_done = [], [0], np.zeros(len(edges), bool)
-    for start in range(len(edges)):
-        edge = start
-        while not is_done[edge]:
-            is_done[edge] = True
-            vertex.append(edges[edge, 0])
-            edge = onward[edge]
-        if len(vertex) > first[-1]:
-            first.append(len(vertex))
-    index, every = np.array(vertex), np.arange(len(edges))
-    near, edge = vertices_near_edges(
-        boundary.vertices, edges, 8 * FINEST * width, np.arange(len(boundary.vertices)), every
-    )
-    apart: Any = shapely.distance(
-        shapely.points(boundary.vertices[near]), shapely.linestrings(boundary.segments[edge].reshape(-1, 2, 2))
-    )
-    step = lattice_step(boundary.vertices - origin, width, tolerance, float(apart.min(initial=np.inf)))
-    points = np.rint((boundary.vertices - origin) / step).astype(np.int64)[index]
-    return Outline(origin, step, points, np.array(first), may_squeeze), index
+    vertices, edges = boundary.vertices, boundary.edges
+    # 1. Follow the rings. After an edge from a to b, the next edge starts at b, and its sector ends at a.
+    sectors = zip(edges[:, 0].tolist(), boundary.sector_end.tolist(), strict=True)
+    leaving = {sector: edge for edge, sector in enumerate(sectors)}
+    order, first = _rings_of(np.array([leaving[b, a] for a, b in edges.tolist()]))
+    # 2. Round the points to a lattice that separates points from walls.
+    every = np.arange(len(vertices)), np.arange(len(edges))
+    near, edge = vertices_near_edges(vertices, edges, 8 * FINEST * width, *every)
+    walls: Any = shapely.linestrings(boundary.segments[edge].reshape(-1, 2, 2))
+    apart: Any = shapely.distance(shapely.points(vertices[near]), walls)
+    step = lattice_step(vertices - origin, width, tolerance, float(apart.min(initial=np.inf)))
+    points = np.rint((vertices - origin) / step).astype(np.int64)
+    index = edges[order, 0]
+    return Outline(origin, step, points[index], first, may_squeeze=False), index
+
+
+def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, "rings_plus_one"]]:
+    order, first, is_done = [], [0], np.zeros(len(following), bool)
+    for point in range(len(following)):
+        while not is_done[point]:
+            is_done[point] = True
+            order.append(point)
+            point = following[point]
+        if len(order) > first[-1]:
+            first.append(len(order))
+    return np.array(order), np.array(first)
+
+
+def with_open_contacts(outline: Outline, vertex: PointIndices) -> tuple[Outline, PointIndices]:
+    """Follow the walls around obstacles instead of free space, so that paths may pass where obstacles touch.
+
+    If a wall of a thin obstacle ends in a contact, all contacts stay closed: the wall stays when walls move back, so
+    it might hide a corner in the contact, or fail to. Paths then join corners in the sectors of free space beside it.
+    """
+    is_beside_thin = outline.is_thin | outline.is_thin[np.argsort(outline.following)]
+    if (outline.is_contact & is_beside_thin).any():
+        return outline, vertex
+    order, first = _rings_of(outline.following_past_contacts)
+    thin = np.flatnonzero(outline.is_thin[order])
+    return replace(outline, points=outline.points[order], first=first, thin=thin, may_squeeze=True), vertex[order]
 
 
 def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: float, clearance: float) -> float:
@@ -203,16 +208,17 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
-    frame = frame_size(workspace.bounds)
-    limits = check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame)
     domain, boundary = workspace.bounds, workspace.boundary
+    limits = check_limits(leaf_model("cone"), 2, None, None, max_bytes, None, Proof.NONE, frame_size(domain))
     if domain.width.max() > WIDEST:
         raise ValueError(f"The workspace may be at most {WIDEST:g} wide, got {domain.width.max():g}: scale it.")
     visibility = corner_visibility(workspace)
     width = float(domain.width.max())
-    outline, vertex = outline_of(boundary, domain.lo, width, workspace.tolerance, workspace.squeeze)
+    outline, vertex = outline_of(boundary, domain.lo, width, workspace.tolerance)
     outline, vertex = with_thin_parts(outline, vertex, workspace.free_space, width)
-    corner, of_corner = corners_in_outline(outline, vertex, visibility.of_vertex)
+    if workspace.squeeze:
+        outline, vertex = with_open_contacts(outline, vertex)
+    corner, of_corner = corners_in_outline(outline, vertex, visibility.of_vertex, workspace.squeeze)
     if len(corner) > MOST_CORNERS:
         raise ValueError(
             f"The workspace may have at most {MOST_CORNERS:,} corners, got {len(corner):,}: simplify its polygons, "
@@ -231,8 +237,8 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
     start, row = in_file(a[is_taut])
     end, again = in_file(b[is_taut][row])
-    tips = np.flatnonzero(of_corner[1:] == of_corner[:-1])
-    pairs = np.concatenate([np.stack([start[again], end], axis=1), np.stack([tips, tips + 1], axis=1)])
+    same = np.flatnonzero(of_corner[order[1:]] == of_corner[order[:-1]])
+    pairs = np.concatenate([np.stack([start[again], end], axis=1), np.stack([order[same], order[same + 1]], axis=1)])
     edges = np.unique(np.sort(pairs, axis=1)[:, ::-1], axis=0)[:, ::-1]
     # 2. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
@@ -265,7 +271,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 
 
 def corners_in_outline(
-    outline: Outline, vertex: Int[np.ndarray, "points"], corner_of_vertex: Int[np.ndarray, "vertices"]
+    outline: Outline, vertex: PointIndices, corner_of_vertex: Int[np.ndarray, "vertices"], squeezes: bool
 ) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
     # `vertex` is the boundary vertex at each point of the outline, -1 for none.
     of_point = np.append(corner_of_vertex, -1)[vertex]
@@ -275,5 +281,7 @@ def corners_in_outline(
     is_corner = np.zeros(len(vertex) + 1, bool)
     is_corner[first] = True
     is_corner[first + 1] |= np.append(vertex, -1)[first + 1] == vertex[first]  # sharp tips have two points
+    # If paths squeeze through closed contacts, they lead from any sector of free space beside it into any other.
+    is_corner[candidates] |= squeezes & outline.is_contact[candidates]
     corner = np.flatnonzero(is_corner)
     return corner, of_point[corner]

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
-from plr_jax._compiled import is_on_one_host
+from plr_jax._compiled import broadcast_shape, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.grid_corners import DIAGONAL, FAR, STRAIGHT, CornerTable
@@ -130,10 +130,7 @@ class GridPairs:
         a point is outside the grid or NaN. For many points, a function is compiled for each shape.
         """
         points = _as_points("x", x), _as_points("y", y)
-        try:
-            shape = np.broadcast_shapes(*(one.shape for one in points))
-        except ValueError:
-            raise ValueError(f"x and y must broadcast, got shapes {points[0].shape} and {points[1].shape}.") from None
+        shape = broadcast_shape("x and y", *points)
         if is_on_one_host(*points, self.tables.blocks):
             few = evaluate_few(self.tables, *(np.broadcast_to(np.asarray(one), shape) for one in points))
             if few is not None:

@@ -9,15 +9,18 @@ be shorter than this length.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.export import is_symbolic_dim
 from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, UInt32
 
 from plr_jax._arrays import parts, ragged_indices
+from plr_jax._compiled import part_by_part
 from plr_jax.pairs.grid_corners import (
     FAR,
     STRAIGHT,
@@ -233,15 +236,12 @@ def evaluate_to(
 ) -> Float[Array, "*batch"]:
     p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
-    size = min(_CHUNK, max(len(p), 1))
-    chunks = jnp.pad(p, ((0, -len(p) % size), (0, 0))).reshape(-1, size, 2)
 
-    def to_goal(corners: _Corners) -> _Corners:
-        return looked_up(from_goal, corners)
+    def around(cells: Cells) -> _Lengths:
+        return _least_around(tables, cells, lambda corners: looked_up(from_goal, corners), cells.shape[:1])
 
-    around = lax.map(lambda cells: _least_around(tables, cells, to_goal, cells.shape[:1]), chunks)
     open_way = open_length(tables.connectivity, *jnp.abs(p - q).T)
-    lengths = jnp.where(sees(tables.sight, p, q), open_way, around.reshape(-1)[: len(p)])
+    lengths = jnp.where(sees(tables.sight, p, q), open_way, part_by_part(around, _CHUNK, p))
     return _in_steps(tables.connectivity, lengths, inside).reshape(x.shape[:-1])
 
 
@@ -267,14 +267,14 @@ def cells_of(shape: tuple[int, int], x: Any) -> tuple[Cells, Flags]:
 
 
 def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
-    size = min(1 << _SORTED_BITS, max(len(p), 1))
-    filled = jnp.pad(jnp.stack([p, q]), ((0, 0), (0, -len(p) % size), (0, 0)))
-    pairs = filled.reshape(2, -1, size, 2).swapaxes(0, 1)
-    return lax.map(lambda ends: _lengths_at_once(tables, *ends), pairs).reshape(-1)[: len(p)]
+    return part_by_part(partial(_lengths_at_once, tables), 1 << _SORTED_BITS, p, q)
 
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     seen = sees(tables.sight, p, q)
+    if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
+        length, first, then = _most_likely(tables, p, q, seen)
+        return _least_of_those_left(tables, _Left(p, first), _Left(q, then), length)
     first, then = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_TOLD) for cells in (p, q))
     chunks = _sorted_chunks(first * (_MOST_TOLD + 1) + then)
     found = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], seen[chunk]), chunks)
@@ -320,7 +320,7 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flag
         nearer = least < best[0]
         return jnp.where(nearer, least, best[0]), jnp.where(nearer, corner, best[1])
 
-    far = jnp.full(len(cells), FAR, jnp.int32)
+    far = jnp.full_like(count, FAR)
     _, corner = lax.fori_loop(0, count.max(), with_block, (far, jnp.zeros_like(far)))
     return corner, jnp.where(count > 0, _legs(tables, cells, corner[:, None])[:, 0], FAR)
 
@@ -336,7 +336,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
         better = (ways.min(axis=1) < length) & (block < count)
         return bits | better.astype(jnp.uint32) << block.astype(jnp.uint32)
 
-    none = jnp.zeros(len(cells), jnp.uint32)
+    none = jnp.zeros_like(count, jnp.uint32)
     return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, none)
 
 

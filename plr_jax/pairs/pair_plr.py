@@ -14,11 +14,11 @@ from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float, Shaped, UInt8
 
 from plr_jax._arrays import as_finite_point, as_queries
-from plr_jax._compiled import answered_in_parts, is_on_one_host
+from plr_jax._compiled import answered_in_parts, broadcast_shape, is_on_one_host
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.one_goal import plr_to
-from plr_jax.pairs.portable import ENDS, NumpyPairs, js_pairs_module
+from plr_jax.pairs.portable import ENDS, SHRUNK, STRETCHED, NumpyPairs, js_pairs_module, point_rounding
 from plr_jax.pairs.query import PreparedGoals, distances_to_corners, is_inside, shortest_ways
 from plr_jax.pairs.stored import PairsFileData
 from plr_jax.pairs.tables import PairTables, build_pair_tables, table_size
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
 
 _FEW, _MANY = 2**10, 2**14  # block sizes for few and for many pairs
-_ROUNDINGS = 16  # roundings of a query, in units of the last place
 _FEW_TESTS = 2**18  # pairs times walls up to which NumPy answers: at most about as slowly as a compiled block
 _PAIRS_A_GOAL = 8  # pairs that take as long as a prepared goal
 
@@ -100,7 +99,7 @@ class PairPLR(FileBacked):
 
     def _to_goals(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
         x = self._from_middle("x", x)
-        batch = _broadcast("x and goals", x, goals.points)
+        batch = broadcast_shape("x and goals", x, goals.points)[:-1]
         size, corners = goals.to_corners.shape[-1], self._table_size
         if size != corners:
             raise ValueError(
@@ -181,7 +180,7 @@ class PairPLR(FileBacked):
     ) -> tuple[Array, ...]:
         # `few` answers few pairs in NumPy: it compiles nothing.
         x, y = self._from_middle("x", x), self._from_middle("y", y)
-        batch = _broadcast("x and y", x, y)
+        batch = broadcast_shape("x and y", x, y)[:-1]
         if not is_on_one_host(x, y, self.file):
             return compiled(self.tables, x, y)
         with np.errstate(over="ignore"):  # points far outside
@@ -214,7 +213,7 @@ class PairPLR(FileBacked):
             unresolved, (first, rest) = self.tables.unresolved, self.tables.middle
         else:
             middle, unresolved = (self.domain.lo + self.domain.hi) / 2, unresolved_types(self.domain)
-            if isinstance(x, np.ndarray):
+            if isinstance(x, np.ndarray) and x.dtype == np.float64:
                 return x - middle
             first, rest = middle.astype(np.float32), (middle - middle.astype(np.float32)).astype(np.float32)
         require_resolved(x.dtype, unresolved)
@@ -271,10 +270,11 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
       free space.
     - Where a thin wall starts at the sharp tip of a thicker obstacle, a point near the tip, in line with the wall up
       to rounding, may see through where both meet. So may a point within 4e-6 w of another wall that ends there.
-    - Paths around the end of a thin wall may be 2e-6 w too long.
+    - Paths around the end of a thin wall may be 2e-6 w too long. If the workspace lets paths squeeze through places
+      where obstacles touch, and a thin wall ends in one, paths through such places may be 1e-5 w too short.
 
-    Otherwise gaps stay open however narrow, and places where obstacles touch stay closed. Only gaps below 6e-8 w
-    beside such a place may be closed.
+    Otherwise gaps stay open however narrow, and places where obstacles touch stay closed, unless paths may squeeze
+    through. Only gaps below 6e-8 w beside such a place, or below 8e-6 w between tips of thin walls, may be closed.
 
     Args:
         workspace: The free space, at most 1e18 wide, with at most 8,192 reflex corners (sharp tips of thin walls
@@ -339,17 +339,16 @@ def _distances_to(
 def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     (x, y), shape, answer = _checked(tables, x, y)
     dtype, (x, y) = x.dtype, (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
-    relative = _ROUNDINGS * jnp.finfo(jnp.float32).eps
-    absolute = relative * (jnp.abs(tables.middle[0]) + tables.half).max()
+    absolute = point_rounding(tables.half, jnp.abs(tables.middle[0])).max()
     sure = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
     least = shortest_ways(sure, x, y).least
-    lower = jnp.maximum((1 - relative) * least - (tables.rounding[0] + absolute), 0.0)
+    lower = jnp.maximum(SHRUNK * least - (tables.rounding[0] + absolute), 0.0)
     # A point near a wall may be behind the wall that is moved into free space.
     listed_x, listed_y = (along[tables.listed] for along in tables.outset_corners.T)
     free = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
     is_clear = is_inside(free, x) & is_inside(free, y)
     length = jnp.where(is_clear, shortest_ways(free, x, y).length, jnp.inf)
-    upper = (1 + relative) * length + (tables.rounding[1] + absolute)
+    upper = STRETCHED * length + (tables.rounding[1] + absolute)
     lower, upper = (jnp.where(jnp.isfinite(answer), p.astype(dtype), answer).reshape(shape) for p in (lower, upper))
     return lower, upper
 
@@ -374,13 +373,6 @@ def _checked(
     answer = jnp.where((farthest > _ends(tables, farthest)).any(axis=1), jnp.inf, jnp.zeros((), farthest.dtype))
     answer = jnp.where(jnp.isnan(farthest).any(axis=1), jnp.nan, answer)
     return [jnp.where(jnp.isfinite(answer)[:, None], p, 0.0) for p in rows], shape, answer
-
-
-def _broadcast(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> tuple[int, ...]:
-    try:
-        return jnp.broadcast_shapes(x.shape, y.shape)[:-1]
-    except ValueError:
-        raise ValueError(f"{names} must broadcast, got shapes {x.shape} and {y.shape}.") from None
 
 
 def _rows(values: Shaped[np.ndarray, "..."], batch: tuple[int, ...]) -> Shaped[np.ndarray, "n columns"]:

@@ -122,14 +122,24 @@ function readPairs({ domain, layers }, fileBytes) {
 
     const middle = domain.lo.map((lo, axis) => (lo + domain.hi[axis]) / 2);
     const half = domain.lo.map((lo, axis) => (domain.hi[axis] - lo) / 2);
-    const reach = half.map((along, axis) => along + Math.abs(middle[axis]));
+    const reach = half.map((along, axis) => along + EPS * Math.abs(middle[axis]));
     const at = [outline.x, outline.y].map(along => Float64Array.from(corner, i => along[i]));
     const isThin = outline.isThin = new Set(thin);
     const nudged = movedPoints(outline, -1.25 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
     const recede = RECEDING * width, [mx, my] = moves(outline, recede, false);
     const endsSight = Array.from(mx, (move, i) => outline.isContact[i] || move === 0 && my[i] === 0);
     const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => endsSight[i] ? nudged[axis][i] : at[axis][k]));
-    const free = proud.map(along => Float64Array.from(corner, i => along[i]));
+    const apart = ([cx, cy]) => 2 * cx.reduce((most, x, k) => { const dx = x - at[0][k], dy = cy[k] - at[1][k]; return Math.max(most, Math.sqrt(dx * dx + dy * dy)); }, 0);
+    const free = proud.map(along => Float64Array.from(corner, i => along[i])), farthest = apart(free);
+    // No certainly free path turns at a corner that a wall cuts off from the place to which the corner moves.
+    at[0].forEach((px, k) => {
+        const { x, y, following } = outline, py = at[1][k], qx = free[0][k], qy = free[1][k], dx = qx - px, dy = qy - py;
+        for (let i = 0; i < x.length; i++) {
+            const ax = x[i], ay = y[i], bx = x[following[i]], by = y[following[i]], ex = bx - ax, ey = by - ay;
+            if ((dx * (py - ay) <= dy * (px - ax)) === (dx * (py - by) <= dy * (px - bx))) continue;
+            if ((ex * (py - ay) - ey * (px - ax)) * (ex * (qy - ay) - ey * (qx - ax)) < 0) free[0][k] = free[1][k] = Infinity;
+        }
+    });
     const wallsOf = (distance, surely) => {
         const moved = movedPoints(outline, distance, surely), following = distance > 0 ? outline.pastContacts : outline.following;
         const [wx, wy] = moved.map((along, axis) => Float32Array.from(along, x => x - middle[axis]));
@@ -158,7 +168,6 @@ function readPairs({ domain, layers }, fileBytes) {
     }));
     const scene = ([cx, cy], walls, isCertain) => (
         { walls: Float32Array.from(walls), isCertain, x: Float32Array.from(cx, x => x - middle[0]), y: Float32Array.from(cy, y => y - middle[1]) });
-    const apart = ([cx, cy]) => 2 * cx.reduce((most, x, k) => { const dx = x - at[0][k], dy = cy[k] - at[1][k]; return Math.max(most, Math.sqrt(dx * dx + dy * dy)); }, 0);
     const rounds = 16 * EPS * Math.max(...reach), neighbors = Array.from(corner, () => []);
     for (const [i, j] of edges) {
         const dx = at[0][i] - at[0][j], dy = at[1][i] - at[1][j], length = Math.sqrt(dx * dx + dy * dy);
@@ -171,7 +180,7 @@ function readPairs({ domain, layers }, fileBytes) {
         seen: scene(seen, wallsOf(recede, false), false),
         sure: scene(seen, wallsOf(recede, true), false),
         free: scene(free, [...wallsOf(-recede, false), ...aroundThinWalls], true), outline,
-        less: f(rounding + apart(seen) + rounds), more: f(rounding + apart(free) + rounds),
+        less: f(rounding + apart(seen) + rounds), more: f(rounding + farthest + rounds),
     };
 }
 

@@ -24,12 +24,20 @@ from plr_jax.plr.portable.writers import format_domain
 RECEDING = 32 * float(np.finfo(np.float32).eps)
 MARGIN = RECEDING / 4  # distance in domain widths within which a wall may matter: more than a query's rounding error
 _ROUNDINGS = 16 * float(np.finfo(np.float32).eps)  # relative error of a distance: more than a query rounds
-_SHRUNK, _STRETCHED = np.float32(1 - _ROUNDINGS), np.float32(1 + _ROUNDINGS)
+SHRUNK, STRETCHED = np.float32(1 - _ROUNDINGS), np.float32(1 + _ROUNDINGS)
 ENDS = np.float32(4 * np.finfo(np.float32).eps)  # relative error of the ends of the domain for points in 32 bits
 _AT_ONCE = 2**19  # pairs of a segment and a wall that are tested together
 _PAIRS = 2**12  # pairs of points that are answered together
 _Points = Float[np.ndarray, "n 2"]
 _Lengths = Float[np.ndarray, "n"]
+
+
+def point_rounding(half: Any, middle: Any) -> Any:
+    """Bound the error of a distance by the rounding of points, given the domain's half width and ``abs(middle)``."""
+    # 64-bit points less the middle are rounded to 32 bits. 32-bit points lose `first`, the middle in 32 bits, then
+    # `rest`: each difference is at most about `half`, so that both err by at most an eps of it, and the sum
+    # `first + rest` is the middle up to eps**2 of it. A path has two such points, and two rounded corners.
+    return _ROUNDINGS * (half + np.finfo(np.float32).eps * middle)
 
 
 def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
@@ -44,6 +52,18 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
     crosses = (ex * away_y - ey * away_x) * (ex * (qy - ay) - ey * (qx - ax)) < 0
     a_is_left, b_is_left = dx * away_y <= dy * away_x, dx * (py - by) <= dy * (px - bx)
     return crosses & b_is_left & ~a_is_left, crosses & a_is_left & ~b_is_left
+
+
+def are_crossed(
+    p: _Points, q: _Points, walls: Float[np.ndarray, "4 walls"], both_ways: bool = False
+) -> Bool[np.ndarray, "n"]:
+    """Return whether each segment from ``p`` to ``q`` crosses any wall or, if ``both_ways``, one in and one out."""
+    crossed = np.zeros(len(p), bool)
+    for some in parts(np.full(len(p), walls.shape[1]), _AT_ONCE):
+        ways = crossings(p[some].T[:, :, None], q[some].T[:, :, None], walls)
+        goes_in, goes_out = (each.any(axis=1) for each in ways)
+        crossed[some] = goes_in & goes_out if both_ways else goes_in | goes_out
+    return crossed
 
 
 def winding(p: Any, wall: Any) -> tuple[Any, Any]:
@@ -83,12 +103,14 @@ class Scene:
             before = outline.moved_points(-1.25 * MARGIN * width)[stored.corner]
             corners = np.where(outline.ends_sight(receding)[stored.corner, None], before, stored.points)
         walls = outline.moved_walls(-receding if is_certain else receding, surely=hides_surely)
+        moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
         if is_certain:
             walls = np.concatenate([walls, outline.around_thin_walls(receding)])
+            # No certainly free path turns at a corner that a wall cuts off from the place to which the corner moves.
+            corners[are_crossed(stored.points, corners, outline.moved_walls(0.0).T)] = np.inf
         elif hides_surely:
             walls = walls[~outline.is_thin]
         walls -= np.tile(middle, 2)
-        moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
         return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)
 
     @cached_property
@@ -96,22 +118,14 @@ class Scene:
         return np.ascontiguousarray(self.walls.T, np.float32)
 
     def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, "n"]:
-        hidden = np.zeros(len(p), bool)
-        for some in self._blocks(len(p)):
-            crossed = crossings(p[some].T[:, :, None], q[some].T[:, :, None], self.wall_ends)
-            goes_in, goes_out = (each.any(axis=1) for each in crossed)
-            hidden[some] = goes_in | goes_out if self.is_certain else goes_in & goes_out
-        return hidden
+        return are_crossed(p, q, self.wall_ends, both_ways=not self.is_certain)
 
     def encloses(self, p: _Points) -> Bool[np.ndarray, "n"]:
         inside = np.zeros(len(p), bool)
-        for some in self._blocks(len(p)):
+        for some in parts(np.full(len(p), len(self.walls)), _AT_ONCE):
             up, down = winding(p[some].T[:, :, None], self.wall_ends)
             inside[some] = up.sum(axis=1) - down.sum(axis=1) == 1
         return inside
-
-    def _blocks(self, n: int) -> list[slice]:
-        return parts(np.full(n, len(self.walls)), _AT_ONCE)
 
 
 class NumpyPairs:
@@ -130,7 +144,7 @@ class NumpyPairs:
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
         self._lists[ragged_indices(lengths)] = stored.listed
         self._distances = distances_table(stored, corners + 1)
-        rounds = _ROUNDINGS * float((domain.width / 2 + np.abs(middle)).max())
+        rounds = float(point_rounding(domain.width / 2, np.abs(middle)).max())
         self._seen, self._free = (Scene.of(stored, is_certain) for is_certain in (False, True))
         self._sure = Scene.of(stored, False, hides_surely=True)
         self._less, self._more = (
@@ -214,9 +228,9 @@ class NumpyPairs:
 
     def _bounds(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
         p, q = p.astype(np.float32), q.astype(np.float32)
-        lower = np.maximum(_SHRUNK * self._lengths(self._sure, p, q) - self._less, np.float32(0))
+        lower = np.maximum(SHRUNK * self._lengths(self._sure, p, q) - self._less, np.float32(0))
         is_clear = self._free.encloses(p) & self._free.encloses(q)
-        upper = _STRETCHED * np.where(is_clear, self._lengths(self._free, p, q), np.float32(np.inf)) + self._more
+        upper = STRETCHED * np.where(is_clear, self._lengths(self._free, p, q), np.float32(np.inf)) + self._more
         return np.stack([lower, upper])
 
     def _lengths(self, around: Scene, p: _Points, q: _Points) -> _Lengths:

@@ -9,7 +9,7 @@ the length of a path found. Most pairs of points need one or two rounds.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +18,7 @@ from jax.export import is_symbolic_dim
 from jaxtyping import Array, Float, Integer, Shaped, UInt32
 
 from plr_jax._arrays import padded_size
+from plr_jax._compiled import part_by_part
 from plr_jax.pairs.hiding import Flags, Points, Rows, is_across_occluder, updated
 from plr_jax.pairs.portable import crossings, winding
 from plr_jax.pairs.tables import NO_WAY, STEEPEST, PairTables
@@ -27,7 +28,6 @@ _AT_ONCE = 2**14  # pairs of points that fit into caches
 _TESTED = 2**10  # pairs tested against the walls of a box together
 _FEW, _SEARCHED = 2**7, 2**10  # pairs whose rounds take all of them; open pairs searched together, if there are more
 _LAST_KEY = np.float32(np.inf).view(np.uint32)  # the key of no path
-Columns = TypeVar("Columns")
 _Lengths = Float[Array, "n"]
 _Crossed = tuple[Array, Array]  # whether segments cross walls inward, and whether outward
 
@@ -103,22 +103,11 @@ def shortest_ways(
     hold: ``to_corners`` has their distances to all corners, and ``goal`` is the row there of each ``y``.
     """
     if goal is not None:
-        return _part_by_part(partial(_ways, tables, to_corners), x, y, goal)
+        return part_by_part(partial(_ways, tables, to_corners), _AT_ONCE, x, y, goal)
     swaps = ((x[:, 0] > y[:, 0]) | ((x[:, 0] == y[:, 0]) & (x[:, 1] > y[:, 1])))[:, None]
-    ways = _part_by_part(partial(_ways, tables, None), jnp.where(swaps, y, x), jnp.where(swaps, x, y))
+    ways = part_by_part(partial(_ways, tables, None), _AT_ONCE, jnp.where(swaps, y, x), jnp.where(swaps, x, y))
     from_x, from_y = jnp.where(swaps, ways.from_y, ways.from_x), jnp.where(swaps, ways.from_x, ways.from_y)
     return replace(ways, from_x=from_x, from_y=from_y)
-
-
-def _part_by_part(ways: Callable[..., Columns], *rows: Shaped[Array, "n ..."]) -> Columns:
-    size = rows[0].shape[0]
-    if is_symbolic_dim(size) or size <= _AT_ONCE:
-        return ways(*rows)
-    parts = -(-size // _AT_ONCE)
-    filled = [jnp.pad(each, ((0, parts * _AT_ONCE - size), *((0, 0),) * (each.ndim - 1))) for each in rows]
-    whole = tuple(each.reshape(parts, _AT_ONCE, *each.shape[1:]) for each in filled)
-    columns = jax.lax.map(lambda part: ways(*part), whole)
-    return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:size], columns)
 
 
 def _ways(

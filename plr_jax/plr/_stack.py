@@ -216,7 +216,8 @@ class PLRStack:
         if x.ndim == 1 and index.ndim:
             x = jnp.broadcast_to(x, (*index.shape, self.dim)) if isinstance(x, jax.Array) else x[(None,) * index.ndim]
         corners, outside = self.corners, as_outside(outside)
-        if corners is None or isinstance(corners, Tracer) or isinstance(index, jax.Array) or isinstance(x, jax.Array):
+        is_rounded = isinstance(index, jax.Array) or isinstance(x, jax.Array) or x.dtype != np.float64
+        if corners is None or isinstance(corners, Tracer) or is_rounded:
             require_resolved(jax.dtypes.canonicalize_dtype(x.dtype), self.unresolved)
             return self._answer(_evaluate, (self, index), x, outside)
         from_corner = x - self._exact_corners[index]

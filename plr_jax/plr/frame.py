@@ -138,8 +138,9 @@ def max_entries(num_bytes: int) -> int:
 
 
 _FAR = 4.0  # a domain is far beyond this many widths from the origin: 32-bit coordinates are coarser than its tables
-# Least number of 32-bit floats along an axis of the domain, by type of the points; with fewer, tables are wrong.
-_FEWEST_PLACES = {"float32": 64, "float64": 1 / 256}
+# Least number of 32-bit floats along an axis of the domain, by type of the points. With fewer, 32-bit points are off
+# by more than 1e-4 widths, as much as a distance in a small file errs, and tables of 64-bit points are wrong.
+_FEWEST_PLACES = {"float32": 2**12, "float64": 1 / 256}
 LARGEST = 1e30  # bound of coordinates, distances and slopes, well below the largest 32-bit float
 
 Corner: TypeAlias = Float[np.ndarray, "dim"]

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from plr_jax._arrays import require_integer, shortened
+from plr_jax._compiled import broadcast_shape
 from plr_jax._types import ArrayLike
 from plr_jax.traced.any_angle import MAX_LATTICE, MOST_CORNERS, CornerPairs, CornerPaths, convex_corners
 from plr_jax.traced.steps import MOST_CELLS, Mask, Points, StepPairs, Steps
@@ -70,10 +71,7 @@ class GridDistances:
         """
         _require_one_map(self, "jax.vmap(lambda field, x, y: field(x, y))(fields, x, y)")
         x, y = _as_points("x", x), _as_points("y", y)
-        try:
-            jnp.broadcast_shapes(x.shape, y.shape)
-        except ValueError:
-            raise ValueError(f"x and y must broadcast, got shapes {x.shape} and {y.shape}.") from None
+        broadcast_shape("x and y", x, y)
         return _distance(self, *_as_floats(x=x, y=y))
 
     def __repr__(self) -> str:

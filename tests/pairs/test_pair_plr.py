@@ -240,10 +240,17 @@ def test_lines_along_a_wall_end_at_a_touching_tip():
     np.testing.assert_allclose(pairs(x, x[:1]), x[:, 1] - 3.001, atol=1e-6)
 
 
-def test_pairs_far_away_need_64_bit_points():
-    origin = np.full(2, 1e8 + 1)
-    left, right = origin + np.array([(0.2, 1), (1.8, 1)])
-    far = construct_pairs(Workspace((origin, origin + 2), [origin + box(0.9, 0.5, 1.1, 1.5)]), max_bytes=500)
-    assert far(left, right) == pytest.approx(2 * math.hypot(0.7, 0.5) + 0.2, abs=1e-4)
-    with pytest.raises(ValueError, match="too coarse"):
-        far(jnp.asarray(left), jnp.asarray(right))
+def test_pairs_far_away_need_64_bit_points_and_have_the_bounds_of_the_origin():
+    points, wall = np.array([(30, 150), (300, 150)]), np.array(box(140, 80, 170, 250))
+    distance, widths = math.hypot(110, 70) + 30 + math.hypot(130, 70), []
+    for origin in np.array([(0, 0), (5e5, 4.5e6)]):
+        pairs = construct_pairs(Workspace((origin, origin + 335), [origin + wall]), max_bytes=500)
+        x, y = origin + points
+        for answers in (pairs, pairs.numpy()):
+            lower, upper = answers.bounds(x, y)
+            assert answers(x, y) == pytest.approx(distance, abs=1e-4) and lower < distance < upper
+            widths.append(upper - lower)
+    assert max(widths) < 1.1 * min(widths)
+    for type_of in (jnp.asarray, np.float32):
+        with pytest.raises(ValueError, match="too coarse"):
+            pairs(type_of(x), type_of(y))

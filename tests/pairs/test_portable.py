@@ -21,12 +21,14 @@ FAR = Workspace(
     [[(5e5 + 30, 4e6), (5e5 + 40, 4e6), (5e5 + 40, 4e6 + 45.5), (5e5 + 30, 4e6 + 45.5)]],
 )
 TOUCHING = Workspace(((0, 0), (10, 10)), [[(2, 2), (5, 2), (5, 5), (2, 5)], [(5, 5), (8, 5), (8, 8), (5, 8)]])
+SLIVERS = [[(5, 5), (5, 9), (5.01, 9)], [(5, 5), (1, 2), (1, 2 + 1e-5)], [(5, 5 - 4e-5), (9, 1), (9, 1.01)]]
+THIN = Workspace(((5e5, 4e6), (5e5 + 100, 4e6 + 100)), (5e5, 4e6) + 10 * np.array(SLIVERS), squeeze=True)
 SQUEEZED = Workspace(TOUCHING.bounds, TOUCHING.obstacles, squeeze=True)
 
 
 @pytest.fixture(scope="module", params=["maze", "far", "touching", "squeezed"])
 def workspace(request):
-    return {"maze": MAZE, "far": FAR, "touching": TOUCHING, "squeezed": SQUEEZED}[request.param]
+    return {"maze": MAZE, "far": FAR, "touching": TOUCHING, "thin": THIN, "squeezed": SQUEEZED}[request.param]
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +79,7 @@ def test_numpy_answers_are_symmetric_and_infinite_outside(pairs):
     assert f(x[20:23, None], y[None, 30:34]).shape == (3, 4)
 
 
-@pytest.mark.parametrize("workspace", ["touching", pytest.param("far", marks=pytest.mark.full)], indirect=True)
+@pytest.mark.parametrize("workspace", ["touching", pytest.param("thin", marks=pytest.mark.full)], indirect=True)
 def test_javascript_answers_equal_numpy_bit_for_bit(pairs, tmp_path):
     if shutil.which("node") is None:
         pytest.skip("modules are run where there is Node, as node")

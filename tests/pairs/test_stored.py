@@ -11,7 +11,7 @@ from piece_helpers import TEN, WORKSPACES, box
 from scipy.sparse.csgraph import floyd_warshall
 
 from plr_jax import Box, Workspace
-from plr_jax.pairs.construct import outline_of
+from plr_jax.pairs.construct import outline_of, with_open_contacts
 from plr_jax.pairs.pair_plr import pairs_from_bytes
 from plr_jax.pairs.stored import PairsFileData, distances_by_rows, read_outline
 from plr_jax.plr.coding import BitReader, BitWriter
@@ -21,7 +21,8 @@ from plr_jax.plr.tree import Cells
 
 def outline(workspace):
     width = float(workspace.bounds.width.max())
-    return outline_of(workspace.boundary, workspace.bounds.lo, width, workspace.tolerance, workspace.squeeze)
+    found = outline_of(workspace.boundary, workspace.bounds.lo, width, workspace.tolerance)
+    return with_open_contacts(*found) if workspace.squeeze else found
 
 
 @pytest.mark.parametrize("squeeze", [False, True])

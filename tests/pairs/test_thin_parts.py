@@ -41,6 +41,29 @@ def test_pairs_beside_thin_parts_have_exact_distance(obstacles, goal, x):
         np.testing.assert_allclose(got, exact, atol=2e-4)
 
 
+SLIVER = [(632, 793), (637, 1154), (635, 1154)]
+PLANK = [(346, 577), (346.0005, 577), (402.0005, 871), (402, 871)]  # 5e-7 widths thick
+
+
+@pytest.mark.parametrize(
+    ("obstacles", "x", "y", "corners"),
+    [
+        ([SLIVER, [(632, 793), (407, 861), (397, 793)]], (595.04, 804.3), (700, 500), [(632, 793)]),
+        ([SLIVER, [(632, 793), (407, 861), (397, 793)]], (600, 700), (640, 900), [(632, 793)]),
+        # Beside a tip in the middle of a thin wall, no path leads through the wall.
+        ([PLANK, [(374, 724), (200, 730), (200, 720)]], (300, 750), (300, 700), [(374, 724)]),
+        ([PLANK, [(374, 724), (200, 730), (200, 720)]], (300, 750), (390, 724), [(402, 871), (402.0005, 871)]),
+        # Nor through a thin wall 2e-6 widths beyond a tip.
+        ([PLANK, [(373.998, 724), (200, 730), (200, 720)]], (300, 700), (390, 724), [(346, 577), (346.0005, 577)]),
+    ],
+)
+def test_paths_squeeze_through_contacts_of_thin_obstacles_only(obstacles, x, y, corners):
+    pairs = construct_pairs(Workspace(((0, 0), (1024, 1024)), obstacles, squeeze=True), max_bytes=2_000).numpy()
+    expected = np.linalg.norm(np.diff([x, *corners, y], axis=0), axis=1).sum()
+    lower, upper = pairs.bounds(x, y)
+    assert pairs(x, y) == pytest.approx(expected, abs=2e-2) and lower <= expected <= upper
+
+
 MORE_PLANS = [(0, 42), (1, 2), (1, 67), (1, 97), (1, 187)]
 
 
@@ -56,7 +79,7 @@ def test_pairs_of_hostile_plans_equal_exact_oracle(seed, number):
 
 def test_only_thin_part_of_wall_is_thin():
     workspace = Workspace(TEN, [BAR, [(3, 5), (3.3, 2), (3 + 1e-7, 5 + 1e-8)]])
-    outline, vertex = outline_of(workspace.boundary, workspace.bounds.lo, 10.0, workspace.tolerance, False)
+    outline, vertex = outline_of(workspace.boundary, workspace.bounds.lo, 10.0, workspace.tolerance)
     found, at = with_thin_parts(outline, vertex, workspace.free_space, 10.0)
     ends = found.positions[found.following] - found.positions
     thin, length = found.is_thin, np.linalg.norm(ends, axis=1)

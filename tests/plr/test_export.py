@@ -8,9 +8,12 @@ import pytest
 from jax import export
 from portable_helpers import case
 
-from plr_jax import construct_pairs, scenes, stack
+from plr_jax import construct_grid_pairs, construct_pairs, scenes, stack
 
 pytestmark = pytest.mark.usefixtures("unchecked_types")  # which know no symbolic sizes
+
+
+GRID = np.random.default_rng(0).random((32, 32)) > 0.3  # of free cells
 
 
 def two_models(x):
@@ -25,6 +28,8 @@ FULL = [
     (2, lambda: jax.vmap(jax.grad(case("maze of cones")))),
     (2, lambda: two_models),
     (2, lambda: lambda x: construct_pairs(scenes.maze().workspace, max_bytes=300)(x, x[:, ::-1])),
+    (2, lambda: lambda x: construct_grid_pairs(GRID)(32 * x, 32 * x[:, ::-1])),
+    (2, lambda: partial(lambda to, x: to(32 * x), construct_grid_pairs(GRID).to(np.argwhere(GRID)[0, ::-1]))),
 ]
 
 
