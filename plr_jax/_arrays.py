@@ -19,6 +19,10 @@ from plr_jax._types import ArrayLike
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
 _LONGEST = 200  # characters of a value in an error
+_NOT_TRACED = (
+    "Workspaces, oracles and planners take concrete arrays, not arrays that JAX traces: inside jit, call them by "
+    "jax.pure_callback. For distances on traced maps, use grid_distance."
+)
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 
 
@@ -56,12 +60,33 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
         if value is None or numbers.dtype.kind in "cUSMm":  # NumPy would convert strings, dates and complex numbers
             raise TypeError
         numbers = np.asarray(numbers, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        hint = " Inside jit, use jax.pure_callback." if type(value).__module__.startswith("jax") else ""
-        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.{hint}") from None
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.{_if_traced(error)}") from None
     if np.ma.is_masked(value):
         raise ValueError(f"{name} must be {expected}, and some are masked.")
     return numbers
+
+
+def as_cells(name: str, value: ArrayLike) -> Shaped[np.ndarray, "..."]:
+    """Copy an array of booleans, one for each cell of a grid, in C order; its type and shape are not checked."""
+    try:
+        return np.array(value, order="C")
+    except (TypeError, ValueError) as error:
+        hint = _if_traced(error)
+        raise ValueError(f"{name} must be an array of booleans, got {shortened(value)}.{hint}") from None
+
+
+def _if_traced(value: object) -> str:
+    """Return advice if a value is a tracer of JAX, or JAX's error that a tracer is no array; else nothing."""
+    return f" {_NOT_TRACED}" if "Tracer" in type(value).__name__ else ""
+
+
+def is_single(value: ArrayLike) -> bool:
+    """Return whether numbers come as 32-bit floats, as those of JAX do by default, none masked."""
+    try:
+        return np.asarray(value).dtype == np.float32 and not np.ma.isMaskedArray(value)
+    except (TypeError, ValueError):
+        return False
 
 
 def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "..."]:
@@ -127,7 +152,7 @@ def as_number(name: str, value: object, expected: str, in_range: Callable[[float
         with suppress(OverflowError):
             number = float(value)
     if not in_range(number):
-        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.")
+        raise ValueError(f"{name} must be {expected}, got {shortened(value)}.{_if_traced(value)}")
     return number
 
 

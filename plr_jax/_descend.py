@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from plr_jax._arrays import as_distances, as_finite_point, as_points, shortened
+from plr_jax._arrays import as_distances, as_finite_point, as_numbers, as_points, shortened
 from plr_jax._lookahead import Chains, Field, Next, PathCosts, by_lookahead, chains_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, find_turn_points
@@ -127,9 +127,9 @@ _NUM_WAYS = 2  # edges per corner: the best one by the field, and another one in
 
 
 def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Chains:
-    starts, goal = map(workspace.bounds.settled, (starts, goal))
-    starts = as_points("starts", starts, 2)
-    goals = as_points("goal", goal, 2) if np.ndim(goal) == 2 else as_finite_point("The goal", goal, 2)[None]
+    starts = as_points("starts", workspace.settled(starts), 2)
+    goal = as_numbers("goal", workspace.settled(goal), "numbers of shape (2,) or (k, 2)")
+    goals = as_points("goal", goal, 2) if goal.ndim == 2 else as_finite_point("The goal", goal, 2)[None]
     if not len(goals):
         raise ValueError("goal must be one point (2,) or several (k, 2), got none.")
     if not (is_fine := workspace.is_free(goals)).all():

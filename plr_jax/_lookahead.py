@@ -146,6 +146,7 @@ class PathCosts:
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
     domain = costs.space.domain
+    starts, goal = (domain.settled(each, costs.space.is_free) for each in (starts, goal))
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
     if not costs.space.is_free(goal[None])[0]:
         raise ValueError(f"The goal must be a free configuration of the space, got {goal.tolist()}.")

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import scipy.sparse
 import shapely
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
-from plr_jax._arrays import as_finite, as_numbers, set_fields, shortened
+from plr_jax._arrays import as_finite, as_numbers, is_single, set_fields, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.workspace import Workspace, require_workspace
 from plr_jax.robots.robot import Robot, check_body, footprint, smaller_angle, team_dof
@@ -64,7 +64,7 @@ class Problem:
         weight = None if rotation_weight is None else as_finite("rotation_weight", rotation_weight)
         set_fields(self, workspace=workspace, robots=robots, rotation_weight=weight)
         given = {"starts": starts, "goals": goals}
-        set_fields(self, **{name: _configurations(name, q, robots) for name, q in given.items()})
+        set_fields(self, **{name: _configurations(name, q, robots, workspace) for name, q in given.items()})
         for name in given:
             _require_free(self, name)
             _require_no_overlap(self, name)
@@ -134,13 +134,41 @@ def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robot
     array = as_numbers("A path", path, f"numbers of shape {shape}")
     if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:
         raise ValueError(f"A path must have shape {shape} with at least one step, got {array.shape}.")
+    if is_single(path):
+        array = array.copy()
+        array[..., :2] = problem.workspace.settled(np.asarray(path)[..., :2])
+        for row, end in ((0, problem.starts), (-1, problem.goals)):  # starts and goals may need more than 32 bits
+            array[row] = np.where(np.asarray(path)[row] == end.astype(np.float32), end, array[row])
     return array
 
 
-def _configurations(name: str, value: ArrayLike, robots: Sequence[Robot]) -> Float[np.ndarray, "robots dof"]:
+def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
+    """Move a robot at a pose of 32-bit numbers, ``(dof,)``, away from walls that it overlaps only by rounding."""
+    if not is_single(q):
+        return q
+    position, heading = np.split(np.asarray(q), [2])
+    if robot.circumscribed_radius <= workspace.tolerance:
+        position = workspace.settled(position)
+    else:
+
+        def is_free(x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+            rooms = [_room(workspace, robot, np.append(each, heading)) for each in x]
+            return np.array([min(room[:2]) >= -workspace.tolerance for room in rooms])
+
+        reach = robot.circumscribed_radius * max(1.0, np.abs(heading).max(initial=0.0))
+        position = workspace.bounds.settled(position, is_free, reach)
+    return np.append(position, heading.astype(np.float64))
+
+
+def _configurations(
+    name: str, value: ArrayLike, robots: Sequence[Robot], workspace: Workspace
+) -> Float[np.ndarray, "robots dof"]:
     dof = team_dof(robots)
     shape = f"(robots, dof) = ({len(robots)}, {dof})"
     configurations = as_numbers(name, value, f"numbers of shape {shape}").copy()
+    if is_single(value) and configurations.shape == (len(robots), dof):
+        poses = np.asarray(value)
+        configurations[:] = [settled_pose(workspace, *each) for each in zip(robots, poses, strict=True)]
     if configurations.shape != (len(robots), dof):
         reason = ""
         if configurations.shape == (len(robots), 2):
@@ -158,25 +186,32 @@ def _configurations(name: str, value: ArrayLike, robots: Sequence[Robot]) -> Flo
 
 
 def _require_free(problem: Problem, name: str) -> None:
-    workspace, obstacles = problem.workspace, np.array(problem.workspace.obstacles, dtype=object)
-    shapely.prepare(obstacles)
-    x0, y0, x1, y1 = *workspace.bounds.lo, *workspace.bounds.hi
+    workspace = problem.workspace
     for i, (robot, q) in enumerate(zip(problem.robots, getattr(problem, name), strict=True)):
-        core, radius = footprint(robot, q), robot.rounding
-        left, bottom, right, top = shapely.bounds(core)
-        inside = min(left - x0, bottom - y0, x1 - right, y1 - top) - radius
+        inside, clearance, obstacle = _room(workspace, robot, q)
         if inside < -workspace.tolerance:
-            part = "" if x0 <= q[0] <= x1 and y0 <= q[1] <= y1 else f": {q.tolist()} is not in {workspace.bounds}"
+            is_in = workspace.bounds.contains(q[None, :2])[0]
+            part = "" if is_in else f": {q.tolist()} is not in {workspace.bounds}"
             raise ValueError(
                 f"Robot {i} {_VERBS[name]} outside the bounds{part or f' by {-inside:.3g} at {q.tolist()}'}."
             )
-        near = np.flatnonzero(shapely.distance(core, obstacles) <= radius)
-        clearances = [separation(core, obstacles[j]) - radius for j in near]
-        if clearances and min(clearances) < -workspace.tolerance:
+        if clearance < -workspace.tolerance:
             raise ValueError(
-                f"Robot {i} {_VERBS[name]} in collision with obstacle {near[np.argmin(clearances)]} "
-                f"at {q.tolist()} (clearance {min(clearances):.3g})."
+                f"Robot {i} {_VERBS[name]} in collision with obstacle {obstacle} at {q.tolist()} "
+                f"(clearance {clearance:.3g})."
             )
+
+
+def _room(workspace: Workspace, robot: Robot, q: Float[np.ndarray, "dof"]) -> tuple[float, float, int]:
+    """Return how far a robot is inside the bounds, its clearance of the obstacle that it overlaps most, and which."""
+    core, radius, obstacles = footprint(robot, q), robot.rounding, np.array(workspace.obstacles, dtype=object)
+    shapely.prepare(obstacles)
+    left, bottom, right, top = shapely.bounds(core)
+    (x0, y0), (x1, y1) = workspace.bounds.lo, workspace.bounds.hi
+    inside = min(left - x0, bottom - y0, x1 - right, y1 - top) - radius
+    near = np.flatnonzero(shapely.distance(core, obstacles) <= radius)
+    clearances = [separation(core, obstacles[j]) - radius for j in near]
+    return inside, min(clearances, default=np.inf), int(near[np.argmin(clearances)]) if clearances else -1
 
 
 def _require_no_overlap(problem: Problem, name: str) -> None:

@@ -7,12 +7,11 @@ cells or, for point robots, against all walls by ``Workspace.is_visible``.
 
 import math
 from functools import lru_cache
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 
 from plr_jax._arrays import parts, ragged_indices, require_time, take_ragged
 from plr_jax.collision.bodies import (
@@ -80,11 +79,12 @@ class MotionTest:
 
     def is_at_contact(self, q: Float[np.ndarray, "*batch dof"]) -> Bool[np.ndarray, "*batch"]:
         """Return whether a point robot is at a point where obstacles touch, if paths may not pass; else False."""
-        boundary = self.workspace.boundary
-        if self.workspace.squeeze or not self._is_point or not len(boundary.contacts):
-            return np.zeros(q.shape[:-1], dtype=bool)
-        tree = KDTree(boundary.vertices[boundary.contacts])
-        return np.asarray(tree.query(q[..., :2])[0]) <= self.workspace.tolerance
+        is_at = np.zeros(q.shape[:-1], dtype=bool)
+        if self._is_point and not self.workspace.squeeze:
+            points: Any = shapely.points(q[..., :2].reshape(-1, 2))
+            tree, tolerance = self.workspace.boundary.contact_tree, self.workspace.tolerance
+            is_at.flat[tree.query(points, predicate="dwithin", distance=tolerance)[0]] = True
+        return is_at
 
     def has_room(self, x: Column, y: Column, radius: Column) -> Booleans:
         """Return whether the robot is surely free at any heading with its reference point anywhere in each circle."""

@@ -74,7 +74,7 @@ class CostDistance:
                 "instead: use max_bytes and plr_jax.descend(result.plr, plr_jax.RasterCost(...).space(), ...)."
             )
         shape, box = np.shape(self.distance), self._box
-        place = as_point("point", point, 2) - box.lo
+        place = as_point("point", box.settled(point), 2) - box.lo
         if not ((place >= 0) & (place <= box.width)).all():
             raise ValueError(f"point must lie in the raster {box}, got {shortened(point)}.")
         cell = cells_of(place, box.width / shape[::-1], shape)
@@ -224,7 +224,12 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, 
     elif np.shape(sources) == cost.shape and cost.shape[1] != 2:
         raise ValueError("A mask of sources must be boolean, got numbers of the raster's shape: use sources != 0.")
     else:
-        points = as_points("sources", sources, 2) - box.lo
+
+        def is_open(x: Points) -> Bool[np.ndarray, "n"]:
+            cells = cells_of(np.clip(x - box.lo, 0, box.width), side, cost.shape)
+            return box.contains(x) & np.isfinite(cost[tuple(cells.T)])
+
+        points = as_points("sources", box.settled(sources, is_open), 2) - box.lo
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
 

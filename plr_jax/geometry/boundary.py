@@ -25,6 +25,7 @@ _COLLARS, _REGIONS = 256, 8  # strips, and unions of strips, that are united in 
 # suffice if a path around one corner is too short by at most this share of the longer side.
 _MOST_CHORDS, _SHORTENING = 8, 2e-5
 LARGEST_COORDINATE = 1e100  # below it, products of two areas do not overflow; above its inverse, no underflow
+_MEETING = 1e-12  # largest width, as a share of a ring's extent, of a part where the ring crosses itself by rounding
 _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter side
 _PREPARED = threading.local()
 Vertices: TypeAlias = Float[np.ndarray, "vertices 2"]
@@ -61,6 +62,21 @@ class Boundary:
     def contacts(self) -> Int[np.ndarray, "contacts"]:
         """Indices of the vertices at which several edges start: there the region touches itself in a point."""
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
+
+    @cached_property
+    def contact_tree(self) -> shapely.STRtree:
+        points: Any = shapely.points(self.vertices[self.contacts])
+        return shapely.STRtree(points)
+
+    def feet(
+        self, x: Float[np.ndarray, "n 2"], within: float | None = None
+    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Float[np.ndarray, "m 2"]]:
+        """Return, for the points that have an edge ``within`` a distance, their index, nearest edge, and place on it."""
+        points: Any = shapely.points(x)
+        point, edge = self.tree.query_nearest(points, max_distance=within, all_matches=False)
+        lines: Any = self.tree.geometries[edge]
+        along = shapely.line_locate_point(lines, points[point])
+        return point, edge, shapely.get_coordinates(shapely.line_interpolate_point(lines, along))
 
     def is_reflex(self) -> Bool[np.ndarray, "edges"]:
         """Return whether the region's interior angle at the start of each edge is greater than pi."""
@@ -219,9 +235,34 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
         raise ValueError(f"{name} has zero area: all its vertices lie on one line.")
     polygon = Polygon(points) if polygon is None else polygon
     if not polygon.is_valid:
-        reason = shapely.is_valid_reason(polygon)
-        raise ValueError(f"{name} is not a simple polygon ({reason}); split it into rings that do not cross.")
+        polygon = _repaired(name, polygon)
+    if polygon.is_empty:
+        raise ValueError(f"{name} has no area outside of its holes: leave it out, or leave out the holes.")
     return polygon
+
+
+def _repaired(name: str, shape: Polygon | MultiPolygon) -> Polygon | MultiPolygon:
+    """Return the union of invalid polygons, each without its holes, if no ring crosses itself."""
+    parts = []
+    for part in shapely.get_parts(shape):
+        outer, *holes = (_inside_of_ring(name, ring) for ring in shapely.get_rings(part))
+        parts.append(shapely.difference(outer, shapely.union_all(holes)))
+    polygons = polygons_of(shapely.union_all(parts))
+    return polygons[0] if len(polygons) == 1 else MultiPolygon(polygons)
+
+
+def _inside_of_ring(name: str, ring: LinearRing) -> Any:
+    # By Green's theorem, an area counts as often as the ring winds around it. The even-odd rule counts it once or
+    # never. So both areas differ if the ring crosses itself, but not if it only touches itself.
+    given = Polygon(ring)
+    inside = given if given.is_valid else MultiPolygon(polygons_of(shapely.make_valid(given)))
+    if abs(inside.area - given.area) > _MEETING * np.ptp(shapely.get_coordinates(ring)) * ring.length:
+        reason = shapely.is_valid_reason(given)
+        raise ValueError(
+            f"{name} is not a simple polygon ({reason}): split it into rings that do not cross, or repair it with "
+            "shapely.make_valid, which keeps what an odd number of turns surround."
+        )
+    return inside
 
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:

@@ -1,17 +1,20 @@
 """Axis-aligned boxes, such as the bounds of a workspace or the domain of a PLR, and 2-D slices of them."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from plr_jax._arrays import (
     as_bool,
+    as_booleans,
     as_finite_point,
     as_numbers,
     as_points,
     format_numbers,
+    is_single,
     require_integer,
     set_fields,
     shortened,
@@ -98,13 +101,35 @@ class Box:
         rests = np.nextafter(np.stack([self.lo - lo, hi - self.hi]).astype(np.float32), np.float32(-1))
         return np.maximum(rests, np.float32(0))
 
-    def settled(self, x: ArrayLike) -> ArrayLike:
-        """Move 32-bit points ``(..., dim)`` that are outside the box only by rounding onto its faces; keep others."""
-        is_plain = getattr(x, "dtype", None) == np.float32 and not np.ma.isMaskedArray(x)
-        if not is_plain or np.shape(x)[-1:] != (self.dim,):
+    def settled(
+        self,
+        x: ArrayLike,
+        is_free: Callable[[Float[np.ndarray, "n dim"]], ArrayLike] | None = None,
+        reach: float | np.floating = 0.0,
+    ) -> ArrayLike:
+        """Move 32-bit points ``(..., dim)`` that only rounding has put outside the box or into obstacles; keep others.
+
+        A free point beside a wall, rounded to 32 bits, may lie in the wall. So a point that comes as 32-bit floats
+        stands for all points up to one step of 32 bits away along each axis. If the point is not free and one of
+        these is, that point takes its place. Without ``is_free``, all points of the box are free. The step is that of
+        the coordinate, or of the number ``reach`` if this is larger: the size of a body at the point.
+        """
+        if not is_single(x) or np.shape(x)[-1:] != (self.dim,):
             return x
-        (lo, hi), x = self.in_single, as_numbers("Points", x, "numbers")
-        return np.where((lo <= x) & (x <= hi), np.clip(x, self.lo, self.hi), x)
+        single, (lo, hi) = np.asarray(x), self.in_single
+        x = np.where((lo <= single) & (single <= hi), np.clip(single.astype(np.float64), self.lo, self.hi), single)
+        if is_free is None:
+            return x
+        moved = x.reshape(-1, self.dim).copy()
+        steps = np.spacing(np.maximum(np.abs(single), np.float32(reach))).reshape(-1, self.dim)
+        rest = np.flatnonzero(np.isfinite(moved).all(axis=1))
+        for signs in sorted(product((0, 1, -1), repeat=self.dim), key=np.count_nonzero):
+            if not len(rest):
+                break
+            tried = x.reshape(-1, self.dim)[rest] + signs * steps[rest]
+            found = as_booleans("is_free", is_free(tried), len(tried))
+            moved[rest[found]], rest = tried[found], rest[~found]
+        return moved.reshape(x.shape)
 
     def moved(self, by: ArrayLike) -> "Box":
         """Return the box translated by a vector ``(dim,)``."""

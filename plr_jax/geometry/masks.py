@@ -10,7 +10,15 @@ import shapely
 from jaxtyping import Bool, Float, Int
 from shapely.geometry import MultiPolygon, Polygon
 
-from plr_jax._arrays import as_finite, as_numbers, product_in_order, ragged_indices, require_integer, shortened
+from plr_jax._arrays import (
+    as_cells,
+    as_finite,
+    as_numbers,
+    product_in_order,
+    ragged_indices,
+    require_integer,
+    shortened,
+)
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, advice_on_cells, rounding_at
 from plr_jax.geometry.vectors import cross_product, distance_to_segment
@@ -267,7 +275,7 @@ def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: f
 
 
 def as_mask(free: ArrayLike) -> Mask:
-    mask = np.array(free)
+    mask = as_cells("free", free)
     if mask.dtype != bool or mask.ndim != 2 or np.ma.is_masked(free):
         masked = ", some masked" if np.ma.is_masked(free) else ""
         raise ValueError(

@@ -150,11 +150,7 @@ class Triangulation:
         outside = np.flatnonzero((turn < 0).any(axis=1))
         if len(outside):
             # Move to the nearest point of the nearest wall, or to a grid point just inside of it.
-            points: Any = shapely.points(given[outside])
-            edge = boundary.tree.query_nearest(points, all_matches=False)[1]
-            lines: Any = boundary.tree.geometries[edge]
-            along = shapely.line_locate_point(lines, points)
-            foot = shapely.get_coordinates(shapely.line_interpolate_point(lines, along))
+            _, edge, foot = boundary.feet(given[outside])
             beside, x[outside] = self.of_wall[edge] // 3, self.on_grid(foot)
             triangle[outside], turn[outside], rest = beside, 0.0, np.arange(len(outside))
             for steps in _STEPS_INSIDE:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import shortened
+from plr_jax._arrays import as_cells, shortened
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import LARGEST_COORDINATE, rounding_of
 from plr_jax.geometry.box import Box
@@ -33,7 +33,7 @@ class VoxelGrid:
     @classmethod
     def of(cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = _AXES) -> "VoxelGrid":
         """Check arguments and return the grid; ``bounds=None`` gives voxels of side 1 from the origin on."""
-        voxels = np.array(free, order="C")  # flat tables need this order
+        voxels = as_cells("free", free)
         if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
             number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
             masked = ", some masked" if np.ma.is_masked(free) else ""

@@ -199,12 +199,35 @@ class Workspace:
     def _triangles(self) -> Float[np.ndarray, "triangles 3 2"]:
         return triangulate(self.free_space)
 
+    def settled(self, x: ArrayLike, domain: Box | None = None) -> ArrayLike:
+        """Move 32-bit points ``(..., 2)`` that only rounding has put outside free space onto its walls; keep others.
+
+        The rule is that of :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. A point
+        that is not free moves to the nearest free point if that is at most one step of 32 bits away, and any point so
+        near to a contact of obstacles moves there.
+        """
+        domain = self.bounds if domain is None else domain
+        settled = domain.settled(x)
+        if settled is x or not np.isfinite(settled).any():
+            return x
+        points = settled.reshape(-1, 2)
+        finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+        step = np.hypot(*np.spacing(np.asarray(x).reshape(-1, 2)[finite]).T).astype(np.float64)
+        away = np.flatnonzero(~shapely.intersects_xy(self.free_space, *points[finite].T))
+        row, _, foot = self.boundary.feet(points[finite[away]], float(step.max()))
+        near = np.linalg.norm(foot - points[finite[away[row]]], axis=1) <= step[away[row]]
+        points[finite[away[row[near]]]] = np.clip(foot[near], domain.lo, domain.hi)
+        places: Any = shapely.points(points[finite])
+        row, contact = self.boundary.contact_tree.query(places, predicate="dwithin", distance=step)
+        points[finite[row]] = self.boundary.vertices[self.boundary.contacts[contact]]
+        return settled
+
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
         """Return whether points ``(n, 2)`` lie in closed free space, to ``tolerance``.
 
-        Points not finite or outside the bounds are not free; 32-bit points outside only by rounding are inside.
+        Points not finite or outside the bounds are not free; 32-bit points outside only by rounding are free.
         """
-        x = as_points("x", self.bounds.settled(x), 2)
+        x = as_points("x", self.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
 
     def is_free_to_tolerance(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
@@ -217,7 +240,7 @@ class Workspace:
         The answer is exact: it compares the connected parts of free space that contain the points and the goal. It is
         False for points that are not free, and for all points if the goal is not free.
         """
-        x, goal = as_points("x", self.bounds.settled(x), 2), as_finite_point("goal", self.bounds.settled(goal), 2)
+        x, goal = as_points("x", self.settled(x), 2), as_finite_point("goal", self.settled(goal), 2)
         parts, is_reached = shapely.get_parts(self.free_space), self.is_free(x)
         tree = shapely.STRtree(parts[joined_parts(parts, goal[None], self.tolerance, self.squeeze)])
         points: Any = shapely.points(x)
@@ -264,7 +287,7 @@ class Workspace:
         point in which two obstacles touch only if ``squeeze`` is set. The result is True if a free path stays within
         ``tolerance`` (None: the workspace's) of the segment, and False if an end is not finite.
         """
-        a, b = as_points("a", a, 2), as_points("b", b, 2)
+        a, b = as_points("a", self.settled(a), 2), as_points("b", self.settled(b), 2)
         if len(a) != len(b):
             raise ValueError(f"Segments must have as many starts as ends, got {len(a)} and {len(b)}.")
         tolerance = self.tolerance if tolerance is None else as_finite("tolerance", tolerance)
@@ -278,9 +301,7 @@ class Workspace:
         moving, segments = moving[kept], segments[kept]
         own = prepared_geometry(self, "free", lambda: shapely.transform(self.free_space, np.copy))
         doubted = ~shapely.covers(own, segments)
-        if len(contacts := self.boundary.contacts):
-            points: Any = shapely.points(self.boundary.vertices[contacts])
-            doubted[shapely.STRtree(points).query(segments, predicate="dwithin", distance=tolerance)[0]] = True
+        doubted[self.boundary.contact_tree.query(segments, predicate="dwithin", distance=tolerance)[0]] = True
         if len(moving := moving[doubted]):
             mesh = self.triangulation
             visible[moving] = mesh.are_joined(mesh.place(a[moving]), mesh.place(b[moving]), tolerance, self.squeeze)

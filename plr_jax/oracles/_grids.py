@@ -12,7 +12,15 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import as_finite_point, as_numbers, as_points, set_fields, shortened, with_inf_for_masked
+from plr_jax._arrays import (
+    as_cells,
+    as_finite_point,
+    as_numbers,
+    as_points,
+    set_fields,
+    shortened,
+    with_inf_for_masked,
+)
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import Mask, as_mask
@@ -32,6 +40,7 @@ class _CellGraph(ABC):
     goal: Float[np.ndarray, "dim"] | None
     dim: ClassVar[int]
     """Number of coordinates of a point."""
+    bounds: Box
     _padded: Bool[np.ndarray, "..."]  # whether each cell is free
     _steps: Any  # free steps between neighbors
     _to_goal: Distances  # distance of each cell to the goal
@@ -57,20 +66,24 @@ class _CellGraph(ABC):
         inside = (slice(1, -1),) * self.dim
         free = self._padded[inside]
         reached = np.isfinite(self._to_goal).reshape(self._padded.shape)[inside]
-        bounds = getattr(self, "bounds", None)
-        if bounds is None:  # the rows of a 2-D grid are y
+        if self.dim == 2:  # rows are y
             free, reached = free.T, reached.T
-            bounds = Box(np.zeros(2), np.array(free.shape))
-        return reach_of_cells(reached, free & ~reached, bounds, domain)
+        return reach_of_cells(reached, free & ~reached, self.bounds, domain)
 
     def _set_goal(self, goal: ArrayLike) -> None:
-        goal = as_finite_point("The goal", goal, self.dim)
-        if not self._padded.ravel()[self._cells_of("The goal", goal[None])[0]]:
+        goal = as_finite_point("The goal", self.bounds.settled(goal, self._are_in_free_cells), self.dim)
+        if not self._are_in_free_cells(goal[None])[0]:
             raise ValueError(f"The goal must be in a free cell, got {goal.tolist()}.")
         set_fields(self, goal=goal)
 
-    @abstractmethod
+    def _are_in_free_cells(self, x: Points) -> Bool[np.ndarray, "n"]:
+        return self._padded.ravel()[self._cells_at(x)]
+
     def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
+        return self._cells_at(as_points(name, self.bounds.settled(x, self._are_in_free_cells), self.dim))
+
+    @abstractmethod
+    def _cells_at(self, x: Points) -> Int[np.ndarray, "n"]:
         """Return the index of the cell that contains each point, 0 (a blocked cell) for a point outside the grid."""
 
 
@@ -157,8 +170,13 @@ class GridGraph(_CellGraph):
     def _padded(self) -> Bool[np.ndarray, "rows columns"]:
         return np.pad(self.free, 1)
 
-    def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        x, (rows, columns) = as_points(name, x, 2), self.free.shape
+    @property
+    def bounds(self) -> Box:
+        """The box that the cells fill."""
+        return Box(np.zeros(2), self.free.shape[::-1])
+
+    def _cells_at(self, x: Points) -> Int[np.ndarray, "n"]:
+        rows, columns = self.free.shape
         inside = np.logical_and.reduce((x >= 0) & (x < (columns, rows)), axis=1)
         column, row = np.floor(np.where(inside[:, None], x, -1)).astype(np.intp).T
         return (row + 1) * (columns + 2) + column + 1
@@ -207,8 +225,7 @@ class VoxelGraph(_CellGraph):
         """Distance of every voxel to the goal, with a layer of ``inf`` around the grid."""
         return self._to_goal.reshape(self.grid.padded.shape)
 
-    def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        x = as_points(name, self.bounds.settled(x), 3)
+    def _cells_at(self, x: Points) -> Int[np.ndarray, "n"]:
         inside = self.bounds.contains(x)
         x = np.where(inside[:, None], x, self.bounds.lo)
         below, above = self.grid.numbers(x.T)
@@ -304,7 +321,7 @@ class GridField:
                 f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask cells without a distance, and use "
                 "np.maximum(values, 0) for a field that is negative inside the goal."
             )
-        is_free = np.isfinite(numbers) if free is None else np.array(free)
+        is_free = np.isfinite(numbers) if free is None else as_cells("free", free)
         if is_free.dtype != bool or is_free.shape != numbers.shape or np.ma.is_masked(free):
             got = f"{is_free.dtype} of shape {is_free.shape}"
             raise ValueError(f"free must be booleans like values, of shape {numbers.shape}, none masked, got {got}.")
@@ -324,7 +341,8 @@ class GridField:
 
         It is ``inf`` where the point's cell has no value, outside the bounds, and for points with a NaN.
         """
-        x = as_points("x", self.bounds.settled(x), self.dim)
+        x = self.bounds.settled(x, lambda single: np.isfinite(self(single)))
+        x = as_points("x", x, self.dim)
         distances = np.full(len(x), np.inf)
         for begin in range(0, len(x), _POINTS):
             part = x[begin : begin + _POINTS]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_point, as_points, as_values, set_fields, shortened
+from plr_jax._arrays import as_point, as_points, as_queries, as_values, set_fields, shortened
 from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn, Distances
 from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sources
 
@@ -59,7 +59,8 @@ class NearestGoal:
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
         """Return a point's path ``(m, dim)`` to the nearest goal; ``ValueError`` if its function offers no paths."""
-        nearest: Any = self.distance_fns[self.which(as_point("The start", x, self.dim)[None])[0]]
+        as_point("The start", x, self.dim)
+        nearest: Any = self.distance_fns[self.which(as_queries(x)[None])[0]]
         if not hasattr(type(nearest), "shortest_path"):
             raise ValueError(
                 f"Paths need oracles with shortest_path, got {shortened(nearest)}: use trace or descend."
@@ -67,7 +68,8 @@ class NearestGoal:
         return nearest.shortest_path(x)
 
     def _distances(self, x: ArrayLike) -> Float[np.ndarray, "goals n"]:
-        x = as_points("x", x, self.dim)
+        num = len(as_points("x", x, self.dim))
+        x = as_queries(x)  # functions must know which points come as 32-bit floats
         fns = enumerate(self.distance_fns)
-        answers = np.array([as_values(f"Distance function {i}", fn(x), len(x)) for i, fn in fns])
+        answers = np.array([as_values(f"Distance function {i}", fn(x), num) for i, fn in fns])
         return np.where(np.isnan(answers), np.inf, answers)  # PLRs answer NaN at points with a NaN

@@ -220,6 +220,7 @@ class Roadmap:
         """Build the roadmap of a point robot in a workspace, with exact edge tests; see the class for arguments."""
         require_workspace(workspace)
         tests = workspace.is_free, workspace.is_visible
+        goal = workspace.settled(goal)
         roadmap = cls(workspace.bounds, tests[0], goal, num_samples, seed=seed, is_visible=tests[1])
         set_fields(roadmap, _workspace=workspace)
         return roadmap
@@ -236,7 +237,7 @@ class Roadmap:
 
         The result equals a new construction with this goal and the same seed. ``ValueError`` if the goal is not free.
         """
-        goal = _free_goal(self.domain, self.is_free, goal)
+        goal = _free_goal(self.domain, self.is_free, self._settled(goal))
         samples, edges = self.graph.vertices[1:], self.graph.edges
         near = np.flatnonzero(self._metric.lengths(goal[None], samples) <= self.radius)
         near = near[self.is_visible(np.tile(goal, (len(near), 1)), samples[near])]
@@ -274,7 +275,7 @@ class Roadmap:
         A point that sees no vertex within the radius tries 2, 4, ... times the radius. The distance is ``inf`` for
         points that are not free, outside the domain or have a NaN, and if no visible vertex leads to the goal.
         """
-        return self._first_vertices(self.domain.wrapped(as_points("x", self.domain.settled(x), self.domain.dim)))[0]
+        return self._first_vertices(as_points("x", self._settled(x), self.dim))[0]
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
         """Return the path from a point ``(dim,)`` to the goal whose length a call returns, as vertices ``(m, dim)``.
@@ -282,11 +283,16 @@ class Roadmap:
         There is one vertex if the point is the goal, none if the distance is ``inf``. Along periodic axes, vertices
         are wrapped into the domain, and the path goes the short way.
         """
-        x = self.domain.wrapped(as_point("The start", self.domain.settled(x), self.domain.dim)[None])
+        x = self.domain.wrapped(as_point("The start", self._settled(x), self.dim)[None])
         distance, first = self._first_vertices(x)
         if not np.isfinite(distance[0]):
             return np.empty((0, self.domain.dim))
         return path_to_root(self.graph, self._parents, x[0], int(first[0]))
+
+    def _settled(self, x: ArrayLike) -> ArrayLike:
+        if self._workspace is not None:
+            return self._workspace.settled(x)
+        return self.domain.settled(x, self.is_free)
 
     def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, "n"]]:
         # The vertex is -1 if the point is not free or sees none.
@@ -326,7 +332,7 @@ class Roadmap:
 
 
 def _free_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
-    goal = domain.wrapped(as_finite_point("The goal", domain.settled(goal), domain.dim))
+    goal = domain.wrapped(as_finite_point("The goal", domain.settled(goal, is_free), domain.dim))
     if not domain.contains(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is outside the domain {domain}; move it inside.")
     if not is_free(goal[None])[0]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from plr_jax._arrays import as_finite_point, as_point, as_points, set_fields
+from plr_jax._arrays import as_finite_point, as_numbers, as_point, as_points, set_fields
 from plr_jax._types import ArrayLike, Distances, Sources
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.cell_family import FamilyCells, FamilyGoal, FamilySamples, Indices, cells_of_goals
@@ -208,7 +208,7 @@ class VisibilityGraph:
         There is one vertex if the point is the goal, none if the distance is ``inf``. Corners that the path only
         grazes may be among them.
         """
-        x = as_point("The start", self.workspace.bounds.settled(x), 2)
+        x = as_point("The start", self.workspace.settled(x), 2)
         distance, turn = self._first_turns(x[None])
         if not np.isfinite(distance[0]):
             return np.empty((0, 2))
@@ -233,7 +233,7 @@ class VisibilityGraph:
         return np.divide(leg, length[:, None], out=np.where(np.isnan(leg), np.nan, 0.0), where=away)
 
     def _points(self, name: str, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
-        return as_points(name, self.workspace.bounds.settled(x), 2)
+        return as_points(name, self.workspace.settled(x), 2)
 
     def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
         """Return distances to the goal, and the vertex of ``graph`` to which each shortest path goes first."""
@@ -315,12 +315,13 @@ def _sources(graph: Graph, distances: Distances, parents: Int[np.ndarray, "verti
 
 
 def _free_goal(workspace: Workspace, goal: ArrayLike) -> Float[np.ndarray, "2"]:
-    if np.ndim(goal) == 2:
+    goal = as_numbers("The goal", workspace.settled(goal), "numbers of shape (2,)")
+    if goal.ndim == 2:
         raise ValueError(
-            f"The goal must be one point (x, y), got an array of shape {np.shape(goal)}. For the nearest of several "
+            f"The goal must be one point (x, y), got an array of shape {goal.shape}. For the nearest of several "
             "goals, use NearestGoal([first, *map(first.with_goal, others)]); for a PLR per goal, use construct_many."
         )
-    goal = as_finite_point("The goal", workspace.bounds.settled(goal), 2)
+    goal = as_finite_point("The goal", goal, 2)
     if not workspace.is_free_to_tolerance(goal[None])[0]:
         clearance = f"(clearance {workspace.clearance(goal[None])[0]:.3g})"
         is_in = workspace.bounds.contains(goal[None])[0]

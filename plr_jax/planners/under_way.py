@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from tqdm import tqdm
 
 from plr_jax._arrays import as_number, as_numbers, require_function, require_integer, shortened
-from plr_jax._problem import Problem, motion_costs, row_times, straight_costs
+from plr_jax._problem import Problem, motion_costs, row_times, settled_pose, straight_costs
 from plr_jax._types import ArrayLike
 from plr_jax.collision.team import motions_apart
 from plr_jax.planners._solution import (
@@ -283,11 +283,11 @@ class _LifelongTeam:
 
     def assign(self, i: int, goal: ArrayLike) -> None:
         expected = f"numbers of shape ({self.problem.dof},)"
-        goal = as_numbers(f"The next goal of robot {i}", goal, expected)
-        if goal.shape != (self.problem.dof,):
-            raise ValueError(f"The next goal of robot {i} must be {expected}, got shape {goal.shape}.")
-        dof = self.problem.robots[i].dof  # ignore the heading of a robot without one
-        self.requested_goals[i, :dof], self._since[i] = goal[:dof], self._num_rows
+        shape, robot = as_numbers(f"The next goal of robot {i}", goal, expected).shape, self.problem.robots[i]
+        if shape != (self.problem.dof,):
+            raise ValueError(f"The next goal of robot {i} must be {expected}, got shape {shape}.")
+        pose = settled_pose(self.problem.workspace, robot, goal)[: robot.dof]  # without the heading if it has none
+        self.requested_goals[i, : robot.dof], self._since[i] = pose, self._num_rows
 
     def replan(self) -> Status:
         began = time.process_time()

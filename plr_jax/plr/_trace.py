@@ -100,7 +100,8 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
             raise ValueError(f"workspace must be a Workspace or None, got {shortened(workspace)}.")
         if plr.dim != 2:
             raise ValueError(f"A workspace needs a PLR in the plane, got {plr.dim} dimensions: trace without it.")
-    starts = as_points("starts", plr.domain.settled(starts), plr.dim)
+    starts = plr.domain.settled(starts) if workspace is None else workspace.settled(starts, plr.domain)
+    starts = as_points("starts", starts, plr.dim)
     inside = np.flatnonzero(plr.domain.contains(starts))
     leaf = leaf_of(plr, starts[inside])
     inside, leaf = (each[~plr.unreachable[leaf]] for each in (inside, leaf))

@@ -58,6 +58,7 @@ _PARTS_KEY = {
 _NUMBER = r"\s*[-+]?(?:nan|inf|[\d.]+(?:e[-+]?\d+)?)"  # of WKT
 _ALTITUDES = re.compile(rf"(?i)([(,]{_NUMBER}\s{_NUMBER})(?:\s{_NUMBER}){{1,2}}(?=\s*[,)])")  # and measures
 _DIMENSIONS = re.compile(r"(?i)([a-z])\s*(?:z|m|zm)\s*(?=\(|empty)")  # as in POLYGON ZM
+_REFERENCE = re.compile(r"(?i)^\s*srid\s*=\s*\d+\s*;")  # before the geometry in extended WKT
 _MOST_NESTED = 32  # parentheses of WKT: GEOS parses them by recursion
 _UNSUPPORTED = ("Point", "MultiPoint", "LineString", "MultiLineString")
 
@@ -124,7 +125,7 @@ def read_wkt(
         try:
             with np.errstate(all="ignore"):
                 # GEOS refuses a geometry of which only some points have altitudes.
-                text = _ALTITUDES.sub(r"\1", _DIMENSIONS.sub(r"\1 ", text))
+                text = _ALTITUDES.sub(r"\1", _DIMENSIONS.sub(r"\1 ", _REFERENCE.sub("", text)))
                 geometry = shapely.from_wkt(text)
         except (shapely.errors.GEOSException, NotImplementedError) as error:
             raise ValueError(

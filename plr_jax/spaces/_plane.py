@@ -184,14 +184,9 @@ class PlaneSpace(BodySpace):
         """Return whether shapes touch a point where obstacles touch and the robot may not pass between them."""
         touch = np.zeros(len(shapes), dtype=bool)
         if self.robot.circumscribed_radius == 0 and not self.workspace.squeeze:
-            touch[self._contacts.query(shapes, predicate="dwithin", distance=self.workspace.tolerance)[0]] = True
+            tree = self.workspace.boundary.contact_tree
+            touch[tree.query(shapes, predicate="dwithin", distance=self.workspace.tolerance)[0]] = True
         return touch
-
-    @cached_property
-    def _contacts(self) -> shapely.STRtree:
-        boundary = self.workspace.boundary
-        contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
-        return shapely.STRtree(contacts)
 
     @cached_property
     def _passable(self) -> Any:
