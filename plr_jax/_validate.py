@@ -8,8 +8,9 @@ bodies move from there, is a lower bound for the whole interval.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
@@ -24,6 +25,7 @@ from plr_jax.robots.robot import Robot, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
+Exact: TypeAlias = tuple[Fraction, Fraction]
 
 
 @dataclass(frozen=True)
@@ -71,12 +73,12 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         message = f"Robot {i} has a configuration that is not finite at step {step}."
         return ValidationReport(False, np.nan, np.nan, message, (i,), float(step))
     cost, encounters = path_cost(problem, path), _encounters(problem, path)
-    closest = min(encounters, key=lambda encounter: encounter.clearance)
-    if closest.clearance < -closest.tolerance:
-        colliding = [encounter for encounter in encounters if encounter.clearance < -encounter.tolerance]
+    colliding = [encounter for encounter in encounters if encounter.clearance < -encounter.tolerance]
+    if colliding:
         return _collision_report(problem, min(colliding, key=lambda encounter: encounter.first_moment), cost)
+    closest = min(encounters, key=lambda encounter: encounter.clearance)
     clearance = closest.clearance
-    fault = _find_squeeze(problem, path) or _find_wrong_end(problem, path)
+    fault = _find_crossing(problem, path) or _find_squeeze(problem, path) or _find_wrong_end(problem, path)
     if fault:
         i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
@@ -108,9 +110,20 @@ class _Encounter:
         if self.other_path is not None:
             others = _bodies(self.other, _at(self.other_path, when))
         distance = np.asarray(shapely.distance(bodies, others))
-        for k in np.flatnonzero(distance == 0):
-            distance[k] = separation(bodies[k], others[k])
+        met = np.flatnonzero(distance == 0)
+        distance[met] = [separation(*pair) for pair in zip(bodies[met], others[met], strict=True)]
+        if len(self.robot.core) > 2:
+            slight = met[distance[met] >= -self.tolerance]
+            distance[slight[self._are_deep(bodies[slight], others[slight])]] = -2 * self.tolerance
         return distance - self.reach
+
+    def _are_deep(self, bodies: Any, others: Any) -> Bool[np.ndarray, "n"]:
+        # A thin wall across a body overlaps it by little area. But it meets the body eroded by the tolerance.
+        return shapely.intersects(shapely.buffer(bodies, -self.tolerance, join_style="mitre"), others)
+
+    @cached_property
+    def eroded_walls(self) -> Any:
+        return shapely.buffer(self.other, -self.tolerance, join_style="mitre")
 
     def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         # Without turns, the robot sweeps the convex hull of both its ends.
@@ -120,14 +133,15 @@ class _Encounter:
         corners = np.concatenate([start, start + self.velocity[motion, None]], axis=1)
         hulls: Any = shapely.convex_hull(shapely.multipoints(corners))
         distance = np.asarray(shapely.distance(hulls, others))
-        if self.reach <= self.tolerance:
-            # At distance 0 a body is touched or entered. Shrink the one that has an area, and test again.
+        if self.reach <= self.tolerance:  # at distance 0 a body is touched or entered
             met = np.flatnonzero(distance == 0)
-            met_hulls, met_others = hulls[met], others[met]
-            if (shapely.area(met_others) == 0).any():
-                met_hulls, met_others = met_others, met_hulls
-            peeled = shapely.buffer(met_others, -self.tolerance, join_style="mitre")
-            distance[met[shapely.intersects(met_hulls, peeled)]] = -2 * self.tolerance
+            hulls, others = hulls[met], others[met]
+            is_deep = self._are_deep(hulls, others)
+            if self.other_path is None:
+                is_deep |= shapely.intersects(hulls, self.eroded_walls)
+            else:
+                is_deep |= self._are_deep(others, hulls)
+            distance[met[is_deep]] = -2 * self.tolerance
         return distance - self.reach
 
     @cached_property
@@ -177,18 +191,19 @@ class _Encounter:
     @cached_property
     def first_moment(self) -> float:
         """Time at which the first collision begins, in steps."""
-        motion = self.first_collision
-        pieces = [(0.0, 1.0)]  # a stack, the earliest piece on top
-        while pieces:
-            begin, size = pieces.pop()
-            middle = float(self.clearances(np.array([motion + begin + size / 2]))[0])
-            if middle - self.max_rates[motion] * size / 2 >= -self.tolerance:
-                continue
-            if size <= _MOMENT and middle < -self.tolerance:
-                return motion + begin + size / 2
-            if size > _MOMENT:
-                pieces += [(begin + size / 2, size / 2), (begin, size / 2)]
-        return motion + 0.5  # the collision is too brief to be located
+        motion, begin, size = self.first_collision, np.zeros(1), 1.0
+        while True:
+            middle = self.clearances(motion + begin + size / 2)
+            near = middle - self.max_rates[motion] * size / 2 < -self.tolerance
+            begin, middle = begin[near], middle[near]
+            collides = np.flatnonzero(middle < -self.tolerance)
+            if size <= _MOMENT or not len(begin):
+                # The collision may be too brief to be located.
+                return float(motion + (begin[collides[0]] + size / 2 if len(collides) else 0.5))
+            begin = begin[: collides[0] + 1] if len(collides) else begin
+            size /= 2
+            begin = np.repeat(begin, 2)
+            begin[1::2] += size
 
     @property
     def depth(self) -> float:
@@ -210,7 +225,8 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
     shapely.prepare(blocked)
     encounters: dict[tuple[int, ...], _Encounter] = {}
     for j, robot in enumerate(robots):
-        encounters[j,] = _Encounter((j,), robot, path[:, j], blocked, None, tolerance)
+        depth = 2 * workspace.tolerance if robot.circumscribed_radius <= tolerance else tolerance
+        encounters[j,] = _Encounter((j,), robot, path[:, j], blocked, None, depth)
     smallest = min(encounter.clearance for encounter in encounters.values())
     for least, i, j in _least_clearances(robots, path):
         if least > max(smallest, 0.0) + tolerance:
@@ -270,14 +286,116 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
     return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
 
 
+def _find_crossing(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+    """Find the first passage of a point robot through a wall, however thin; return robot, time and message."""
+    workspace, crossings = problem.workspace, []
+    for i, robot in enumerate(problem.robots):
+        if robot.circumscribed_radius <= _tolerance(workspace):
+            crossings += [(when, i) for when in _crossings(workspace, path[:, i, :2])[:1]]
+    if not crossings:
+        return None
+    when, i = min(crossings)
+    return i, when, f"Robot {i} crosses a wall at step {when:.6g}."
+
+
+def _crossings(workspace: Workspace, way: Float[np.ndarray, "steps 2"]) -> list[float]:
+    """Return the times, in steps, at which a point leaves a wall on another side than that on which it entered.
+
+    The path meets the boundary of free space in points. Between two of them it runs in free space, along a wall or
+    within walls. Within walls, it only grazes them if parts of the boundary that are near the path join both points.
+    Numbers are rational, so no wall is too thin.
+    """
+    boundary, tolerance, crossings = workspace.boundary, 2 * workspace.tolerance, []
+    moving = np.flatnonzero((way[1:] != way[:-1]).any(axis=1))
+    segments: Any = shapely.linestrings(np.stack([way[moving], way[moving + 1]], axis=1))
+    is_free = shapely.covers(workspace.free_space, segments)
+    entry, begin = None, 0  # edges at which the point entered walls, and during which of the segments
+    for k in np.flatnonzero(~is_free).tolist():
+        if k > 0 and is_free[k - 1]:
+            entry = None
+        near = boundary.tree.query(segments[k], predicate="dwithin", distance=tolerance)
+        start, change = _exact(way[moving[k]]), _minus(_exact(way[moving[k] + 1]), _exact(way[moving[k]]))
+        for when, edges in _meetings(boundary, near.tolist(), start, change):
+            if entry and not _are_joined(boundary, entry, edges, segments[begin : k + 1], tolerance):
+                crossings.append(float(moving[k] + when))
+            place = start[0] + when * change[0], start[1] + when * change[1]
+            entry, begin = (None if _leads_to_free_space(boundary, edges, place, change) else edges), k
+    return crossings
+
+
+def _exact(point: Float[np.ndarray, "2"]) -> Exact:
+    x, y = point.tolist()
+    return Fraction(x), Fraction(y)
+
+
+def _minus(u: Exact, v: Exact) -> Exact:
+    return u[0] - v[0], u[1] - v[1]
+
+
+def _cross(u: Exact, v: Exact) -> Fraction:
+    return u[0] * v[1] - u[1] * v[0]
+
+
+def _meetings(boundary: Boundary, edges: list[int], start: Exact, change: Exact) -> list[tuple[Fraction, list[int]]]:
+    """Return the times in [0, 1] at which a motion meets boundary edges, or begins or ends to run along one."""
+    found: dict[Fraction, list[int]] = {}
+    squared = change[0] ** 2 + change[1] ** 2
+    for edge in edges:
+        ends = [_minus(_exact(end), start) for end in boundary.segments[edge]]
+        sides = [_cross(change, end) for end in ends]
+        times = [(change[0] * end[0] + change[1] * end[1]) / squared for end in ends]
+        if sides[0] != sides[1]:  # the edge's line crosses that of the motion at one time
+            share = sides[0] / (sides[0] - sides[1])
+            times = [times[0] + share * (times[1] - times[0])] if 0 <= share <= 1 else []
+        elif sides[0] != 0 or max(times) < 0 or min(times) > 1:
+            times = []
+        else:
+            times = [min(max(time, Fraction(0)), Fraction(1)) for time in times]
+        for time in set(times):
+            if 0 <= time <= 1:
+                found.setdefault(time, []).append(edge)
+    return sorted(found.items())
+
+
+def _leads_to_free_space(boundary: Boundary, edges: list[int], place: Exact, change: Exact) -> bool:
+    """Return whether a motion goes on in free space or along a wall from a place on some edges of the boundary."""
+    for edge in edges:
+        start, end = map(_exact, boundary.segments[edge])
+        if place == end:
+            continue  # an edge that starts there tells
+        right, left = _minus(end, place), _minus(start, place)
+        if place == start:
+            left = _minus(_exact(boundary.vertices[boundary.sector_end[edge]]), place)
+        is_left_of_right, is_right_of_left = _cross(right, change) >= 0, _cross(change, left) >= 0
+        is_narrow = _cross(right, left) > 0
+        if (is_left_of_right and is_right_of_left) if is_narrow else (is_left_of_right or is_right_of_left):
+            return True
+    return False
+
+
+def _are_joined(boundary: Boundary, first: list[int], last: list[int], way: Any, tolerance: float) -> bool:
+    """Return whether edges of the boundary near a path, chained by vertices near it, join some of two lists."""
+    edges = np.unique(boundary.tree.query(way, predicate="dwithin", distance=tolerance)[1])
+    vertices = boundary.edges[edges]
+    places: Any = shapely.points(boundary.vertices[vertices])
+    is_near = shapely.dwithin(places, shapely.multilinestrings(way), tolerance)
+    joined = np.isin(edges, first)
+    while not np.isin(last, edges[joined]).any():
+        met = vertices[joined][is_near[joined]]
+        grown = joined | (np.isin(vertices, met) & is_near).any(axis=1)
+        if (grown == joined).all():
+            return False
+        joined = grown
+    return True
+
+
 def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
     """Find the first passage of a point robot between touching obstacles; return robot, time and message."""
     workspace, squeezes = problem.workspace, []
     boundary = workspace.boundary
     if workspace.squeeze or not len(boundary.contacts):
         return None
-    contacts: Any = shapely.points(boundary.vertices[boundary.contacts])
-    tree, tolerance = shapely.STRtree(contacts), _tolerance(workspace)
+    tree, tolerance = boundary.contact_tree, _tolerance(workspace)
     for i, robot in enumerate(problem.robots):
         if robot.circumscribed_radius <= tolerance:
             way = path[:, i, :2]

@@ -71,7 +71,7 @@ class Boundary:
     def feet(
         self, x: Float[np.ndarray, "n 2"], within: float | None = None
     ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Float[np.ndarray, "m 2"]]:
-        """Return, for the points that have an edge ``within`` a distance, their index, nearest edge, and place on it."""
+        """Return indices of the points near an edge (None: all), their nearest edges, and nearest places there."""
         points: Any = shapely.points(x)
         point, edge = self.tree.query_nearest(points, max_distance=within, all_matches=False)
         lines: Any = self.tree.geometries[edge]

@@ -107,7 +107,7 @@ class Box:
         is_free: Callable[[Float[np.ndarray, "n dim"]], ArrayLike] | None = None,
         reach: float | np.floating = 0.0,
     ) -> ArrayLike:
-        """Move 32-bit points ``(..., dim)`` that only rounding has put outside the box or into obstacles; keep others.
+        """Move 32-bit points ``(..., dim)`` that rounding alone has put outside the box or into obstacles.
 
         A free point beside a wall, rounded to 32 bits, may lie in the wall. So a point that comes as 32-bit floats
         stands for all points up to one step of 32 bits away along each axis. If the point is not free and one of
