@@ -135,10 +135,11 @@ def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robot
     if array.ndim != 3 or array.shape[1:] != problem.starts.shape or len(array) == 0:
         raise ValueError(f"A path must have shape {shape} with at least one step, got {array.shape}.")
     if is_single(path):
-        array = array.copy()
-        array[..., :2] = problem.workspace.settled(np.asarray(path)[..., :2])
-        for row, end in ((0, problem.starts), (-1, problem.goals)):  # starts and goals may need more than 32 bits
-            array[row] = np.where(np.asarray(path)[row] == end.astype(np.float32), end, array[row])
+        for row, ends in ((0, problem.starts), (-1, problem.goals)):  # starts and goals may have more bits
+            for i, (robot, end) in enumerate(zip(problem.robots, ends, strict=True)):
+                given = np.asarray(path)[row, i]
+                is_end = np.array_equal(settled_pose(problem.workspace, robot, given), end)
+                array[row, i] = end if is_end or np.array_equal(given, end.astype(np.float32)) else given
     return array
 
 

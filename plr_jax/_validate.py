@@ -16,6 +16,7 @@ import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
 
+from plr_jax._arrays import is_single
 from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary
@@ -63,6 +64,9 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     if ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
     """
     require_problem(problem, path)
+    # A point stays within this distance of free space. Points of 32 bits may be off by one step along both axes.
+    margin = 2 * problem.workspace.tolerance
+    margin += 2 * float(np.spacing(np.abs(path).max(initial=np.float32(0)))) if is_single(path) else 0.0
     try:
         path = as_path(problem, path)
     except ValueError as error:
@@ -72,13 +76,13 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         step, i = map(int, broken[0])
         message = f"Robot {i} has a configuration that is not finite at step {step}."
         return ValidationReport(False, np.nan, np.nan, message, (i,), float(step))
-    cost, encounters = path_cost(problem, path), _encounters(problem, path)
+    cost, encounters = path_cost(problem, path), _encounters(problem, path, margin)
     colliding = [encounter for encounter in encounters if encounter.clearance < -encounter.tolerance]
     if colliding:
         return _collision_report(problem, min(colliding, key=lambda encounter: encounter.first_moment), cost)
     closest = min(encounters, key=lambda encounter: encounter.clearance)
     clearance = closest.clearance
-    fault = _find_crossing(problem, path) or _find_squeeze(problem, path) or _find_wrong_end(problem, path)
+    fault = _find_crossing(problem, path, margin) or _find_squeeze(problem, path) or _find_wrong_end(problem, path)
     if fault:
         i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
@@ -212,7 +216,7 @@ class _Encounter:
         return min(float(self.clearances(times).min()), -self.tolerance)
 
 
-def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> list[_Encounter]:
+def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"], margin: float) -> list[_Encounter]:
     """Pair each robot with all that is not free space, and with robots near enough to collide or to be closest."""
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
@@ -225,7 +229,7 @@ def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -
     shapely.prepare(blocked)
     encounters: dict[tuple[int, ...], _Encounter] = {}
     for j, robot in enumerate(robots):
-        depth = 2 * workspace.tolerance if robot.circumscribed_radius <= tolerance else tolerance
+        depth = margin if robot.circumscribed_radius <= tolerance else tolerance
         encounters[j,] = _Encounter((j,), robot, path[:, j], blocked, None, depth)
     smallest = min(encounter.clearance for encounter in encounters.values())
     for least, i, j in _least_clearances(robots, path):
@@ -286,26 +290,28 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
     return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
 
 
-def _find_crossing(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+def _find_crossing(
+    problem: Problem, path: Float[np.ndarray, "steps robots dof"], margin: float
+) -> tuple[int, float, str] | None:
     """Find the first passage of a point robot through a wall, however thin; return robot, time and message."""
     workspace, crossings = problem.workspace, []
     for i, robot in enumerate(problem.robots):
         if robot.circumscribed_radius <= _tolerance(workspace):
-            crossings += [(when, i) for when in _crossings(workspace, path[:, i, :2])[:1]]
+            crossings += [(when, i) for when in _crossings(workspace, path[:, i, :2], margin)[:1]]
     if not crossings:
         return None
     when, i = min(crossings)
     return i, when, f"Robot {i} crosses a wall at step {when:.6g}."
 
 
-def _crossings(workspace: Workspace, way: Float[np.ndarray, "steps 2"]) -> list[float]:
+def _crossings(workspace: Workspace, way: Float[np.ndarray, "steps 2"], margin: float) -> list[float]:
     """Return the times, in steps, at which a point leaves a wall on another side than that on which it entered.
 
     The path meets the boundary of free space in points. Between two of them it runs in free space, along a wall or
     within walls. Within walls, it only grazes them if parts of the boundary that are near the path join both points.
     Numbers are rational, so no wall is too thin.
     """
-    boundary, tolerance, crossings = workspace.boundary, 2 * workspace.tolerance, []
+    boundary, crossings = workspace.boundary, []
     moving = np.flatnonzero((way[1:] != way[:-1]).any(axis=1))
     segments: Any = shapely.linestrings(np.stack([way[moving], way[moving + 1]], axis=1))
     is_free = shapely.covers(workspace.free_space, segments)
@@ -313,10 +319,10 @@ def _crossings(workspace: Workspace, way: Float[np.ndarray, "steps 2"]) -> list[
     for k in np.flatnonzero(~is_free).tolist():
         if k > 0 and is_free[k - 1]:
             entry = None
-        near = boundary.tree.query(segments[k], predicate="dwithin", distance=tolerance)
+        near = boundary.tree.query(segments[k], predicate="dwithin", distance=margin)
         start, change = _exact(way[moving[k]]), _minus(_exact(way[moving[k] + 1]), _exact(way[moving[k]]))
         for when, edges in _meetings(boundary, near.tolist(), start, change):
-            if entry and not _are_joined(boundary, entry, edges, segments[begin : k + 1], tolerance):
+            if entry and not _are_joined(boundary, entry, edges, segments[begin : k + 1], margin):
                 crossings.append(float(moving[k] + when))
             place = start[0] + when * change[0], start[1] + when * change[1]
             entry, begin = (None if _leads_to_free_space(boundary, edges, place, change) else edges), k
@@ -373,12 +379,12 @@ def _leads_to_free_space(boundary: Boundary, edges: list[int], place: Exact, cha
     return False
 
 
-def _are_joined(boundary: Boundary, first: list[int], last: list[int], way: Any, tolerance: float) -> bool:
+def _are_joined(boundary: Boundary, first: list[int], last: list[int], way: Any, margin: float) -> bool:
     """Return whether edges of the boundary near a path, chained by vertices near it, join some of two lists."""
-    edges = np.unique(boundary.tree.query(way, predicate="dwithin", distance=tolerance)[1])
+    edges = np.unique(boundary.tree.query(way, predicate="dwithin", distance=margin)[1])
     vertices = boundary.edges[edges]
     places: Any = shapely.points(boundary.vertices[vertices])
-    is_near = shapely.dwithin(places, shapely.multilinestrings(way), tolerance)
+    is_near = shapely.dwithin(places, shapely.multilinestrings(way), margin)
     joined = np.isin(edges, first)
     while not np.isin(last, edges[joined]).any():
         met = vertices[joined][is_near[joined]]
