@@ -19,10 +19,6 @@ from plr_jax._types import ArrayLike
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxstring, _REPR.maxother, _REPR.maxlong = 3, 80, 160, 80
 _LONGEST = 200  # characters of a value in an error
-_NOT_TRACED = (
-    "Workspaces, oracles and planners take concrete arrays, not arrays that JAX traces: inside jit, call them by "
-    "jax.pure_callback. For distances on traced maps, use grid_distance."
-)
 _FACTORS = np.array([0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB], np.uint64)
 
 
@@ -67,18 +63,28 @@ def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, 
     return numbers
 
 
-def as_cells(name: str, value: ArrayLike) -> Shaped[np.ndarray, "..."]:
-    """Copy an array of booleans, one for each cell of a grid, in C order; its type and shape are not checked."""
+def as_cells(
+    expected: str, value: ArrayLike, fits: Callable[[tuple[int, ...]], bool], hint: str = ""
+) -> Bool[np.ndarray, "..."]:
+    """Copy booleans, one for each cell of a grid, in C order; an error says what is ``expected`` of the shape."""
     try:
-        return np.array(value, order="C")
+        cells = np.array(value, order="C")
     except (TypeError, ValueError) as error:
-        hint = _if_traced(error)
-        raise ValueError(f"{name} must be an array of booleans, got {shortened(value)}.{hint}") from None
+        raise ValueError(f"{expected}, got {shortened(value)}.{_if_traced(error)}") from None
+    if cells.dtype != bool or not fits(cells.shape) or np.ma.is_masked(value):
+        masked = ", some masked" if np.ma.is_masked(value) else ""
+        raise ValueError(f"{expected}, got {cells.dtype} of shape {cells.shape}{masked}.{hint}")
+    return cells
 
 
 def _if_traced(value: object) -> str:
     """Return advice if a value is a tracer of JAX, or JAX's error that a tracer is no array; else nothing."""
-    return f" {_NOT_TRACED}" if "Tracer" in type(value).__name__ else ""
+    if "Tracer" not in type(value).__name__:
+        return ""
+    return (
+        " Workspaces, oracles and planners take concrete arrays, not those that JAX traces: inside jit, call them by "
+        "jax.pure_callback. For distances on traced maps, use grid_distance."
+    )
 
 
 def is_single(value: ArrayLike) -> bool:
@@ -107,7 +113,7 @@ def as_queries(value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, ".
     return points if is_float else points.astype(np.float64)
 
 
-def with_inf_for_masked(value: ArrayLike) -> ArrayLike:
+def filled_with_inf(value: ArrayLike) -> ArrayLike:
     if isinstance(value, np.ma.MaskedArray):
         return np.where(np.ma.getmaskarray(value), np.inf, value.data)
     return value
@@ -115,7 +121,7 @@ def with_inf_for_masked(value: ArrayLike) -> ArrayLike:
 
 def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     """Check the answer of a function of ``n`` points: one number for each; masked entries become ``inf``."""
-    values = as_numbers(f"{name}'s answer", with_inf_for_masked(value), f"real numbers of shape ({n},)")
+    values = as_numbers(f"{name}'s answer", filled_with_inf(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
         called = f"it is called with a batch of points ({n}, dim)"
         raise ValueError(f"{name} must give one number per point, shape ({n},), got {values.shape}; {called}.")

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse
 import shapely
-from jaxtyping import Bool, Float, Int
-from scipy.sparse.csgraph import connected_components
+from jaxtyping import Bool, Float
 
 from plr_jax._arrays import as_finite, as_numbers, is_single, set_fields, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.workspace import Workspace, require_workspace
+from plr_jax.geometry.workspace import Workspace, part_groups, require_workspace
 from plr_jax.robots.robot import Robot, check_body, footprint, smaller_angle, team_dof
 
 _VERBS = {"starts": "starts", "goals": "has its goal"}
@@ -64,7 +62,7 @@ class Problem:
         weight = None if rotation_weight is None else as_finite("rotation_weight", rotation_weight)
         set_fields(self, workspace=workspace, robots=robots, rotation_weight=weight)
         given = {"starts": starts, "goals": goals}
-        set_fields(self, **{name: _configurations(name, q, robots, workspace) for name, q in given.items()})
+        set_fields(self, **{name: _configurations(name, q, self) for name, q in given.items()})
         for name in given:
             _require_free(self, name)
             _require_no_overlap(self, name)
@@ -161,15 +159,13 @@ def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
     return np.append(position, heading.astype(np.float64))
 
 
-def _configurations(
-    name: str, value: ArrayLike, robots: Sequence[Robot], workspace: Workspace
-) -> Float[np.ndarray, "robots dof"]:
-    dof = team_dof(robots)
+def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.ndarray, "robots dof"]:
+    robots, dof = problem.robots, team_dof(problem.robots)
     shape = f"(robots, dof) = ({len(robots)}, {dof})"
     configurations = as_numbers(name, value, f"numbers of shape {shape}").copy()
     if is_single(value) and configurations.shape == (len(robots), dof):
         poses = np.asarray(value)
-        configurations[:] = [settled_pose(workspace, *each) for each in zip(robots, poses, strict=True)]
+        configurations[:] = [settled_pose(problem.workspace, *each) for each in zip(robots, poses, strict=True)]
     if configurations.shape != (len(robots), dof):
         reason = ""
         if configurations.shape == (len(robots), 2):
@@ -237,7 +233,8 @@ def _require_connected(problem: Problem) -> None:
     for i, robot in enumerate(problem.robots):
         radius = max(0.0, robot.inscribed_radius - workspace.tolerance)  # a passage of equal width stays open
         if radius not in parts_of:
-            parts_of[radius] = connected_parts(workspace.inflate(radius))
+            polygons = shapely.get_parts(workspace.inflate(radius).free_space)
+            parts_of[radius] = polygons, part_groups(polygons, workspace.squeeze)
         parts, label = parts_of[radius]
         # A start or goal where obstacles touch lies in several parts.
         apart = [shapely.distance(shapely.Point(q[i, :2]), parts) for q in (problem.starts, problem.goals)]
@@ -248,16 +245,6 @@ def _require_connected(problem: Problem) -> None:
                 f"Robot {i} has its goal {problem.goals[i].tolist()} cut off from its start "
                 f"{problem.starts[i].tolist()}: obstacles leave no path for {body} between them."
             )
-
-
-def connected_parts(workspace: Workspace) -> tuple[Any, Int[np.ndarray, "parts"]]:
-    """Return the polygons of free space, and the index of the connected part to which each polygon belongs."""
-    parts = shapely.get_parts(workspace.free_space)
-    first, second = np.zeros((2, 0), dtype=int)
-    if workspace.squeeze:
-        first, second = shapely.STRtree(parts).query(parts, predicate="dwithin", distance=workspace.tolerance)
-    graph = scipy.sparse.coo_array((np.ones(len(first)), (first, second)), shape=(len(parts), len(parts)))
-    return parts, connected_components(graph)[1]
 
 
 def separation(a: Any, b: Any) -> float:

@@ -1,9 +1,9 @@
 """An independent check of paths, which shares almost no code with the collision tests of the planners.
 
-Both share the points where obstacles touch, the direction in which a robot turns, and the distance from a point to a
-segment. Here, bodies are Shapely geometries. In a motion without turns, a robot sweeps a convex hull, whose distance
-is exact. Other motions are halved in time: the clearance in the middle of an interval, less the distance that the
-bodies move from there, is a lower bound for the whole interval.
+Both share the boundary of free space, and the direction in which a robot turns. Here, bodies are Shapely geometries.
+In a motion without turns, a robot sweeps a convex hull, whose distance is exact. Other motions are halved in time:
+the clearance in the middle of an interval, less the distance that the bodies move from there, bounds it in the
+interval from below. Points are tested in rational numbers, so that no wall is too thin to stop them.
 """
 
 from collections.abc import Sequence
@@ -15,18 +15,19 @@ from typing import Any, TypeAlias
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import is_single
 from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.vectors import cross_product, distance_to_segment
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
+Path: TypeAlias = Float[np.ndarray, "steps robots dof"]
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
-Exact: TypeAlias = tuple[Fraction, Fraction]
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
         return _collision_report(problem, min(colliding, key=lambda encounter: encounter.first_moment), cost)
     closest = min(encounters, key=lambda encounter: encounter.clearance)
     clearance = closest.clearance
-    fault = _find_crossing(problem, path, margin) or _find_squeeze(problem, path) or _find_wrong_end(problem, path)
+    fault = _find_crossing(problem, path, margin) or _find_wrong_end(problem, path)
     if fault:
         i, when, message = fault
         where = tuple(path[int(when), i, :2].tolist())
@@ -125,10 +126,6 @@ class _Encounter:
         # A thin wall across a body overlaps it by little area. But it meets the body eroded by the tolerance.
         return shapely.intersects(shapely.buffer(bodies, -self.tolerance, join_style="mitre"), others)
 
-    @cached_property
-    def eroded_walls(self) -> Any:
-        return shapely.buffer(self.other, -self.tolerance, join_style="mitre")
-
     def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         # Without turns, the robot sweeps the convex hull of both its ends.
         start, others = _corners(self.robot, self.path[motion]), np.full(len(motion), self.other)
@@ -139,13 +136,8 @@ class _Encounter:
         distance = np.asarray(shapely.distance(hulls, others))
         if self.reach <= self.tolerance:  # at distance 0 a body is touched or entered
             met = np.flatnonzero(distance == 0)
-            hulls, others = hulls[met], others[met]
-            is_deep = self._are_deep(hulls, others)
-            if self.other_path is None:
-                is_deep |= shapely.intersects(hulls, self.eroded_walls)
-            else:
-                is_deep |= self._are_deep(others, hulls)
-            distance[met[is_deep]] = -2 * self.tolerance
+            pair = hulls[met], others[met]
+            distance[met[self._are_deep(*pair) | self._are_deep(*pair[::-1])]] = -2 * self.tolerance
         return distance - self.reach
 
     @cached_property
@@ -216,7 +208,7 @@ class _Encounter:
         return min(float(self.clearances(times).min()), -self.tolerance)
 
 
-def _encounters(problem: Problem, path: Float[np.ndarray, "steps robots dof"], margin: float) -> list[_Encounter]:
+def _encounters(problem: Problem, path: Path, margin: float) -> list[_Encounter]:
     """Pair each robot with all that is not free space, and with robots near enough to collide or to be closest."""
     workspace, robots = problem.workspace, problem.robots
     tolerance = _tolerance(workspace)
@@ -244,9 +236,7 @@ def _tolerance(workspace: Workspace) -> float:
     return max(_TOLERANCE * float(workspace.bounds.width.max()), 2 * workspace.tolerance)
 
 
-def _least_clearances(
-    robots: Sequence[Robot], path: Float[np.ndarray, "steps robots dof"]
-) -> list[tuple[float, int, int]]:
+def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, int, int]]:
     """Return lower bounds of the clearances between robots, ascending, each with the indices of both robots."""
     radius = np.array([robot.circumscribed_radius for robot in robots])
     found = []
@@ -290,181 +280,118 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
     return shapely.polygons(corners) if len(robot.core) > 2 else shapely.linestrings(corners)
 
 
-def _find_crossing(
-    problem: Problem, path: Float[np.ndarray, "steps robots dof"], margin: float
-) -> tuple[int, float, str] | None:
-    """Find the first passage of a point robot through a wall, however thin; return robot, time and message."""
-    workspace, crossings = problem.workspace, []
+def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, float, str] | None:
+    """Find the first passage of a point robot through a wall or a contact; return robot, time and message."""
+    workspace, found = problem.workspace, []
     for i, robot in enumerate(problem.robots):
         if robot.circumscribed_radius <= _tolerance(workspace):
-            crossings += [(when, i) for when in _crossings(workspace, path[:, i, :2], margin)[:1]]
-    if not crossings:
+            found += [(when, i) for when in _crossings(workspace, path[:, i, :2], margin)[:1]]
+    if not found:
         return None
-    when, i = min(crossings)
-    return i, when, f"Robot {i} crosses a wall at step {when:.6g}."
+    when, i = min(found)
+    return i, when, f"Robot {i} crosses a wall, or squeezes between obstacles that touch, at step {when:.6g}."
 
 
 def _crossings(workspace: Workspace, way: Float[np.ndarray, "steps 2"], margin: float) -> list[float]:
-    """Return the times, in steps, at which a point leaves a wall on another side than that on which it entered.
+    """Return the times, in steps, at which a point leaves a wall on another side than that on which it arrived.
 
     The path meets the boundary of free space in points. Between two of them it runs in free space, along a wall or
-    within walls. Within walls, it only grazes them if parts of the boundary that are near the path join both points.
-    Numbers are rational, so no wall is too thin.
+    within walls. It stays on one side if the boundary within ``margin`` of the path joins the edge at which it enters
+    walls to that at which it leaves them. Numbers are rational, so no wall is too thin.
     """
     boundary, crossings = workspace.boundary, []
     moving = np.flatnonzero((way[1:] != way[:-1]).any(axis=1))
     segments: Any = shapely.linestrings(np.stack([way[moving], way[moving + 1]], axis=1))
-    is_free = shapely.covers(workspace.free_space, segments)
-    entry, begin = None, 0  # edges at which the point entered walls, and during which of the segments
-    for k in np.flatnonzero(~is_free).tolist():
-        if k > 0 and is_free[k - 1]:
-            entry = None
-        near = boundary.tree.query(segments[k], predicate="dwithin", distance=margin)
-        start, change = _exact(way[moving[k]]), _minus(_exact(way[moving[k] + 1]), _exact(way[moving[k]]))
-        for when, edges in _meetings(boundary, near.tolist(), start, change):
-            if entry and not _are_joined(boundary, entry, edges, segments[begin : k + 1], margin):
-                crossings.append(float(moving[k] + when))
-            place = start[0] + when * change[0], start[1] + when * change[1]
-            entry, begin = (None if _leads_to_free_space(boundary, edges, place, change) else edges), k
+    is_doubtful = ~shapely.covers(workspace.free_space, segments)
+    if not workspace.squeeze:
+        is_doubtful[boundary.contact_tree.query(segments, predicate="dwithin", distance=margin)[0]] = True
+    # At a contact near its start or end, a path is on all sides until it first leaves, or after it last arrives.
+    ends: Any = shapely.points(way[[0, -1]])
+    end_of_path, contact = boundary.contact_tree.query(ends, predicate="dwithin", distance=margin)
+    near_start, near_end = (np.linalg.norm(way - each, axis=1) <= margin for each in way[[0, -1]])
+    stays = np.logical_and.accumulate(near_start)[:-1], np.logical_and.accumulate(near_end[::-1])[-2::-1]
+    side, entry = [], -1  # edges beside which the path arrives, and the segment in which it entered walls, if any
+    for k in np.flatnonzero(is_doubtful).tolist():
+        if k == 0 or not is_doubtful[k - 1]:
+            side, entry = [], -1
+        start, end = _exact(way[[moving[k], moving[k] + 1]])
+        for when, edges in _meetings(boundary, segments[k], start, end - start, margin):
+            place = start + when * (end - start)
+            before, after = (_sides(boundary, edges, place, towards) for towards in (start - end, end - start))
+            if entry < 0 and (when > 0 or not side):
+                side = before or edges
+            if when == 1:  # the next motion decides
+                after = edges if k == len(moving) - 1 else []
+            elif not after and entry < 0:
+                entry = k
+            if after:
+                part = segments[entry if entry >= 0 else k : k + 1]
+                may_change = boundary.contacts
+                if not workspace.squeeze:
+                    may_change = may_change[contact[np.array(stays)[end_of_path, moving[k]]]]
+                if not _are_joined(boundary, (side, after), part, margin, may_change):
+                    crossings.append(float(moving[k] + when))
+                entry = -1
     return crossings
 
 
-def _exact(point: Float[np.ndarray, "2"]) -> Exact:
-    x, y = point.tolist()
-    return Fraction(x), Fraction(y)
+_exact = np.vectorize(Fraction, otypes=[object])
 
 
-def _minus(u: Exact, v: Exact) -> Exact:
-    return u[0] - v[0], u[1] - v[1]
-
-
-def _cross(u: Exact, v: Exact) -> Fraction:
+def _cross(u: Any, v: Any) -> Any:
     return u[0] * v[1] - u[1] * v[0]
 
 
-def _meetings(boundary: Boundary, edges: list[int], start: Exact, change: Exact) -> list[tuple[Fraction, list[int]]]:
+def _meetings(boundary: Boundary, way: Any, start: Any, change: Any, margin: float) -> list[tuple[Any, list[int]]]:
     """Return the times in [0, 1] at which a motion meets boundary edges, or begins or ends to run along one."""
-    found: dict[Fraction, list[int]] = {}
-    squared = change[0] ** 2 + change[1] ** 2
-    for edge in edges:
-        ends = [_minus(_exact(end), start) for end in boundary.segments[edge]]
-        sides = [_cross(change, end) for end in ends]
-        times = [(change[0] * end[0] + change[1] * end[1]) / squared for end in ends]
-        if sides[0] != sides[1]:  # the edge's line crosses that of the motion at one time
-            share = sides[0] / (sides[0] - sides[1])
-            times = [times[0] + share * (times[1] - times[0])] if 0 <= share <= 1 else []
-        elif sides[0] != 0 or max(times) < 0 or min(times) > 1:
-            times = []
+    found: dict[Any, list[int]] = {}
+    for edge in boundary.tree.query(way, predicate="dwithin", distance=margin).tolist():
+        ends = _exact(boundary.segments[edge]) - start
+        (first, last), times = (_cross(change, end) for end in ends), ends @ change / (change @ change)
+        if first != last and first * last <= 0:  # the edge crosses the motion's line at one time
+            times = [times[0] + first / (first - last) * (times[1] - times[0])]
+        elif first == last == 0 and max(times) >= 0 and min(times) <= 1:
+            times = np.clip(times, Fraction(0), Fraction(1))
         else:
-            times = [min(max(time, Fraction(0)), Fraction(1)) for time in times]
-        for time in set(times):
-            if 0 <= time <= 1:
-                found.setdefault(time, []).append(edge)
+            times = []
+        for time in {time for time in times if 0 <= time <= 1}:
+            found.setdefault(time, []).append(edge)
     return sorted(found.items())
 
 
-def _leads_to_free_space(boundary: Boundary, edges: list[int], place: Exact, change: Exact) -> bool:
-    """Return whether a motion goes on in free space or along a wall from a place on some edges of the boundary."""
+def _sides(boundary: Boundary, edges: list[int], place: Any, towards: Any) -> list[int]:
+    """Return the edges beside free space in a direction from a place on some edges; none if it leads into walls."""
+    sides = []
     for edge in edges:
-        start, end = map(_exact, boundary.segments[edge])
-        if place == end:
-            continue  # an edge that starts there tells
-        right, left = _minus(end, place), _minus(start, place)
-        if place == start:
-            left = _minus(_exact(boundary.vertices[boundary.sector_end[edge]]), place)
-        is_left_of_right, is_right_of_left = _cross(right, change) >= 0, _cross(change, left) >= 0
-        is_narrow = _cross(right, left) > 0
-        if (is_left_of_right and is_right_of_left) if is_narrow else (is_left_of_right or is_right_of_left):
-            return True
-    return False
+        start, end = _exact(boundary.segments[edge])
+        is_corner = (place == start).all()
+        left = _exact(boundary.vertices[boundary.sector_end[edge]]) if is_corner else start
+        right, left = end - place, left - place
+        is_inside = _cross(right, towards) >= 0, _cross(towards, left) >= 0
+        if (place != end).any() and (all if _cross(right, left) > 0 else any)(is_inside):
+            sides += [edge, int(boundary.arriving[edge])] if is_corner else [edge]
+    return sides
 
 
-def _are_joined(boundary: Boundary, first: list[int], last: list[int], way: Any, margin: float) -> bool:
-    """Return whether edges of the boundary near a path, chained by vertices near it, join some of two lists."""
-    edges = np.unique(boundary.tree.query(way, predicate="dwithin", distance=margin)[1])
-    vertices = boundary.edges[edges]
-    places: Any = shapely.points(boundary.vertices[vertices])
-    is_near = shapely.dwithin(places, shapely.multilinestrings(way), margin)
-    joined = np.isin(edges, first)
-    while not np.isin(last, edges[joined]).any():
-        met = vertices[joined][is_near[joined]]
-        grown = joined | (np.isin(vertices, met) & is_near).any(axis=1)
-        if (grown == joined).all():
-            return False
-        joined = grown
-    return True
+def _are_joined(
+    boundary: Boundary, sides: tuple[list[int], list[int]], way: Any, margin: float, may_change: Int[np.ndarray, "n"]
+) -> bool:
+    """Return whether the boundary near a path joins some edge of one list to some edge of the other."""
+    if set(sides[0]) & set(sides[1]):
+        return True
+    edges, num = np.unique(boundary.tree.query(way, predicate="dwithin", distance=margin)[1]), len(boundary.edges)
+    corners: Any = shapely.points(boundary.vertices[boundary.edges[edges, 0]])
+    edges = edges[shapely.dwithin(corners, shapely.multilinestrings(way), margin)]
+    # Join the two edges of each sector and, where sides may change, all edges of a vertex to the vertex.
+    vertex = boundary.edges[edges, 0]
+    other = np.append(boundary.arriving[edges], np.where(np.isin(vertex, may_change), num + vertex, edges))
+    shape = (num + len(boundary.vertices),) * 2
+    graph = coo_array((np.ones(len(other)), (np.tile(edges, 2), other)), shape=shape)
+    group = connected_components(graph, directed=False)[1]
+    return bool(np.isin(group[sides[0]], group[sides[1]]).any())
 
 
-def _find_squeeze(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
-    """Find the first passage of a point robot between touching obstacles; return robot, time and message."""
-    workspace, squeezes = problem.workspace, []
-    boundary = workspace.boundary
-    if workspace.squeeze or not len(boundary.contacts):
-        return None
-    tree, tolerance = boundary.contact_tree, _tolerance(workspace)
-    for i, robot in enumerate(problem.robots):
-        if robot.circumscribed_radius <= tolerance:
-            way = path[:, i, :2]
-            motions: Any = shapely.linestrings(np.stack([way[:-1], way[1:]], axis=1))
-            met = tree.query(motions, predicate="dwithin", distance=tolerance)
-            for motion, vertex in zip(met[0].tolist(), boundary.contacts[met[1]].tolist(), strict=True):
-                squeezes += [(k, i) for k in _changes_of_side(boundary, vertex, way, motion, tolerance)[:1]]
-    if not squeezes:
-        return None
-    motion, i = min(squeezes)
-    return i, float(motion), f"Robot {i} squeezes between obstacles that touch in a point after step {motion}."
-
-
-def _changes_of_side(
-    boundary: Boundary, vertex: int, way: Float[np.ndarray, "steps 2"], motion: int, tolerance: float
-) -> list[int]:
-    # Return the motions at whose ends a point has changed sides at `vertex`, where obstacles touch. There are none if
-    # `motion` misses the vertex. Sides are the sectors of free space at the vertex. Within half the length of its
-    # shortest edge they meet only there, so the path in a disc of this radius decides.
-    sectors, way = np.flatnonzero(boundary.edges[:, 0] == vertex), way - boundary.vertices[vertex]
-    ends = np.append(boundary.edges[sectors, 1], boundary.sector_end[sectors])
-    radius = np.linalg.norm(boundary.vertices[ends] - boundary.vertices[vertex], axis=1).min() / 2
-    tolerance = min(tolerance, radius / 4)
-    if distance_to_segment(*way[:-1].T, *np.diff(way, axis=0).T)[motion] > tolerance:
-        return []
-    outside = np.flatnonzero(np.linalg.norm(way, axis=1) > radius)
-    first = int(outside[outside <= motion].max(initial=0))
-    last = int(outside[outside > motion].min(initial=len(way) - 1))
-    stay = np.array(
-        [
-            _entry_point(way[first], way[first + 1], radius),
-            *way[first + 1 : last],
-            _entry_point(way[last], way[last - 1], radius),
-        ]
-    )
-    at_contact = np.linalg.norm(stay, axis=1) <= tolerance
-    may_be = [_is_in_sector(boundary, sector, stay, tolerance) | at_contact for sector in sectors]
-    came_from: Any = np.logical_and.accumulate(may_be, axis=1).any(axis=0)
-    return (first + np.flatnonzero(~came_from[1:])).tolist()
-
-
-def _is_in_sector(
-    boundary: Boundary, edge: np.integer, offsets: Float[np.ndarray, "n 2"], tolerance: float
-) -> Bool[np.ndarray, "n"]:
-    # Offsets are from the first vertex of `edge`, where its sector of free space begins.
-    vertex = boundary.vertices[boundary.edges[edge, 0]]
-    start = boundary.vertices[boundary.edges[edge, 1]] - vertex
-    end = boundary.vertices[boundary.sector_end[edge]] - vertex
-    left_of_start = cross_product(start, offsets) >= -tolerance * np.linalg.norm(start)
-    right_of_end = cross_product(end, offsets) <= tolerance * np.linalg.norm(end)
-    return left_of_start & right_of_end if cross_product(start, end) > 0 else left_of_start | right_of_end
-
-
-def _entry_point(begin: Float[np.ndarray, "2"], end: Float[np.ndarray, "2"], radius: float) -> Float[np.ndarray, "2"]:
-    """Return where a motion enters a disc around the origin, or its begin if that is in the disc."""
-    if begin @ begin <= radius**2:
-        return begin
-    change = end - begin
-    along, squared = begin @ change, change @ change
-    return begin - (along + np.sqrt(along**2 - squared * (begin @ begin - radius**2))) / squared * change
-
-
-def _find_wrong_end(problem: Problem, path: Float[np.ndarray, "steps robots dof"]) -> tuple[int, float, str] | None:
+def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | None:
     for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
             got, should = path[row, i, : robot.dof].tolist(), wanted[i, : robot.dof].tolist()

@@ -1,5 +1,6 @@
 """The independent check of paths: verdicts, the first violation and the clearance."""
 
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -104,12 +105,23 @@ def test_body_that_passes_over_a_point_collides(robot):
     assert not report([POINT, robot], [post, start], [post, end]).valid
 
 
-def test_thin_wall_between_rows_is_not_missed():
-    thin = Workspace(((0, 0), (4, 4)), [box(2, 0.5, 2.00001, 4)])
-    bar = RectangleRobot(0.2, 0.1)
-    for robot, turn in ((POINT, 0), (DiscRobot(0.1), 0), (bar, 0), (bar, 1)):
-        dof = team_dof([robot])
-        assert not report([robot], [(1, 2, 0)[:dof]], [(3, 2, turn)[:dof]], workspace=thin).valid
+@pytest.mark.parametrize("width", [1e-5, 1e-8, 1e-10])
+def test_thin_walls_stop_all_robots(width):
+    wall, bar = shapely.box(2, 0.5, 2 + width, 4), RectangleRobot(0.2, 0.1)
+    for angle in (0, 12.3):  # degrees
+        rotate = partial(shapely.affinity.rotate, angle=angle, origin=(2, 2))
+        thin = Workspace(((0, 0), (4, 4)), [rotate(wall)])
+        start, tip, other_tip, inside, end = shapely.get_coordinates(
+            rotate(shapely.MultiPoint([(1, 2), (2, 0.5), (2 + width, 0.5), (2, 2), (3, 2)]))
+        )
+        for robot, turn in ((POINT, 0), (DiscRobot(1e-8), 0), (DiscRobot(0.1), 0), (bar, 0), (bar, 1)):
+            dof = team_dof([robot])
+            rows = [[(*start, 0)[:dof]], [(*end, turn)[:dof]]]
+            assert not report([robot], *rows, workspace=thin).valid
+        assert not report([POINT], [start], [inside], [end], workspace=thin).valid
+        for via in (inside, tip):
+            assert report([POINT], [start], [via], [start], workspace=thin).valid
+        assert report([POINT], [start], [tip], [other_tip], [end], workspace=thin).valid
 
 
 CONTACT = Workspace(((-1, -1), (3, 3)), [box(0, 0, 1, 1), box(1, 1, 2, 2)])  # they touch at (1, 1)
@@ -117,10 +129,11 @@ ABOVE, BELOW, AT = (0.5, 1.5), (1.5, 0.5), (1, 1)  # on either side of the conta
 
 
 CROSSINGS = [
-    ([ABOVE, BELOW], 0),
+    ([ABOVE, BELOW], 0.5),
     ([ABOVE, AT, BELOW], 1),
     ([ABOVE, AT, AT, BELOW], 2),
-    ([ABOVE, (1 - 1e-10, 1 + 1e-10), AT, (1 + 1e-10, 1 - 1e-10), BELOW], 3),
+    ([ABOVE, (1 - 1e-10, 1 + 1e-10), AT, (1 + 1e-10, 1 - 1e-10), BELOW], 2),
+    ([ABOVE, (1 - 1e-10, 1 + 1e-10), (1 + 1e-10, 1 - 1e-10), BELOW], 1.5),
     ([(0.9, 1.1), AT, (0.9, 1.2), AT, (1.1, 0.9), BELOW], 3),
     ([AT, ABOVE, AT, BELOW], 2),
     ([(1, 2), AT, (1, 0)], 1),
@@ -139,7 +152,7 @@ def test_crossing_a_contact_of_obstacles_squeezes(robot):
         rows = [[row] for row in rows]
         result = report([robot], *rows, workspace=CONTACT)
         assert (result.valid, result.when) == (when is None, when), result.message
-        assert result.valid or result.message.startswith("Robot 0 squeezes")
+        assert result.valid or "squeezes between obstacles that touch" in result.message
         assert report([robot], *rows, workspace=squeezing).valid
 
 

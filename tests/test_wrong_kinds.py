@@ -1,5 +1,6 @@
 """Arguments of undocumented types raise a ``ValueError`` that names them, never a bare ``TypeError``."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -14,6 +15,10 @@ ENDS = [[0.1, 0.1]], [[0.9, 0.9]]
 TASK = pj.Problem(ROOM, [pj.PointRobot()], *ENDS)
 
 LINE = np.array(ENDS)
+
+
+def traced(call):
+    return lambda: jax.jit(call)(1.0)
 
 
 def cone(x):
@@ -54,6 +59,13 @@ def test_argument_of_wrong_type_is_named(tmp_path, monkeypatch):
         (lambda: pj.Problem(5, [pj.PointRobot()], *ENDS), "workspace must be a Workspace, got 5"),
         (lambda: pj.Problem(ROOM, pj.PointRobot(), *ENDS), r"robots must be a list of robots, got PointRobot\(\)"),
         (lambda: pj.Workspace(ROOM.bounds, squeeze="no"), "squeeze must be True or False, got 'no'"),
+        (
+            traced(lambda r: pj.Workspace(UNIT, [[(r, 0), (1, 0), (0, 1)]])),
+            "not those that JAX traces.*grid_distance",
+        ),
+        (traced(lambda r: pj.VisibilityGraph(ROOM, (r, r))), "goal must be .*not those that JAX traces"),
+        (traced(lambda r: pj.Workspace.from_mask(r > np.zeros((2, 2)))), "not those that JAX traces"),
+        (traced(ROOM.inflate), "radius must be .*not those that JAX traces"),
         (lambda: ROOM.inflate("x"), "radius must be a finite number of at least 0, got 'x'"),
         (lambda: ROOM.sample_free(1, None), "seed must be an integer >= 0, got None"),
         (lambda: pj.Workspace.from_mask(VOXELS[0, 0]), r"free\[row, column\], rows along y, must be booleans"),

@@ -25,11 +25,12 @@ _COLLARS, _REGIONS = 256, 8  # strips, and unions of strips, that are united in 
 # suffice if a path around one corner is too short by at most this share of the longer side.
 _MOST_CHORDS, _SHORTENING = 8, 2e-5
 LARGEST_COORDINATE = 1e100  # below it, products of two areas do not overflow; above its inverse, no underflow
-_MEETING = 1e-12  # largest width, as a share of a ring's extent, of a part where the ring crosses itself by rounding
+_MEETING = 1e-12  # largest width, as a share of a ring's length, of a part where the ring crosses itself by rounding
 _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter side
 _PREPARED = threading.local()
 Vertices: TypeAlias = Float[np.ndarray, "vertices 2"]
 Edges: TypeAlias = Int[np.ndarray, "edges 2"]
+Rows: TypeAlias = Int[np.ndarray, "m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,12 @@ class Boundary:
         return shapely.STRtree(np.asarray(shapely.linestrings(self.segments)))
 
     @cached_property
+    def arriving(self) -> Int[np.ndarray, "edges"]:
+        """The edge that ends each sector, from ``sector_end`` to its vertex."""
+        size = np.int64(len(self.vertices))
+        return index_of(self.edges[:, 0] * size + self.edges[:, 1], self.sector_end * size + self.edges[:, 0])
+
+    @cached_property
     def contacts(self) -> Int[np.ndarray, "contacts"]:
         """Indices of the vertices at which several edges start: there the region touches itself in a point."""
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
@@ -68,9 +75,7 @@ class Boundary:
         points: Any = shapely.points(self.vertices[self.contacts])
         return shapely.STRtree(points)
 
-    def feet(
-        self, x: Float[np.ndarray, "n 2"], within: float | None = None
-    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"], Float[np.ndarray, "m 2"]]:
+    def feet(self, x: Vertices, within: float | None = None) -> tuple[Rows, Rows, Float[np.ndarray, "m 2"]]:
         """Return indices of the points near an edge (None: all), their nearest edges, and nearest places there."""
         points: Any = shapely.points(x)
         point, edge = self.tree.query_nearest(points, max_distance=within, all_matches=False)
@@ -174,11 +179,9 @@ def grown_boundary(boundary: Boundary, radius: float) -> Any:
     """Return the part of a region within ``radius`` of its boundary, as a Shapely geometry; chords replace arcs."""
     offset = radius * boundary.normal
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
-    edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
-    arriving = np.array([edge_of[ends] for ends in zip(boundary.sector_end, boundary.edges[:, 0], strict=True)])
     is_reflex = boundary.is_reflex()
     # ``k`` chords are shorter than their arc by about ``radius * turn**3 / (24 * k**2)``.
-    turn, side = turn_between(offset, offset[arriving]), np.ptp(boundary.vertices, axis=0).max()
+    turn, side = turn_between(offset, offset[boundary.arriving]), np.ptp(boundary.vertices, axis=0).max()
     most, enough = _MOST_CHORDS * turn / (np.pi / 2), np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
     num_chords = np.maximum(1, np.ceil(np.minimum(most, enough) - 1e-9)).astype(int)
     regions = []
@@ -187,7 +190,7 @@ def grown_boundary(boundary: Boundary, radius: float) -> Any:
         collars = np.asarray(shapely.polygons(strips[begin : begin + _COLLARS])).tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
             corner = boundary.vertices[boundary.edges[edge, 0]]
-            rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge])
+            rim = arc(corner, offset[edge], offset[boundary.arriving[edge]], num_chords[edge])
             collars.append(shapely.polygons(np.vstack([corner, rim])))
         regions.append(shapely.union_all(collars))
     while len(regions) > 1:
@@ -227,11 +230,9 @@ def as_polygon(name: str, ring: Any) -> Polygon | MultiPolygon:
         raise ValueError(f"{name} must have finite coordinates; remove infinite ones and NaN.")
     if np.abs(points).max(initial=0.0) > LARGEST_COORDINATE:
         raise ValueError(f"{name} must have coordinates up to {LARGEST_COORDINATE:g}; choose a larger unit.")
-    distinct = np.unique(points, axis=0)
-    if len(distinct) < 3:
-        raise ValueError(f"{name} has {len(distinct)} distinct vertices; a polygon needs at least three.")
-    scale = np.ptp(points, axis=0).max()
-    if shapely.area(shapely.convex_hull(shapely.multipoints(distinct))) <= 1e-12 * scale**2:
+    if (num := len(np.unique(points, axis=0))) < 3:
+        raise ValueError(f"{name} has {num} distinct vertices; a polygon needs at least three.")
+    if shapely.area(shapely.convex_hull(shapely.multipoints(points))) <= 1e-12 * np.ptp(points, axis=0).max() ** 2:
         raise ValueError(f"{name} has zero area: all its vertices lie on one line.")
     polygon = Polygon(points) if polygon is None else polygon
     if not polygon.is_valid:
@@ -256,7 +257,7 @@ def _inside_of_ring(name: str, ring: LinearRing) -> Any:
     # never. So both areas differ if the ring crosses itself, but not if it only touches itself.
     given = Polygon(ring)
     inside = given if given.is_valid else MultiPolygon(polygons_of(shapely.make_valid(given)))
-    if abs(inside.area - given.area) > _MEETING * np.ptp(shapely.get_coordinates(ring)) * ring.length:
+    if abs(inside.area - given.area) > _MEETING * ring.length**2:
         reason = shapely.is_valid_reason(given)
         raise ValueError(
             f"{name} is not a simple polygon ({reason}): split it into rings that do not cross, or repair it with "

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -21,6 +22,7 @@ from plr_jax._arrays import (
 )
 from plr_jax._types import ArrayLike
 
+FreeFn: TypeAlias = Callable[[Float[np.ndarray, "n dim"]], ArrayLike]  # whether each point is free, (n,)
 _TIE = 1 - 2.0**-40  # keeps rounding from moving a point that is exactly half a period away
 
 
@@ -101,12 +103,7 @@ class Box:
         rests = np.nextafter(np.stack([self.lo - lo, hi - self.hi]).astype(np.float32), np.float32(-1))
         return np.maximum(rests, np.float32(0))
 
-    def settled(
-        self,
-        x: ArrayLike,
-        is_free: Callable[[Float[np.ndarray, "n dim"]], ArrayLike] | None = None,
-        reach: float | np.floating = 0.0,
-    ) -> ArrayLike:
+    def settled(self, x: ArrayLike, is_free: FreeFn | None = None, reach: float = 0.0) -> ArrayLike:
         """Move 32-bit points ``(..., dim)`` that rounding alone has put outside the box or into obstacles.
 
         A free point beside a wall, rounded to 32 bits, may lie in the wall. So a point that comes as 32-bit floats

@@ -275,14 +275,9 @@ def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: f
 
 
 def as_mask(free: ArrayLike) -> Mask:
-    mask = as_cells("free", free)
-    if mask.dtype != bool or mask.ndim != 2 or np.ma.is_masked(free):
-        masked = ", some masked" if np.ma.is_masked(free) else ""
-        raise ValueError(
-            f"free[row, column], rows along y, must be booleans of shape (rows, columns), such as image > 127, got "
-            f"{mask.dtype} of shape {mask.shape}{masked}.{advice_on_cells(mask) if mask.ndim == 3 else ''}"
-        )
-    return mask
+    expected = "free[row, column], rows along y, must be booleans of shape (rows, columns), such as image > 127"
+    hint = advice_on_cells(free) if getattr(free, "ndim", 0) == 3 else ""
+    return as_cells(expected, free, lambda shape: len(shape) == 2, hint)
 
 
 def region_of_mask(free: Mask, tolerance: float | int) -> Any:

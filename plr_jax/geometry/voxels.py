@@ -33,14 +33,9 @@ class VoxelGrid:
     @classmethod
     def of(cls, free: ArrayLike, bounds: Box | ArrayLike | None, axes: range = _AXES) -> "VoxelGrid":
         """Check arguments and return the grid; ``bounds=None`` gives voxels of side 1 from the origin on."""
-        voxels = as_cells("free", free)
-        if voxels.dtype != bool or voxels.ndim not in axes or np.ma.is_masked(free):
-            number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
-            masked = ", some masked" if np.ma.is_masked(free) else ""
-            raise ValueError(
-                f"free must be booleans of {number} axes, free[x, y, ...], True where a voxel is free, such as "
-                f"volume == 0, got {voxels.dtype} of shape {voxels.shape}{masked}."
-            )
+        number = f"{axes[0]} to {axes[-1]}" if len(axes) > 1 else str(axes[0])
+        must = f"free must be booleans of {number} axes, free[x, y, ...], True in free voxels, such as volume == 0"
+        voxels = as_cells(must, free, lambda shape: len(shape) in axes)
         if not voxels.any():
             raise ValueError(f"free must have at least one free voxel, got none in shape {voxels.shape}.")
         voxels.flags.writeable = False

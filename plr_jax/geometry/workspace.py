@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry import MultiPolygon, Polygon
@@ -389,12 +389,17 @@ def joined_parts(
     parts: Any, points: Float[np.ndarray, "n 2"], tolerance: float, may_squeeze: bool
 ) -> Bool[np.ndarray, "parts"]:
     """Return which polygons hold one of the points, or touch such polygons if paths may squeeze through contacts."""
-    tree = shapely.STRtree(parts)
-    pairs = tree.query(parts, predicate="intersects") if may_squeeze else np.stack([np.arange(len(parts))] * 2)
+    places, group = np.asarray(shapely.points(points)), part_groups(parts, may_squeeze)
+    return np.isin(group, group[shapely.STRtree(parts).query(places, predicate="dwithin", distance=tolerance)[1]])
+
+
+def part_groups(parts: Any, may_squeeze: bool) -> Int[np.ndarray, "parts"]:
+    """Number polygons equally that touch one another if paths may squeeze through contacts, else all differently."""
+    if not may_squeeze:
+        return np.arange(len(parts))
+    pairs = shapely.STRtree(parts).query(parts, predicate="intersects")
     graph = coo_array((np.ones(pairs.shape[1], bool), tuple(pairs)), (len(parts),) * 2)
-    group = connected_components(graph, directed=False)[1]
-    held = tree.query(np.asarray(shapely.points(points)), predicate="dwithin", distance=tolerance)[1]
-    return np.isin(group, group[held])
+    return connected_components(graph, directed=False)[1]
 
 
 def _meeting(polygons: Any) -> BoxTest:

@@ -12,15 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt32
 from scipy.sparse import csgraph, csr_array
 
-from plr_jax._arrays import (
-    as_cells,
-    as_finite_point,
-    as_numbers,
-    as_points,
-    set_fields,
-    shortened,
-    with_inf_for_masked,
-)
+from plr_jax._arrays import as_cells, as_finite_point, as_numbers, as_points, filled_with_inf, set_fields, shortened
 from plr_jax._types import ArrayLike, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.masks import Mask, as_mask
@@ -308,7 +300,7 @@ class GridField:
     def __init__(self, values: ArrayLike, bounds: Box | ArrayLike, free: ArrayLike | None = None):
         bounds = Box.of(bounds, "The bounds")
         expected = f"distances on a grid of {bounds.dim} axes"
-        numbers = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
+        numbers = np.array(as_numbers("values", filled_with_inf(values), expected), order="C")
         if numbers.ndim != bounds.dim or numbers.size == 0:
             raise ValueError(
                 f"values must be {expected}, as the bounds have, the last one along x, with at least one cell, got "
@@ -321,10 +313,8 @@ class GridField:
                 f"values must be at least 0, got {numbers[cell]:g} at {cell}; mask cells without a distance, and use "
                 "np.maximum(values, 0) for a field that is negative inside the goal."
             )
-        is_free = np.isfinite(numbers) if free is None else as_cells("free", free)
-        if is_free.dtype != bool or is_free.shape != numbers.shape or np.ma.is_masked(free):
-            got = f"{is_free.dtype} of shape {is_free.shape}"
-            raise ValueError(f"free must be booleans like values, of shape {numbers.shape}, none masked, got {got}.")
+        must = f"free must be booleans like values, of shape {numbers.shape}, none masked"
+        is_free = np.isfinite(numbers) if free is None else as_cells(must, free, numbers.shape.__eq__)
         numbers.flags.writeable = is_free.flags.writeable = False
         set_fields(self, values=numbers, bounds=bounds, free=is_free)
 

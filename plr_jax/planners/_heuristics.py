@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_numbers, as_values, padded, padded_size, shortened, with_inf_for_masked
+from plr_jax._arrays import as_numbers, as_values, filled_with_inf, padded, padded_size, shortened
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, BoundingFn, DimensionedFn, HeuristicFn, JointConfigurations, StackableDistanceFn
 
@@ -86,7 +86,7 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
 
     def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
         q = _joint_configurations(q, len(distance_fns))
-        distances = with_inf_for_masked(evaluate(q))
+        distances = filled_with_inf(evaluate(q))
         if not np.isnan(distances.min(initial=np.inf)):  # the minimum is NaN if any entry is
             return distances
         # NaN counts as unreachable where the configuration is not finite, and is an error of the function elsewhere.
@@ -112,7 +112,7 @@ def require_heuristic(heuristic: object) -> None:
 
 def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarray, "..."]:
     """Check a heuristic's values, and return them with negative values as 0 and masked values as ``inf``."""
-    numbers = as_numbers("The result of a heuristic", with_inf_for_masked(values), "numbers")
+    numbers = as_numbers("The result of a heuristic", filled_with_inf(values), "numbers")
     if numbers.shape != shape:
         raise ValueError(f"A heuristic must return an array of shape {shape}, got {numbers.shape}.")
     if np.isnan(numbers).any():

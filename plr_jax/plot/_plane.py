@@ -18,11 +18,10 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from plr_jax._arrays import as_finite_point, as_numbers
-from plr_jax._problem import connected_parts
 from plr_jax._types import ArrayLike, FunctionOfBox, PiecewiseFunction
 from plr_jax.geometry.boundary import triangulate
 from plr_jax.geometry.box import Box, Slice
-from plr_jax.geometry.workspace import Workspace
+from plr_jax.geometry.workspace import Workspace, joined_parts
 from plr_jax.plot._axes import (
     DISTANCE,
     DISTANCE_COLORS,
@@ -301,8 +300,8 @@ def _split_by_reachability(
     workspace: Workspace, goals: Float[np.ndarray, "goals 2"]
 ) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
     """Split free space into parts connected to a goal and other parts; all count as connected if no goal is free."""
-    parts, label = connected_parts(workspace)
-    reached = np.isin(label, label[shapely.distance(parts, shapely.MultiPoint(goals)) <= workspace.tolerance])
+    parts = shapely.get_parts(workspace.free_space)
+    reached = joined_parts(parts, goals, workspace.tolerance, workspace.squeeze)
     return (list(parts[reached]), list(parts[~reached])) if reached.any() else (list(parts), [])
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_numbers, with_inf_for_masked
+from plr_jax._arrays import as_numbers, filled_with_inf
 from plr_jax.geometry.box import Box
 
 NO_DATA = "_FillValue", "nodata", "missing_value"  # attributes of a DataArray
@@ -21,7 +21,7 @@ def is_data_array(raster: Any) -> bool:
 
 def raster_values(name: str, raster: Any) -> Float[np.ndarray, "..."]:
     """Return a raster as float64, with ``inf`` for cells that are masked, NaN or without data."""
-    values = np.array(as_numbers(name, with_inf_for_masked(raster), "a raster of numbers"))
+    values = np.array(as_numbers(name, filled_with_inf(raster), "a raster of numbers"))
     if is_data_array(raster):
         for key in NO_DATA:
             values[values == raster.attrs.get(key)] = np.inf

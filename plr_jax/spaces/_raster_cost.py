@@ -14,11 +14,11 @@ from plr_jax._arrays import (
     as_finite,
     as_numbers,
     as_points,
+    filled_with_inf,
     parts,
     ragged_indices,
     set_fields,
     shortened,
-    with_inf_for_masked,
 )
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
@@ -90,7 +90,7 @@ class RasterCost:
         if interpolation not in _INTERPOLATIONS:
             raise ValueError(f"interpolation must be 'bilinear' or 'nearest', got {shortened(interpolation)}.")
         expected = f"factors on a raster of {domain.dim} axes"
-        factors = np.array(as_numbers("values", with_inf_for_masked(values), expected), order="C")
+        factors = np.array(as_numbers("values", filled_with_inf(values), expected), order="C")
         if factors.ndim != domain.dim or factors.ndim > _MAX_AXES or factors.size == 0:
             raise ValueError(
                 f"values must be {expected}, one per axis of the bounds and at most {_MAX_AXES}, with at least one "

@@ -43,7 +43,11 @@ def with_holes(holes):
         (lambda: Slice.of(SPACE, {3: 1.0}), "at must map axes to coordinates"),
         (lambda: Slice.of(SPACE, {0: 9.0}), "at must lie in Box"),
         (lambda: Slice.of(SPACE, {0: float("nan")}), "must have finite coordinates"),
-        (lambda: as_polygon("P", np.array(BOW_TIE)), "P is not a simple polygon.*Self-intersection"),
+        (lambda: as_polygon("P", np.array(BOW_TIE)), "P is not a simple polygon.*Self-intersection.*make_valid"),
+        (
+            lambda: as_polygon("P", shapely.Polygon(SQUARE, [2 * SQUARE - SQUARE.mean(axis=0)])),
+            "P has no area outside of its holes",
+        ),
         (lambda: as_polygon("P", 1e155 * SQUARE), "P must have coordinates up to 1e\\+100"),
         (lambda: as_polygon("P", [[1.0, 1], [2, 2], [2, 2], [1, 1]]), "P has 2 distinct vertices"),
         (lambda: as_polygon("P", [[1.0, 1], [2, 2], [3, 3]]), "P has zero area"),
