@@ -39,7 +39,7 @@ class ValidationReport:
         cost: Recomputed cost, in workspace units. Cost and clearance are NaN if the path is not finite or misshapen.
         clearance: Smallest distance of a robot to an obstacle, the bounds or another robot. Its error is at most 1e-7
             of the workspace's extent, or twice the workspace's ``tolerance`` if that is more. In a collision, about
-            minus the depth of the first overlap.
+            minus the depth of the first overlap. Of a path that crosses a thin wall, that of the closest pair.
         message: Description of the first violation, or of the closest pair if there is none.
         who: Indices of the robots in the message.
         when: Time of the violation in steps: 3.25 is a quarter into the motion from row 3 to row 4.
@@ -61,7 +61,9 @@ def validate(problem: Problem, path: ArrayLike) -> ValidationReport:
     The path, joint configurations ``(steps, robots, dof)``, must be finite, begin at the starts and end at the goals
     exactly; headings of robots that do not turn are ignored. All robots must keep clear of obstacles, the bounds and
     one another during all motions; touching is allowed. Motions are straight, at constant rates, and turn the shorter
-    way, or for half a turn counterclockwise. An invalid path is reported and raises nothing. ``ValueError`` is raised
+    way, or for half a turn counterclockwise. A point robot may be outside of free space by twice the workspace's
+    ``tolerance``, but may not cross a wall of ``Workspace.free_space``, however thin. A path of 32-bit floats may be
+    outside by their rounding too. An invalid path is reported and raises nothing. ``ValueError`` is raised
     if ``problem`` is not a Problem, or ``path`` is a Solution instead of its path.
     """
     require_problem(problem, path)

@@ -67,7 +67,7 @@ def test_points_rounded_into_the_next_cell_reach_the_goal():
     field = pj.GridField(np.where(free[:, :, 2].T, 1.0, np.inf), ((0, 0), (6, 5)))
     assert np.isfinite(field(plane))
     costs = pj.cost_distance(np.where(free[:, :, 2].T, 1.0, np.inf), plane)
-    assert costs.distance[0, 0] > 0 and len(costs.path(plane[0]))
+    assert costs.distance[0, 0] > 0
 
 
 @pytest.mark.full

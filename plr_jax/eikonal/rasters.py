@@ -73,17 +73,12 @@ class CostDistance:
                 f"Over more than {MOST_CELLS:,} cells, about square, distances come without paths. Follow a PLR "
                 "instead: use max_bytes and plr_jax.descend(result.plr, plr_jax.RasterCost(...).space(), ...)."
             )
-        shape, box, tree = np.shape(self.distance), self._box, self._tree
-
-        def way(place: Points) -> Points:
-            cell = cells_of(place, box.width / shape[::-1], shape)
-            return tree.path((cell[::-1] + 0.5) * box.width / shape[::-1])
-
-        point = box.settled(point, lambda x: np.array([len(way(place)) > 0 for place in x - box.lo]))
-        place = as_point("point", point, 2) - box.lo
+        shape, box = np.shape(self.distance), self._box
+        place = as_point("point", box.settled(point), 2) - box.lo
         if not ((place >= 0) & (place <= box.width)).all():
             raise ValueError(f"point must lie in the raster {box}, got {shortened(point)}.")
-        return box.lo + way(place)
+        cell = cells_of(place, box.width / shape[::-1], shape)
+        return box.lo + self._tree.path((cell[::-1] + 0.5) * box.width / shape[::-1])
 
 
 def cost_distance(

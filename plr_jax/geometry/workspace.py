@@ -50,7 +50,9 @@ class Workspace:
     Obstacles may overlap, touch, and leave the bounds; the interior of their union is blocked. Free space is closed:
     it includes the boundary of obstacles and the bounds. A point up to ``tolerance`` outside of free space is treated
     as the nearest point of free space. A point within ``tolerance`` of a contact of obstacles is treated as the
-    contact, and lies on both sides of it.
+    contact, and lies on both sides of it. For points that come as 32-bit floats, such as states of a JAX program, the
+    step between two such floats replaces ``tolerance`` if it is larger: see ``settled``. Oracles, planners and paths
+    take points in the same way.
 
     Coordinates are rounded to a thousandth of ``tolerance``, so walls that touch up to rounding do touch. Walls and
     gaps thinner than a hundredth of ``tolerance`` vanish from ``free_space``, on which all distances and proofs are
@@ -60,7 +62,8 @@ class Workspace:
     Args:
         bounds: The region's Box, or its corners ``((x0, y0), (x1, y1))``.
         obstacles: An iterable of rings ``(n, 2)`` (closed or not, either orientation), Shapely polygons (holes
-            allowed), linear rings, multipolygons and collections; or one such Shapely geometry.
+            allowed), linear rings, multipolygons and collections; or one such Shapely geometry. Holes may share sides
+            with the rim and with one another, and rings may touch themselves, but not cross themselves.
         squeeze: Whether a path may pass between two obstacles (or an obstacle and the bounds) that touch in a single
             point. The point itself is free either way.
         region: For internal use.
@@ -72,8 +75,8 @@ class Workspace:
         boundary: The boundary of free space as vertices and edges, free space on the left of each edge.
 
     Raises:
-        ValueError: If the bounds are not a valid 2-D box or too far from the origin for their size, an obstacle is
-        not a simple polygon of finite coordinates and positive area, nothing is free, or walls or gaps are too thin.
+        ValueError: If the bounds are not a valid 2-D box or too far from the origin for their size, an obstacle
+        crosses itself or has no finite coordinates or no area, nothing is free, or walls or gaps are too thin.
     """
 
     bounds: Box

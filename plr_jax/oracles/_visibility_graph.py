@@ -184,7 +184,8 @@ class VisibilityGraph:
     def __call__(self, x: ArrayLike) -> Distances:
         """Return the length of the shortest path from each point ``(n, 2)`` to the goal, ``(n,)`` in workspace units.
 
-        It is ``inf`` for points in obstacles, outside the bounds, without a path to the goal, or not finite.
+        It is ``inf`` for points in obstacles, outside the bounds, without a path to the goal, or not finite. Points
+        that come as 32-bit floats, and are in obstacles only by rounding, count as points on the walls.
         """
         return self._first_turns(self._points("x", x))[0]
 

@@ -83,8 +83,8 @@ def read_geojson(
         squeeze: Whether a path may pass between two obstacles that touch in one point.
 
     Raises:
-        ValueError: If the file is not GeoJSON, has other geometries or a polygon that is not simple and finite,
-            nothing is free, or an argument is invalid.
+        ValueError: If the file is not GeoJSON, has other geometries or a polygon that crosses itself or is not
+            finite, nothing is free, or an argument is invalid.
     """
     path = Path(path)
     with errors_named(path):
@@ -112,8 +112,8 @@ def read_wkt(
 ) -> Workspace:
     """Read the polygons of a geometry in well-known text as a workspace, such as a walkable area of JuPedSim.
 
-    A ``.wkt`` file has one polygon, multipolygon, or collection of them. Empty geometries are skipped, altitudes and
-    measures are dropped. Arguments, units and errors are as for :func:`read_geojson`, but by default polygons are
+    A ``.wkt`` file has one polygon, multipolygon, or collection of them. Empty geometries are skipped; altitudes,
+    measures and ``SRID=...;`` are dropped. Arguments, units and errors are as for :func:`read_geojson`, but by default polygons are
     free space, and bounds are their bounding box.
     """
     path = Path(path)
