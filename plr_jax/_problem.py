@@ -20,8 +20,8 @@ _VERBS = {"starts": "starts", "goals": "has its goal"}
 class Problem:
     """Robots in a workspace, each with a start and a goal.
 
-    Robots may touch walls and one another, up to ``workspace.tolerance``. Points never collide with points. Starts and
-    goals that come as 32-bit floats, and overlap walls only by their rounding, are moved off the walls.
+    Robots may touch walls and one another, up to ``workspace.tolerance``. Points never collide with points. Starts
+    and goals that come as 32-bit floats, and overlap walls only by their rounding, are moved off the walls.
 
     Args:
         starts: Start configurations, ``(robots, dof)``. Rows are ``(x, y)`` in workspace units if no robot has a

@@ -3,30 +3,27 @@
 Both share the boundary of free space, and the direction in which a robot turns. Here, bodies are Shapely geometries.
 In a motion without turns, a robot sweeps a convex hull, whose distance is exact. Other motions are halved in time:
 the clearance in the middle of an interval, less the distance that the bodies move from there, bounds it in the
-interval from below. Points are tested in rational numbers, so that no wall is too thin to stop them.
+interval from below. A point must stay in the same part of the free space beside its path, which thin walls divide.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 import shapely
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from plr_jax._arrays import is_single
 from plr_jax._problem import Problem, as_path, path_cost, require_problem, separation
 from plr_jax._types import ArrayLike
-from plr_jax.geometry.boundary import Boundary
-from plr_jax.geometry.workspace import Workspace
+from plr_jax.geometry.workspace import Workspace, part_groups
 from plr_jax.robots.robot import Robot, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
 Path: TypeAlias = Float[np.ndarray, "steps robots dof"]
+_SHARE = 1e-3  # of the distance by which a point may be outside of free space: less than any wall is thick
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
 
 
@@ -291,106 +288,44 @@ def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, fl
     if not found:
         return None
     when, i = min(found)
-    return i, when, f"Robot {i} crosses a wall, or squeezes between obstacles that touch, at step {when:.6g}."
+    return (
+        i,
+        when,
+        f"Robot {i} crosses a wall, or squeezes between obstacles that touch, in the motion from step {when}.",
+    )
 
 
-def _crossings(workspace: Workspace, way: Float[np.ndarray, "steps 2"], margin: float) -> list[float]:
-    """Return the times, in steps, at which a point leaves a wall on another side than that on which it arrived.
+def _crossings(workspace: Workspace, way: Float[np.ndarray, "steps 2"], margin: float) -> list[int]:
+    """Return the motions at whose ends a point is on another side of a wall or contact than a free path allows.
 
-    The path meets the boundary of free space in points. Between two of them it runs in free space, along a wall or
-    within walls. It stays on one side if the boundary within ``margin`` of the path joins the edge at which it enters
-    walls to that at which it leaves them. Numbers are rational, so no wall is too thin.
+    Thin walls and contacts part the free space within ``margin`` of a motion. The point is in the part nearest to its
+    start. It may only change to parts that overlap this one where the next motion begins.
     """
-    boundary, crossings = workspace.boundary, []
-    moving = np.flatnonzero((way[1:] != way[:-1]).any(axis=1))
-    segments: Any = shapely.linestrings(np.stack([way[moving], way[moving + 1]], axis=1))
+    segments: Any = shapely.linestrings(np.stack([way[:-1], way[1:]], axis=1))
+    points: Any = shapely.points(way)
+    contacts, crossings, own = workspace.boundary.contact_tree, [], None
     is_doubtful = ~shapely.covers(workspace.free_space, segments)
-    if not workspace.squeeze:
-        is_doubtful[boundary.contact_tree.query(segments, predicate="dwithin", distance=margin)[0]] = True
-    # At a contact near its start or end, a path is on all sides until it first leaves, or after it last arrives.
-    ends: Any = shapely.points(way[[0, -1]])
-    end_of_path, contact = boundary.contact_tree.query(ends, predicate="dwithin", distance=margin)
-    near_start, near_end = (np.linalg.norm(way - each, axis=1) <= margin for each in way[[0, -1]])
-    stays = np.logical_and.accumulate(near_start)[:-1], np.logical_and.accumulate(near_end[::-1])[-2::-1]
-    side, entry = [], -1  # edges beside which the path arrives, and the segment in which it entered walls, if any
+    is_doubtful[contacts.query(segments, predicate="dwithin", distance=margin)[0]] = True
+    # At both ends of its path, a point near a contact is on all sides. Between two doubtful motions, it may be inside
+    # a thin wall. Elsewhere, it is on the side of the nearest part.
+    is_loose = np.pad(is_doubtful[:-1] & is_doubtful[1:], 1)
+    at_contact = contacts.query(points[[0, -1]], predicate="dwithin", distance=margin)[0]
+    is_loose[-at_contact] = True
     for k in np.flatnonzero(is_doubtful).tolist():
-        if k == 0 or not is_doubtful[k - 1]:
-            side, entry = [], -1
-        start, end = _exact(way[[moving[k], moving[k] + 1]])
-        for when, edges in _meetings(boundary, segments[k], start, end - start, margin):
-            place = start + when * (end - start)
-            before, after = (_sides(boundary, edges, place, towards) for towards in (start - end, end - start))
-            if entry < 0 and (when > 0 or not side):
-                side = before or edges
-            if when == 1:  # the next motion decides
-                after = edges if k == len(moving) - 1 else []
-            elif not after and entry < 0:
-                entry = k
-            if after:
-                part = segments[entry if entry >= 0 else k : k + 1]
-                may_change = boundary.contacts
-                if not workspace.squeeze:
-                    may_change = may_change[contact[np.array(stays)[end_of_path, moving[k]]]]
-                if not _are_joined(boundary, (side, after), part, margin, may_change):
-                    crossings.append(float(moving[k] + when))
-                entry = -1
-    return crossings
-
-
-_exact = np.vectorize(Fraction, otypes=[object])
-
-
-def _cross(u: Any, v: Any) -> Any:
-    return u[0] * v[1] - u[1] * v[0]
-
-
-def _meetings(boundary: Boundary, way: Any, start: Any, change: Any, margin: float) -> list[tuple[Any, list[int]]]:
-    """Return the times in [0, 1] at which a motion meets boundary edges, or begins or ends to run along one."""
-    found: dict[Any, list[int]] = {}
-    for edge in boundary.tree.query(way, predicate="dwithin", distance=margin).tolist():
-        ends = _exact(boundary.segments[edge]) - start
-        (first, last), times = (_cross(change, end) for end in ends), ends @ change / (change @ change)
-        if first != last and first * last <= 0:  # the edge crosses the motion's line at one time
-            times = [times[0] + first / (first - last) * (times[1] - times[0])]
-        elif first == last == 0 and max(times) >= 0 and min(times) <= 1:
-            times = np.clip(times, Fraction(0), Fraction(1))
+        parts = shapely.get_parts(shapely.intersection(workspace.free_space, shapely.buffer(segments[k], margin)))
+        parts = parts[shapely.area(parts) > 0]
+        group = part_groups(parts, workspace.squeeze)
+        away = [shapely.distance(parts, points[row]) for row in (k, k + 1)]
+        most = [margin if is_loose[k + end] else away[end].min(initial=np.inf) + _SHARE * margin for end in (0, 1)]
+        if own is None or not is_doubtful[k - 1]:
+            is_own = away[0] <= most[0]
         else:
-            times = []
-        for time in {time for time in times if 0 <= time <= 1}:
-            found.setdefault(time, []).append(edge)
-    return sorted(found.items())
-
-
-def _sides(boundary: Boundary, edges: list[int], place: Any, towards: Any) -> list[int]:
-    """Return the edges beside free space in a direction from a place on some edges; none if it leads into walls."""
-    sides = []
-    for edge in edges:
-        start, end = _exact(boundary.segments[edge])
-        is_corner = (place == start).all()
-        left = _exact(boundary.vertices[boundary.sector_end[edge]]) if is_corner else start
-        right, left = end - place, left - place
-        is_inside = _cross(right, towards) >= 0, _cross(towards, left) >= 0
-        if (place != end).any() and (all if _cross(right, left) > 0 else any)(is_inside):
-            sides += [edge, int(boundary.arriving[edge])] if is_corner else [edge]
-    return sides
-
-
-def _are_joined(
-    boundary: Boundary, sides: tuple[list[int], list[int]], way: Any, margin: float, may_change: Int[np.ndarray, "n"]
-) -> bool:
-    """Return whether the boundary near a path joins some edge of one list to some edge of the other."""
-    if set(sides[0]) & set(sides[1]):
-        return True
-    edges, num = np.unique(boundary.tree.query(way, predicate="dwithin", distance=margin)[1]), len(boundary.edges)
-    corners: Any = shapely.points(boundary.vertices[boundary.edges[edges, 0]])
-    edges = edges[shapely.dwithin(corners, shapely.multilinestrings(way), margin)]
-    # Join the two edges of each sector and, where sides may change, all edges of a vertex to the vertex.
-    vertex = boundary.edges[edges, 0]
-    other = np.append(boundary.arriving[edges], np.where(np.isin(vertex, may_change), num + vertex, edges))
-    shape = (num + len(boundary.vertices),) * 2
-    graph = coo_array((np.ones(len(other)), (np.tile(edges, 2), other)), shape=shape)
-    group = connected_components(graph, directed=False)[1]
-    return bool(np.isin(group[sides[0]], group[sides[1]]).any())
+            is_own = shapely.area(shapely.intersection(parts, own)) > 0
+        is_own = np.isin(group, group[is_own]) & (away[1] <= margin)
+        own = shapely.union_all(parts[is_own])
+        if not (is_own & (away[1] <= most[1])).any():
+            crossings.append(k)
+    return crossings
 
 
 def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | None:

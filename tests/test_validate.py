@@ -129,11 +129,11 @@ ABOVE, BELOW, AT = (0.5, 1.5), (1.5, 0.5), (1, 1)  # on either side of the conta
 
 
 CROSSINGS = [
-    ([ABOVE, BELOW], 0.5),
+    ([ABOVE, BELOW], 0),
     ([ABOVE, AT, BELOW], 1),
     ([ABOVE, AT, AT, BELOW], 2),
-    ([ABOVE, (1 - 1e-10, 1 + 1e-10), AT, (1 + 1e-10, 1 - 1e-10), BELOW], 2),
-    ([ABOVE, (1 - 1e-10, 1 + 1e-10), (1 + 1e-10, 1 - 1e-10), BELOW], 1.5),
+    ([ABOVE, (1 - 1e-10, 1 + 1e-10), AT, (1 + 1e-10, 1 - 1e-10), BELOW], 3),
+    ([ABOVE, (1 - 1e-10, 1 + 1e-10), (1 + 1e-10, 1 - 1e-10), BELOW], 2),
     ([(0.9, 1.1), AT, (0.9, 1.2), AT, (1.1, 0.9), BELOW], 3),
     ([AT, ABOVE, AT, BELOW], 2),
     ([(1, 2), AT, (1, 0)], 1),

@@ -60,12 +60,6 @@ class Boundary:
         return shapely.STRtree(np.asarray(shapely.linestrings(self.segments)))
 
     @cached_property
-    def arriving(self) -> Int[np.ndarray, "edges"]:
-        """The edge that ends each sector, from ``sector_end`` to its vertex."""
-        size = np.int64(len(self.vertices))
-        return index_of(self.edges[:, 0] * size + self.edges[:, 1], self.sector_end * size + self.edges[:, 0])
-
-    @cached_property
     def contacts(self) -> Int[np.ndarray, "contacts"]:
         """Indices of the vertices at which several edges start: there the region touches itself in a point."""
         return np.flatnonzero(np.bincount(self.edges[:, 0], minlength=len(self.vertices)) > 1)
@@ -179,9 +173,11 @@ def grown_boundary(boundary: Boundary, radius: float) -> Any:
     """Return the part of a region within ``radius`` of its boundary, as a Shapely geometry; chords replace arcs."""
     offset = radius * boundary.normal
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
+    edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
+    arriving = np.array([edge_of[ends] for ends in zip(boundary.sector_end, boundary.edges[:, 0], strict=True)])
     is_reflex = boundary.is_reflex()
     # ``k`` chords are shorter than their arc by about ``radius * turn**3 / (24 * k**2)``.
-    turn, side = turn_between(offset, offset[boundary.arriving]), np.ptp(boundary.vertices, axis=0).max()
+    turn, side = turn_between(offset, offset[arriving]), np.ptp(boundary.vertices, axis=0).max()
     most, enough = _MOST_CHORDS * turn / (np.pi / 2), np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
     num_chords = np.maximum(1, np.ceil(np.minimum(most, enough) - 1e-9)).astype(int)
     regions = []
@@ -190,7 +186,7 @@ def grown_boundary(boundary: Boundary, radius: float) -> Any:
         collars = np.asarray(shapely.polygons(strips[begin : begin + _COLLARS])).tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
             corner = boundary.vertices[boundary.edges[edge, 0]]
-            rim = arc(corner, offset[edge], offset[boundary.arriving[edge]], num_chords[edge])
+            rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge])
             collars.append(shapely.polygons(np.vstack([corner, rim])))
         regions.append(shapely.union_all(collars))
     while len(regions) > 1:
@@ -267,12 +263,11 @@ def _inside_of_ring(name: str, ring: LinearRing) -> Any:
 
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
-    outers, holes = [], []
+    polygons = []
     components = [components] if isinstance(components, BaseGeometry) else components
     for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
         if isinstance(part, BaseGeometry):
-            outers.append(as_polygon(f"Component {i}", part))
-            holes.append([])
+            polygons.append(as_polygon(f"Component {i}", part))
             continue
         rings = part.get("holes", ()) if isinstance(part, Mapping) and "outer" in part else None
         if not isinstance(rings, list | tuple | np.ndarray):
@@ -280,17 +275,14 @@ def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[
                 f"Component {i} must be a mapping with an 'outer' ring and a list of 'holes', or a Shapely polygon, "
                 f"got {shortened(part)}."
             )
-        outers.append(as_polygon(f"Outer ring {i}", part["outer"]))
-        holes.append([as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(rings)])
-    if not outers:
+        blocked = [as_polygon(f"Hole {j} of component {i}", ring) for j, ring in enumerate(rings)]
+        outer = as_polygon(f"Outer ring {i}", part["outer"])
+        polygons.append(shapely.difference(outer, shapely.union_all(blocked)))
+    if not polygons:
         raise ValueError("Free space needs at least one component, got none.")
-    bounds = as_bounds(shapely.total_bounds(outers).reshape(2, 2) if bounds is None else bounds)
-    rings = [shapely.box(*bounds.lo, *bounds.hi), *outers, *(hole for of_one in holes for hole in of_one)]
-    merged = iter(merge_vertices(rings, 8 * grid_of(bounds)))
-    box, outers = next(merged), [next(merged) for _ in outers]
-    blocked = [shapely.union_all([next(merged) for _ in of_one]) for of_one in holes]
-    united = shapely.union_all(shapely.difference(outers, blocked))
-    return bounds, MultiPolygon(polygons_of(shapely.intersection(box, united)))
+    bounds = as_bounds(shapely.total_bounds(polygons).reshape(2, 2) if bounds is None else bounds)
+    box, *polygons = merge_vertices([shapely.box(*bounds.lo, *bounds.hi), *polygons], 8 * grid_of(bounds))
+    return bounds, MultiPolygon(polygons_of(shapely.intersection(box, shapely.union_all(polygons))))
 
 
 def rounding_of(bounds: Box) -> float:

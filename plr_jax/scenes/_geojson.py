@@ -113,8 +113,8 @@ def read_wkt(
     """Read the polygons of a geometry in well-known text as a workspace, such as a walkable area of JuPedSim.
 
     A ``.wkt`` file has one polygon, multipolygon, or collection of them. Empty geometries are skipped; altitudes,
-    measures and ``SRID=...;`` are dropped. Arguments, units and errors are as for :func:`read_geojson`, but by default polygons are
-    free space, and bounds are their bounding box.
+    measures and ``SRID=...;`` are dropped. Arguments, units and errors are those of :func:`read_geojson`, but by
+    default polygons are free space, and bounds are their bounding box.
     """
     path = Path(path)
     with errors_named(path):
