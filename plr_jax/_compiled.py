@@ -72,7 +72,7 @@ def answered_in_parts(
     return tuple(result.reshape(batch) for result in results)
 
 
-def part_by_part(answer: Callable[..., Columns], size: int, *rows: Array) -> Columns:
+def part_by_part(answer: Callable[..., Columns], size: int, *rows: Any) -> Columns:
     """Apply a traced function to arrays of equally many rows, part by part if there are more than ``size`` rows."""
     # Zeros pad the last part. A batch of symbolic size, as in exported functions, is one part.
     count = rows[0].shape[0]
@@ -84,7 +84,7 @@ def part_by_part(answer: Callable[..., Columns], size: int, *rows: Array) -> Col
     return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:count], columns)
 
 
-def broadcast_shape(names: str, x: Any, y: Any) -> tuple[int, ...]:
+def broadcast_shape(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> tuple[int, ...]:
     try:
         return jnp.broadcast_shapes(x.shape, y.shape)
     except ValueError:
