@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from tqdm import tqdm
 
-from plr_jax._problem import Problem, motion_costs, path_cost
+from plr_jax._problem import Problem, makespan, motion_costs, path_cost
 from plr_jax._types import BoundingFn, HeuristicFn
 from plr_jax.collision.team import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
@@ -33,6 +33,7 @@ from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_latt
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.sequential import sequential_path, with_early_departures
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
+from plr_jax.planners.through_time import subdivided
 from plr_jax.robots.robot import Robot, between
 
 _COARSEST_FIRST = 1 / 16  # coarsest first step, as a share of the bounds' longer side
@@ -55,6 +56,8 @@ _NEAR_LEAST = 1.1  # path cost over the robots' least costs up to which replanni
 _GAIN = 2e-3  # replanning of neighborhoods stops if it saves a smaller share of the cost
 _ROUNDING = 1e-9
 _SEQUENTIAL = "sequential"
+_FEW_LATTICES = 3  # lattices that are tried for a cheaper path than the sequential one
+_SEQUENTIAL_ROWS = 100  # rows into which the sequential path is divided before it is shortened
 _MAX_REPORTED_BYTES = 1 << 60
 _DEFAULT_OPTIONS = BLOptions()
 
@@ -77,27 +80,28 @@ def bl_plan(
 
     Returns:
         The best path found, a lower bound of all path costs, and a status. SOLVED: the cost is at most
-        ``cost_factor`` (default: infinite) times the lower bound. EXHAUSTED: no search is left on the finest lattice
-        (the given ``step``, or 1/2048 of the bounds), which proves nothing about finer lattices. MEMORY_LIMIT: the
-        limit was reached, or best-first search found nothing after it left out children to save memory. Otherwise
-        another limit, or INTERRUPTED after Ctrl-C. Only SOLVED always comes with a path. The lower bound is the
-        largest of the option's, the cost of straight motions, and the heuristic at the starts if its
-        ``is_lower_bound`` is true. Results are deterministic unless the time limit ends a search.
+        ``cost_factor`` (default: infinite) times the lower bound, also if a limit ended its improvement.
+        EXHAUSTED: no search is left on the finest lattice (the given ``step``, or 1/2048 of the bounds), which proves
+        nothing about finer lattices. MEMORY_LIMIT: the limit was reached, or best-first search found nothing after it
+        left out children to save memory. Otherwise another limit, or INTERRUPTED after Ctrl-C. Only SOLVED always
+        comes with a path. The lower bound is the largest of the option's, the cost of straight motions, and the
+        heuristic at the starts if its ``is_lower_bound`` is true. Results are deterministic unless the time limit
+        ends a search.
 
     Raises:
         ValueError: If an argument has a wrong type, or the heuristic returns NaN or a wrong shape.
 
     How it works:
 
-    1. A few discs among few walls move one after the other, from corner to corner. This path is kept if no cheaper
-       one is found.
+    1. A few discs among few walls move one after the other, from corner to corner. This path is shortened and
+       returned, unless one of the first three lattices of step 2 has a cheaper one.
     2. Robots move on finer and finer lattices (grids of configurations that include the exact starts and goals) until
        one of two searches succeeds. LaCAM moves the whole team one step at a time: each robot takes its best free
        motion and pushes others out of its way (PIBT). Best-first search finds coordinated maneuvers, such as a swap.
     3. Robots are replanned on the lattices, one by one, while the others keep their paths. Then straight shortcuts,
        and deviations within narrow corridors, shorten the path.
-    4. With a ``cost_factor``, groups of robots are replanned together, and searches continue with finer lattices and
-       smaller weights.
+    4. With a ``cost_factor`` that is not met yet, groups of robots are replanned together, and searches continue with
+       finer lattices and smaller weights.
 
     References: Barraquand and Latombe, "Robot motion planning: a distributed representation approach", 1991; Section
     V of the paper. Okumura, "LaCAM: search-based algorithm for quick multi-agent pathfinding", 2023. Li et al.,
@@ -110,15 +114,12 @@ def bl_plan(
     require_problem_and_options(problem, options)
     run = Run(problem, heuristic, options, time.perf_counter())
     try:
-        try:
-            status = run.try_sequential_path()
-            if status is None:
-                with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
-                    status = run.search_until_limit()
-        finally:  # also if interrupted
-            if run.path is not None and run.found_by == _SEQUENTIAL:
-                run.path = with_early_departures(problem, run.path)
-                run.history[-1] = (run.history[-1][0], path_cost(problem, run.path))
+        if (status := run.try_sequential_path()) is None:
+            with tqdm(desc="bl_plan", unit=" expansions", delay=3, leave=False, disable=None) as run.progress:
+                status = run.search_until_limit()
+            run.shorten_sequential_path()
+        if run.path is not None and run.cost <= run.accepted_cost:
+            status = Status.SOLVED
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     budget, memory = run.budget, int(min(run.num_bytes, _MAX_REPORTED_BYTES))
@@ -138,6 +139,7 @@ class Run:
         self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
         self.lower_bound, self.accepted_cost = options.lower_bound or 0.0, math.inf
         self.path: JointPath | None = None
+        self.is_sequential_short = False  # whether the sequential path was shortened
         self.cost, self.motions_factor, self.found_by = math.inf, math.inf, ""
         self.history: list[tuple[float, float]] = []
         self.seconds: dict[str, float] = {}
@@ -157,12 +159,13 @@ class Run:
         self._mark = now
 
     def try_sequential_path(self) -> Status | None:
-        # A path on which robots move one after the other suffices if its cost is accepted.
+        """Move robots one after the other; return SOLVED if this path's cost needs no improvement."""
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             path = sequential_path(self.problem)
-            self.end_phase("search")
             if path is not None:
                 self.record(path, _SEQUENTIAL, math.inf)
+                self.path = with_early_departures(self.problem, path)  # of equal cost, up to rounding
+            self.end_phase("search")
         self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
         if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
             cost = float(require_estimates(self.heuristic(self.problem.starts[None].copy()), (1,))[0])
@@ -171,6 +174,14 @@ class Run:
         if self.options.cost_factor < math.inf:
             self.accepted_cost = accepted_cost = self.options.cost_factor * accepted_cost
         return Status.SOLVED if self.cost <= accepted_cost else None
+
+    def shorten_sequential_path(self, factor: float = math.inf) -> bool:
+        """Shorten the sequential path, once, unless a cheaper path is known; return whether it is now accepted."""
+        if self.path is not None and self.found_by == _SEQUENTIAL and not self.is_sequential_short:
+            self.is_sequential_short = True
+            width = makespan(self.problem, self.path) / _SEQUENTIAL_ROWS
+            self._shorten(subdivided(self.problem, self.path, width), _SEQUENTIAL, factor, width)
+        return self.found_by == _SEQUENTIAL and self.cost <= self.accepted_cost
 
     def search_until_limit(self) -> Status:
         searchers, weight = self.options.searchers, self.options.heuristic_weight
@@ -198,9 +209,11 @@ class Run:
         """Search lattices of cell size ``step`` and finer; return why this ended, and a cell size to go on with."""
         finest = self.options.step or _FINEST * self.extent
         running: list[Searches] = []
-        is_complete = True
+        is_complete, num_lattices = True, 0
         try:
             while True:
+                if num_lattices == _FEW_LATTICES and self.shorten_sequential_path():
+                    return Status.SOLVED, step
                 if limit := self.budget.exceeded():
                     return limit, step
                 # A lattice without room to pass would keep one search busy forever: every round adds a lattice.
@@ -236,7 +249,7 @@ class Run:
                         running.remove(searches)
                     if status not in (None, Status.EXHAUSTED):
                         return status, searches.joint.step
-                step /= _REFINEMENT
+                step, num_lattices = step / _REFINEMENT, num_lattices + 1
                 if not running and self.options.step is None:
                     # The lattice for packed robots has no spare cell, for example if a full ring must rotate.
                     step = min(step, first_step(self.problem, self._fits, may_be_packed=False))
@@ -255,14 +268,12 @@ class Run:
             # Coarse lattices may close a passage: halve the step if robots make detours and lattices stay small.
             while may_halve and (joint.least_costs > _DETOUR * straight).any():
                 half = joint.step / 2
-                is_quick = _num_motions_to_test(problem, half) <= _MAX_FIRST_TESTS
-                if not is_quick or self._needed(half) >= self.options.max_memory:
+                if _num_motions_to_test(problem, half) > _MAX_FIRST_TESTS or not self._fits(half):
                     break
                 finer = build_lattices(problem, half, self.test)
                 if not finer.least_costs.sum() <= (1 - _LEAST_SAVING) * joint.least_costs.sum():
                     break
                 joint = finer
-                self._fits(half)
             return joint
         except TimeoutError:
             return None
@@ -274,11 +285,21 @@ class Run:
         found_by, state = searches.found
         path, factor = self._path(searches, state)
         self.record(path, found_by, factor)
+        can_replan = len(self.problem.robots) > 1 and len(state) > 1
         # If the path costs little more than the least costs, shortening alone finds what can be gained.
-        gains = self.accepted_cost < math.inf or factor > _NEAR_LEAST
-        if len(self.problem.robots) > 1 and len(state) > 1 and gains:
-            path, factor = self._path(searches, self._replanned(searches, state))
-        in_corridors = partial(shorten_in_corridors, width=searches.joint.step / 2)
+        if can_replan and factor > _NEAR_LEAST:
+            state = self._replanned(searches, state, in_groups=False)
+            path, factor = self._path(searches, state)
+        if self.shorten_sequential_path(factor):
+            return
+        self._shorten(path, found_by, factor, searches.joint.step / 2)
+        if can_replan and self.accepted_cost < self.cost:
+            path, factor = self._path(searches, self._replanned(searches, state, in_groups=True))
+            self._shorten(path, found_by, factor, searches.joint.step / 2)
+
+    def _shorten(self, path: JointPath, found_by: str, factor: float, width: float) -> None:
+        """Shorten a path, in corridors of at most ``width``, until its cost is accepted."""
+        in_corridors = partial(shorten_in_corridors, width=width)
         for number, shortened in enumerate((shorten, in_corridors, shorten)):
             if self.cost <= self.accepted_cost < math.inf:
                 return
@@ -291,7 +312,8 @@ class Run:
             self.end_phase("shorten")
             self.record(path, found_by, factor)
 
-    def _replanned(self, searches: "Searches", state: State) -> State:
+    def _replanned(self, searches: "Searches", state: State, in_groups: bool) -> State:
+        """Replan robots one by one, then ``in_groups`` until a path is accepted or little is gained."""
         joint, budget, (found_by, _) = searches.joint, self.budget, searches.found
         rows = np.concatenate([state, np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)])
         if budget.memory + num_bytes_of_table(joint, len(rows)) >= budget.max_memory:
@@ -305,7 +327,7 @@ class Run:
             while gains:
                 path, factor = self._path(searches, table.state)
                 self.record(path, found_by, factor)
-                if self.cost <= self.accepted_cost or budget.exceeded():
+                if not in_groups or self.cost <= self.accepted_cost or budget.exceeded():
                     break
                 before = table.cost.sum()
                 replan_neighborhoods(table, len(self.problem.robots), rng)
@@ -329,12 +351,9 @@ class Run:
         return path, (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
 
     def _fits(self, step: float) -> bool:
-        needed = self._needed(step)
+        needed = self.budget.memory + num_bytes(self.problem, step)
         self.num_bytes = max(self.num_bytes, needed)
         return needed < self.options.max_memory
-
-    def _needed(self, step: float) -> float:
-        return self.budget.memory + num_bytes(self.problem, step)
 
 
 _MOTION_BYTES = 92  # memory of a motion while its table is built

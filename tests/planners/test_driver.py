@@ -54,6 +54,17 @@ def test_points_go_around_contact_at_cell_center():
     assert planned(team, step=0.8).cost == pytest.approx(3 * np.sqrt(0.5))
 
 
+@pytest.mark.parametrize("slack", [0.0, 1e-9])
+def test_discs_pass_in_a_stem_as_wide_as_they_are(slack):
+    """Two discs change ends of a T whose lattices are too coarse: the path is the shortened sequential one."""
+    walls = [shapely.box(0, 1, 1, 2), shapely.box(2, 1, 3, 2)]
+    ends = [(0.5, 0.5), (2.5, 0.5)]
+    problem = Problem(Workspace(((0, 0), (3, 2)), walls), [DiscRobot(0.5 - slack)] * 2, ends, ends[::-1])
+    solution = planned(problem)
+    assert solution.status is Status.SOLVED and solution.cost < 5.6 and solution.stats.num_expansions < 500
+    assert planned(problem, cost_factor=1.42).cost <= 1.42 * 4, "shortening alone meets the factor"
+
+
 CROWD = scenes.crowd(8, seed=3)
 BAY = Workspace(((0, 0), (7, 2.2)), [shapely.box(0, 1, 3.1, 2.2), shapely.box(4.05, 1, 7, 2.2)])
 TINY = Workspace(((0, 1e6), (0.06, 1e6 + 0.04)), [shapely.box(0.02, 1e6, 0.03, 1e6 + 0.03)])

@@ -32,9 +32,9 @@ LIMITS = [
 def test_planner_stops_at_limit(options, status):
     solution = bl_plan(ROOMS, zero(), BLOptions(("bl",), **options))
     assert solution.status is status and not solution.solved and solution.cost == np.inf
-    # Discs that can go one after the other have a path all the same.
+    # Discs that can go one after the other have a path, which is within the infinite cost factor.
     solution = planned(ROOMS, zero(), **options)
-    assert solution.status is status and solution.stats.found_by == "sequential"
+    assert solution.status is Status.SOLVED and solution.stats.found_by == "sequential"
 
 
 @pytest.mark.parametrize("max_expansions", [1, 29, 29.5])
@@ -56,6 +56,8 @@ def test_planner_stops_at_cost_factor():
 def test_planner_improves_its_path_until_limit():
     problem = scenes.cross(2)
     first = planned(problem)
+    same = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions)
+    assert same.cost <= first.cost
     best = planned(problem, cost_factor=1.0, max_expansions=first.stats.num_expansions + 120)
     assert best.status is Status.EXPANSION_LIMIT and best.cost < first.cost
     assert best.stats.num_expansions > first.stats.num_expansions
@@ -120,12 +122,11 @@ def test_interrupted_planner_returns_best_path(monkeypatch):
 
 def test_interrupted_sequential_path_gets_early_departures(monkeypatch):
     problem = scenes.four_rooms(3)
-    early = planned(problem, max_expansions=1)
     interrupt_at(monkeypatch, driver, "first_step", 1)
     solution = planned(problem)
-    assert solution.status is Status.INTERRUPTED and solution.makespan == early.makespan < 0.8 * solution.cost
+    assert solution.status is Status.INTERRUPTED and solution.makespan < 0.8 * solution.cost
     interrupt_at(monkeypatch, driver, "with_early_departures", 1)
-    solution = planned(problem, max_expansions=1)
+    solution = planned(problem)
     assert solution.status is Status.INTERRUPTED and solution.makespan == pytest.approx(solution.cost)
 
 
@@ -145,7 +146,7 @@ def test_coarser_lattice_is_tried_if_memory_is_short():
     # The solution states the bytes that the first lattice would have taken.
     assert tight.solved and tight.stats.num_bytes == roomy.stats.num_bytes
     assert tight.stats.history[0][1] != roomy.stats.history[0][1]
-    none = bl_plan(problem, options=BLOptions(max_memory=1000))
+    none = bl_plan(problem, options=BLOptions(searchers=("lacam",), max_memory=1000))
     assert none.status is Status.MEMORY_LIMIT and none.stats.num_bytes > 1000
 
 
