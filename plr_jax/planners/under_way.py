@@ -36,7 +36,7 @@ _PATIENCE = 2 * _WINDOW  # rows for which a robot that has arrived, or waits, bl
 _FEW_STATES = 600  # most states expanded for one robot of a lifelong run, which otherwise goes only part of its way
 _ROUNDING = 1e-9
 _LATE = 10  # rows later than on a straight line, above which a robot is replanned
-_MOST_IDLE = 20  # windows in a row without any robot bound for its goal, after which the whole team is planned
+_MOST_IDLE = 5  # how often the next arrival is put off, or none is planned, before the whole team is planned
 
 
 def replan(
@@ -207,7 +207,8 @@ def lifelong(
 
     :func:`bl_plan` plans the team once. Afterwards, each robot with a new goal is planned by itself while the others
     keep their motions. A robot that finds no path waits near its goal, or where it is, and is replanned later. If
-    that fails, the whole team is planned again. Ctrl-C, or a team that cannot be planned, ends the function early; it
+    that fails, the whole team is planned again. A robot whose next goal is its place is served together with the next
+    robot that arrives. Ctrl-C, or a team that cannot be planned, ends the function early; it
     then returns the run so far. Results are deterministic unless a time limit is reached.
 
     Args:
@@ -258,7 +259,8 @@ class _LifelongTeam:
         self._done, self._num_rows, self._seconds = [problem.starts[None]], 0, []
         self._since = np.zeros(len(problem.robots))  # row at which each robot got its goal
         self._hurried = np.full(len(problem.robots), -_WINDOW)  # row of each robot's last replan for lateness
-        self._num_from_nothing, self._num_idle = 0, 0
+        self._num_from_nothing = 0
+        self._due, self._num_idle = math.inf, 0  # row of the next planned arrival; how often it was put off
 
     def plan_from_nothing(self) -> Status:
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
@@ -272,12 +274,13 @@ class _LifelongTeam:
     def advance(self) -> list[int]:
         """Move the team until a robot arrives or replanning is due; return which robots arrive."""
         is_there = (self.path == self.requested_goals).all(axis=2)
-        arrivals = np.flatnonzero(is_there.any(axis=1))
-        row = int(arrivals[0]) if len(arrivals) else len(self.path) - 1
-        row = row if self.plan else min(row, _WINDOW)
+        # A robot whose goal is its place is served with the next robot that arrives, so that no other robot starves.
+        arrivals = np.flatnonzero(is_there[:, ~is_there[0]].any(axis=1))
+        arrival = int(arrivals[0]) if len(arrivals) else 0 if is_there[0].all() else len(self.path) - 1
+        row = arrival if self.plan else min(arrival, _WINDOW)
         self._done.append(self.path[1 : row + 1])
         self._num_rows, self.path = self._num_rows + row, self.path[row:]
-        arrived = np.flatnonzero(is_there[row]).tolist()
+        arrived = np.flatnonzero(is_there[row]).tolist() if row == arrival or not len(arrivals) else []
         self.served += [(i, self._num_rows, self.requested_goals[i].copy()) for i in arrived]
         return arrived
 
@@ -288,6 +291,7 @@ class _LifelongTeam:
             raise ValueError(f"The next goal of robot {i} must be {expected}, got shape {shape}.")
         pose = settled_pose(self.problem.workspace, robot, goal)[: robot.dof]  # without the heading if it has none
         self.requested_goals[i, : robot.dof], self._since[i] = pose, self._num_rows
+        self._due, self._num_idle = math.inf, 0
 
     def replan(self) -> Status:
         began = time.process_time()
@@ -335,7 +339,9 @@ class _LifelongTeam:
         problem, deadline = self.problem, time.perf_counter() + self.options.time_limit
         timetable = Timetable(problem, self.path, _PATIENCE, deadline)
         waits = (self.path[-1] != self.requested_goals).any(axis=1)
-        self._num_idle = self._num_idle + 1 if waits.all() else 0
+        due = self._num_rows + np.where(waits | (timetable.ends == 0), math.inf, timetable.ends).min()
+        self._num_idle += due > self._due or due == math.inf
+        self._due = due
         todo = np.flatnonzero(waits & (timetable.ends <= _WINDOW))
         todo = todo[np.argsort(self._since[todo], kind="stable")].tolist()
         left = 0 if self._num_idle > _MOST_IDLE else _ATTEMPTS * len(todo)

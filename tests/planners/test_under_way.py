@@ -226,6 +226,31 @@ def test_goals_taken_by_other_robots_are_served_later():
     assert np.bincount(run.robots).min() >= 3
 
 
+def test_robot_that_stays_at_its_goal_is_served_when_another_arrives():
+    problem = Problem(Workspace(((0, 0), (10, 10))), [DiscRobot(0.4)] * 2, [(1, 1), (3, 9)], [(2, 1), (1, 9)])
+    places = {0: [(2, 1)], 1: [(3, 9), (1, 9)]}
+    for plan in (None, bl_plan):
+        run = lifelong(problem, lambda i, others: places[i][0] if i == 0 else places[i].pop(0), 4, plan=plan)
+        places[1] = [(3, 9), (1, 9)]
+        np.testing.assert_array_equal(run.robots, [0, 0, 1, 0, 1])
+        np.testing.assert_allclose(run.times[run.rows], [1, 2, 2, 4, 4])
+
+
+def test_robots_that_block_each_other_are_planned_together():
+    """The discs can pass in the hall, but only if both make way."""
+    ends = [(1, 1), (7, 1)]
+    problem = Problem(Workspace(((0, 0), (8, 2))), [DiscRobot(0.4)] * 2, ends, ends[::-1])
+    side = [1, 0]
+
+    def next_goal(i, others):
+        side[i] = 1 - side[i]
+        return ends[side[i]]
+
+    run = lifelong(problem, next_goal, 5)
+    assert_served(problem, run, 5)
+    assert np.bincount(run.robots).min() >= 2 and run.num_from_nothing > 1
+
+
 def test_interrupted_lifelong_returns_its_path():
     problem, calls = scenes.crowd(4), iter(range(5))
 
