@@ -77,11 +77,12 @@ class Problem:
     @property
     def rotation_weights(self) -> Float[np.ndarray, "robots"]:
         """Cost of each robot's turn by one radian, in workspace units; 0 for robots without a heading."""
-        weights = [
-            robot.circumscribed_radius if self.rotation_weight is None else self.rotation_weight
-            for robot in self.robots
-        ]
-        return np.array(weights) * [robot.dof == 3 for robot in self.robots]
+        return _rotation_weights(self.robots, self.rotation_weight)
+
+
+def _rotation_weights(robots: Sequence[Robot], weight: float | None) -> Float[np.ndarray, "robots"]:
+    weights = [robot.circumscribed_radius if weight is None else weight for robot in robots]
+    return np.array(weights) * [robot.dof == 3 for robot in robots]
 
 
 def motion_costs(
@@ -107,14 +108,18 @@ def path_cost(problem: Problem, path: ArrayLike) -> float:
 
 
 def makespan(problem: Problem, path: ArrayLike) -> float:
-    """Return a path's duration at unit speed: the sum of each motion's largest cost (see :func:`path_cost`)."""
+    """Return a path's duration at unit speed: the sum of each motion's largest cost (see :func:`path_cost`).
+
+    If ``rotation_weight`` is 0, turns cost nothing. They then last as long as with the default ``rotation_weight``.
+    """
     return float(row_times(problem, path)[-1])
 
 
 def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps"]:
     """Return the time at which a path reaches each row, from 0 to the :func:`makespan`."""
     path = as_path(problem, path)
-    return np.append(0.0, np.cumsum(motion_costs(problem, path[:-1], path[1:]).max(axis=1)))
+    weights = _rotation_weights(problem.robots, problem.rotation_weight or None)
+    return np.append(0.0, np.cumsum(straight_costs(path[:-1], path[1:], weights).max(axis=1)))
 
 
 def require_problem(problem: object, path: object = None) -> None:

@@ -104,11 +104,23 @@ def test_fastest_robot_moves_at_unit_speed(seed):
     np.testing.assert_allclose(half_way.max(axis=1), np.diff(solution.times)[moving] / 2, rtol=1e-6, atol=scale)
 
 
-def test_free_turn_is_made_at_once_after_start():
-    free = Problem(ROOM, [RectangleRobot(2, 1)], [(3, 3, 0)], [(7, 3, 1)], rotation_weight=0)
-    path = np.array([[(3.0, 3, 0)], [(3, 3, 1)], [(7, 3, 1)]])
-    at = make_solution(free, path, 0.0, Status.SOLVED, Stats(1), path).path_at([0, 1e-300, 2, 4])
-    np.testing.assert_array_equal(at[:, 0], [(3, 3, 0), (3, 3, 1), (5, 3, 1), (7, 3, 1)])
+def test_free_turn_lasts_as_long_as_by_default():
+    robot = RectangleRobot(2, 1)
+    for weight, scale in ((0, robot.circumscribed_radius), (0.5, 0.5), (None, robot.circumscribed_radius)):
+        problem = Problem(ROOM, [robot], [(3, 3, 0)], [(7, 3, 1)], rotation_weight=weight)
+        path = np.array([[(3.0, 3, 0)], [(3, 3, 1)], [(7, 3, 1)]])
+        solution = make_solution(problem, path, 0.0, Status.SOLVED, Stats(1), path)
+        np.testing.assert_allclose(solution.times, [0, scale, scale + 4])
+        at = solution.path_at([0, scale / 2, scale + 2, np.inf])
+        np.testing.assert_allclose(at[:, 0], [(3, 3, 0), (3, 3, 0.5), (5, 3, 1), (7, 3, 1)])
+
+
+def test_path_that_takes_no_time_begins_at_the_start():
+    """A disc's heading changes at once."""
+    problem = Problem(ROOM, [DiscRobot(0.4), RectangleRobot(2, 1)], *[[(3, 3, turn), (7, 3, 0)] for turn in (0, 1)])
+    path = np.stack([problem.starts, problem.goals])
+    at = make_solution(problem, path, 0.0, Status.SOLVED, Stats(1), path).path_at([0, 1e-300])
+    np.testing.assert_array_equal(at, path)
 
 
 @pytest.mark.usefixtures("unchecked_types")

@@ -43,14 +43,6 @@ def test_motion_takes_as_long_as_largest_cost():
     np.testing.assert_allclose(part[:, 1, 2], [3, 3, 3 + TURN / 2])
 
 
-def test_free_turn_takes_no_time():
-    free = Problem(TEAM.workspace, [ROBOTS[1]], [(1, 3, 0)], [(5, 3, 1)], rotation_weight=0)
-    motion = timeline(free, [[(1, 3, 0)], [(3, 3, 0)], [(3, 3, 1)], [(5, 3, 1)]])
-    np.testing.assert_array_equal(motion.times, [0, 2, 2, 4])
-    at = motion.at(np.array([1.9, 2.0, 3.0]))[:, 0]
-    np.testing.assert_allclose(at, [(2.9, 3, 0), (3, 3, 1), (4, 3, 1)])
-
-
 def test_gif_shows_robots_in_place(tmp_path):
     animation = plot.animate(TEAM, PATH, seconds=1, frames_per_second=10)
     assert animation.num_frames == 11
