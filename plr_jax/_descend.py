@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from plr_jax._arrays import as_distances, as_finite_point, as_numbers, as_points, shortened
+from plr_jax._arrays import as_distances, as_finite_point, as_numbers, as_points, require_function, shortened
 from plr_jax._lookahead import Chains, Field, Next, PathCosts, by_lookahead, chains_of
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.corners import ReflexCorners, TurnPoints, find_corners, find_turn_points
@@ -99,11 +99,13 @@ def descend(
         a path may cost some percent more than the cheapest.
 
     Raises:
-        ValueError: If ``space`` has a wrong type or only tests configurations, a shape is wrong, the goal is not
-            free, or a returned value is invalid: NaN of the field, or not positive and finite for the cost map.
+        ValueError: If ``distance_fn`` is no function, ``space`` has a wrong type or only tests configurations, a
+            shape is wrong, the goal is not free, or a returned value is invalid: NaN of the field, or not positive
+            and finite for the cost map.
 
     References: Putman et al., Section I; de Berg et al., 2008, chapter 15; Falcone and Ferretti, 2014, chapter 8.
     """
+    require_function("distance_fn", distance_fn)
     if isinstance(space, Workspace) and cost_map is None:
         vertices, counts, lengths, costs, is_free = _along_corners(distance_fn, space, starts, goal)
     else:

@@ -163,7 +163,9 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
     prices = np.zeros(lengths.shape)
     moves = (counts > 0)[:, None] & (lengths > 0)
     prices[moves] = costs.integrals(begin[moves.ravel()], end[moves.ravel()], _LAST_TOLERANCE)
-    return vertices, counts, lengths.sum(axis=1), prices.sum(axis=1), is_free
+    # Cumulative sums do not depend on how many copies of the goal follow.
+    lengths, prices = (np.cumsum(each, axis=1)[:, -1] for each in (lengths, prices))
+    return vertices, counts, lengths, prices, is_free
 
 
 class _Lookahead:
@@ -176,10 +178,10 @@ class _Lookahead:
         # The first candidate is the motion to the goal, the others are steps.
         self.leniency = np.append(0.0, np.repeat(_LONGER * np.arange(_NUM_LENGTHS), len(directions)))
         self.steps = (lengths[:, None, None] * directions).reshape(-1, motion.dof)
-        side = _CELL * float((motion.scale * self.domain.width).max())
-        self.num_cells = np.maximum(1, np.rint(motion.scale * self.domain.width / side))
-        self.cell_steps = np.concatenate([side * count * directions for count in _CELL_STEPS])
-        self.minima: list[tuple[Float[np.ndarray, dim], Points | None]] = []
+        self.side = _CELL * float((motion.scale * self.domain.width).max())
+        self.num_cells = np.maximum(1, np.rint(motion.scale * self.domain.width / self.side))
+        self.cell_steps = np.concatenate([self.side * count * directions for count in _CELL_STEPS])
+        self.escapes: dict[bytes, Points | None] = {}
 
     def values(self, x: Points) -> Float[np.ndarray, "n"]:
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
@@ -251,16 +253,21 @@ class _Lookahead:
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
     def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
-        """Return a path from a local minimum to a cost-to-go less than ``below``, or None; reuse earlier paths."""
-        for stuck, chain in self.minima:
-            if self.space.are_free(x[None], stuck[None])[0]:
-                if chain is None:
-                    return None
-                if self.values(chain[-1:])[0] < below:
-                    return np.concatenate([stuck[None], chain])
-        chain = self._search_below(x, below)
-        self.minima.append((x, chain))
-        return chain
+        """Return a path from a local minimum to a cost-to-go less than ``below``, or None.
+
+        The minima in a cell share a path from the cell's center, so that no path depends on the other starts.
+        """
+        cell = np.minimum(np.floor((x - self.domain.lo) / self.domain.width * self.num_cells), self.num_cells - 1)
+        center = self.domain.lo + (cell + 0.5) / self.num_cells * self.domain.width
+        if self.space.are_free(x[None], center[None])[0]:
+            if (key := cell.tobytes()) not in self.escapes:
+                value = float(self.values(center[None])[0])
+                self.escapes[key] = self._search_below(center, value - min(self.side, value / 2))
+            if (chain := self.escapes[key]) is None:
+                return None
+            if self.values(chain[-1:])[0] < below:
+                return np.concatenate([center[None], chain])
+        return self._search_below(x, below)
 
     def _search_below(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
         """Search best first, with a node per grid cell, for a path to a cost-to-go less than ``below``."""

@@ -45,6 +45,10 @@ def test_paths_leave_a_trap():
     np.testing.assert_allclose(descended(far_from(goal), TRAP, starts, goal).lengths, exact, rtol=1e-12)
     in_space = descended(far_from(goal), PlaneSpace(TRAP), starts, goal)
     assert (in_space.costs >= exact - 1e-9).all() and (in_space.costs <= 1.05 * exact).all()
+    # The path of a start does not depend on other starts.
+    alone = descended(far_from(goal), PlaneSpace(TRAP), starts[2:3], goal)
+    np.testing.assert_array_equal(alone.paths[0], in_space.paths[2])
+    assert alone.costs[0] == in_space.costs[2]
 
 
 def test_errors_of_the_field_do_not_trap_paths():
@@ -121,6 +125,7 @@ def test_paths_in_an_empty_room_are_straight():
         (nothing_known, DOOR, [(1, 1)], (5, 2), None, "The goal must be in free space"),
         (nothing_known, DOOR, [(1, 1)], [(1, 1), (5, 2)], None, r"must be in free space, got \[5.0, 2.0\]"),
         (nothing_known, DOOR, [(1, 1)], np.empty((0, 2)), None, "one point .* or several .* got none"),
+        (None, DOOR, [(1, 1)], (8, 2), None, "distance_fn must be a function, got None"),
         (lambda x: x, DOOR, [(1, 1)], (8, 2), None, "one number per point"),
         (lambda x: np.full(len(x), -np.inf), DOOR, [(1, 1)], (8, 2), None, "-inf at .*use inf"),
         (lambda x: np.full(len(x), np.nan), PlaneSpace(DOOR), [(1, 1)], (8, 2), None, "NaN at .*use inf"),
