@@ -8,11 +8,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Integer, UInt8
+from jaxtyping import Float, UInt8
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from scipy.spatial import KDTree
 
 from plr_jax._arrays import as_finite, as_number
 from plr_jax._files import file_path, write_atomically
@@ -186,31 +185,21 @@ def _gif(animation: Animation) -> bytes:
     from PIL import Image
 
     frames = list(_frames(animation))
-    # Quantize to the 256 most frequent colors, by a table with the nearest of them for each cell of 8 x 8 x 8 colors.
-    # Pillow's own quantization averages colors: white turns gray and flat areas flicker.
+    # Quantize to the 256 most frequent colors. The palettes of Pillow average colors: white turns gray and flat areas
+    # flicker.
     packed, counts = np.unique(
         np.stack(frames[:: max(1, len(frames) // 8)]).reshape(-1, 3).astype(np.uint32) @ _PACK, return_counts=True
     )
-    packed = packed[np.argsort(-counts, kind="stable")[:256]]
-    palette = ((packed[:, None] // _PACK) % 256).astype(np.uint8)
-    levels = np.arange(4, 256, 8)
-    centers = np.stack(np.meshgrid(levels, levels, levels, indexing="ij"), axis=-1).reshape(-1, 3)
-    nearest = np.asarray(KDTree(palette).query(centers)[1], dtype=np.uint8)
-    order = np.arange(len(palette))[::-1]  # if colors share a cell, the most frequent one is assigned last and stays
-    nearest[_cells(palette[order])] = order
-    paged = [Image.fromarray(nearest[_cells(frame)]) for frame in frames]
-    for frame in paged:
-        frame.putpalette(palette.tobytes())
+    colors = packed[np.argsort(-counts, kind="stable"), None] // _PACK % 256
+    first = np.unique(colors >> 3, axis=0, return_index=True)[1]  # the most frequent one of similar colors
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colors[np.sort(first)[:256]].astype(np.uint8).tobytes())
+    paged = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
     delay = 10 * round(100 / animation.frames_per_second)  # milliseconds, a multiple of the 10 that GIF supports
     durations = [delay] * (len(paged) - 1) + [int(1000 * HOLD)]
     data = io.BytesIO()
     paged[0].save(data, "GIF", save_all=True, append_images=paged[1:], duration=durations, loop=0, optimize=False)
     return data.getvalue()
-
-
-def _cells(pixels: UInt8[np.ndarray, "*shape 3"]) -> Integer[np.ndarray, "*shape"]:
-    r, g, b = np.moveaxis(pixels.astype(np.int32) >> 3, -1, 0)
-    return (r << 10) | (g << 5) | b
 
 
 def _frames(animation: Animation) -> Iterator[UInt8[np.ndarray, "height width 3"]]:
