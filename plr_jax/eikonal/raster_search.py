@@ -317,10 +317,11 @@ def _mean_factor(
         beyond, rest = (i0 + (to_i > 0), j0 + (to_j > 0)), max(to_i, to_j) / count
         heights.append((1 - rest) * height_at((i0, j0)) + rest * height_at(beyond))
     slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
-    factor = np.broadcast_to(as_numbers("slope_cost", slope_fn(slopes), "numbers"), slopes.shape)
-    if not (factor > 0).all():
-        raise ValueError("slope_cost must return positive numbers, got some that are not.")
-    return np.mean(factor, axis=0)
+    factor = as_numbers("slope_cost's answer", slope_fn(slopes), "numbers")
+    if factor.shape not in ((), slopes.shape) or not (factor > 0).all():
+        got = "others" if (factor <= 0).any() else "NaN" if np.isnan(factor).any() else f"shape {factor.shape}"
+        raise ValueError(f"slope_cost must return one positive number per slope, {slopes.shape}, got {got}.")
+    return np.mean(np.broadcast_to(factor, slopes.shape), axis=0)
 
 
 def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], np.ndarray]) -> np.ndarray:

@@ -41,7 +41,8 @@ class CostDistance:
 
     Attributes:
         distance: Cost distance to the nearest source; ``inf`` where no source can be reached.
-        nearest: Index of the nearest source, or of one at most about 1 % farther; -1 where none can be reached.
+        nearest: Index of the nearest source, or of one at most about 1 % farther; -1, which is the no-data value of
+            a ``DataArray``, where none can be reached.
         lower, upper: Proven bounds of the least cost at the centers of cells; None if not asked for. ``upper`` is
             ``distance``, rounded up. In our experiments they are on average 2 to 4 % of the distance apart, and up to
             100 % near sources and beside much cheaper cells.
@@ -168,6 +169,8 @@ def cost_distance(
         result.attrs, result.encoding = (
             {key: known[key] for key in _REFERENCES if key in known} for known in (costs.attrs, costs.encoding)
         )
+        if name == "nearest":
+            result.attrs["_FillValue"] = -1  # files then know that -1 is no source
         return result
 
     named = {"distance": distance, "nearest": nearest, "lower": lower, "upper": upper}

@@ -23,6 +23,7 @@ class NearestGoal:
     functions are ``VisibilityGraph``s of one workspace, a PLR built from it may have leaves that are cones, can be
     certified, and tells the nearest goal by :meth:`PLR.which`. Loaded from a file, only a PLR with cones does. A wide
     exit, such as a door, is several goals: points along it, no farther apart than twice the error that you accept.
+    If the map changes, make a new one: ``NearestGoal([fn.with_workspace(new) for fn in nearest.distance_fns])``.
     """
 
     distance_fns: tuple[DistanceFn, ...]

@@ -27,7 +27,7 @@ _PLY_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": "
 _PLY_TYPES = dict(char="i1", uchar="u1", short="i2", ushort="u2", int="i4", uint="u4", float="f4", double="f8")
 _PLY_FACES = ("vertex_indices", "vertex_index")
 Polygons: TypeAlias = Float[np.ndarray, "n corners 3"]
-Triangles: TypeAlias = Float[np.ndarray, "n 3 3"]
+Triangles: TypeAlias = Float[np.ndarray, "triangles 3 3"]
 
 
 def read_mesh(path: Path) -> Triangles:

@@ -71,7 +71,10 @@ class Scenario:
 
     Attributes:
         map_name: Name of the map, as given in the file.
-        starts, goals: Points, ``(n, 2)``, in the coordinates of :func:`read_map`.
+        starts, goals: Points, ``(n, 2)``, as in the file: the corner of each cell with the least ``x`` and ``y``. Add
+            0.5 for the center in the coordinates of :func:`read_map`. As they are, the points are the cells of a
+            :class:`GridGraph` of :func:`read_cells`. Shortest paths between corners, in the closed free space, may be
+            shorter than between centers.
         octile_lengths: Published lengths of shortest paths on the 8-connected grid, ``(n,)``, rounded to about six
             digits. Apart from rounding, a Euclidean shortest path is never longer.
     """
@@ -83,7 +86,10 @@ class Scenario:
 
 
 def read_scen(path: str | os.PathLike[str]) -> Scenario:
-    """Read the queries of a Moving AI ``.scen`` file; ``ValueError`` if it is invalid or has no queries."""
+    """Read the queries of a Moving AI ``.scen`` file, whose points are corners of cells (see :class:`Scenario`).
+
+    ``ValueError`` is raised if the file is invalid or has no queries.
+    """
     path = Path(path)
     with errors_named(path):
         lines = text_of(path).splitlines()
