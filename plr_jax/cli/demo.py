@@ -30,6 +30,8 @@ def run(output: Path) -> None:
     plrs = [construct(oracle, problem.workspace.bounds, max_bytes=DEFAULT_BYTES) for oracle in oracles]
     typer.echo(f"  heuristic  {len(plrs)} PLRs, {sum(plr.num_bytes for plr in plrs):,} bytes")
     solution = solve(problem, plr_jax.BLOptions(), plr_jax.sum_of_distances(plrs))
+    if solution.status is plr_jax.Status.INTERRUPTED:
+        raise KeyboardInterrupt
     animation = plot.animate(problem, solution.path, seconds=_GIF_SECONDS, frames_per_second=_GIF_RATE)
     for file in (output / "four_rooms.html", output / "four_rooms.gif"):
         animation.save(file)
