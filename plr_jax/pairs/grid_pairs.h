@@ -6,7 +6,8 @@
    @NAME@_open: takes the @SIZE@ bytes of the file of tables, mapped or read, at an address that 64 divides. Returns 1,
    or 0 if the bytes do not belong to this header. Each file of code that includes this header must call it, with
    result 1, before the other functions. The bytes must stay where they are.
-   @NAME@_check: whether the bytes are undamaged; it reads all of them.
+   @NAME@_check: whether the bytes are undamaged; it reads all of them. With damaged bytes, the functions below may read
+   beyond the end.
    @NAME@_steps: length in steps of a shortest path between two cells, rounded down on 8-connected grids. The cell in
    row r and column c has the number @COLUMNS@ r + c. -1 if no path joins the cells, or a cell is blocked or does not
    exist.

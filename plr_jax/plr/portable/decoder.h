@@ -276,22 +276,22 @@ static inline uint32_t plr_jax_step(const struct plr_jax *f, const uint32_t *pla
     const uint32_t leaf_bits = widths >> 16 & 255u, slot = *number & 15u;
     const uint32_t has_values = kind >> 16 & PLR_JAX_VALUES, marks = has_values ? 2u * size : 0u;
     const uint32_t at = plr_jax_word(f, PLR_JAX_W_TREE) + plr_jax_word(f, PLR_JAX_W_RECORD) * (*number >> 4);
-    const unsigned char *const b = f->bytes + at;
+    const unsigned char *b;
     uint64_t head;
     uint32_t axis, child, before, are_split, i;
     for (i = 0; i < dim; ++i) {
         cell[i][0] = from[i][0];
         cell[i][1] = from[i][1];
     }
-    if (at > f->size || marks + 12u + 2u * axis_bits > f->size - at) {
-        *number = PLR_JAX_LEAF;
-        return 0;
-    }
     axis = plr_jax_bits(f, 8u * (at + marks + 4u) + axis_bits * slot, axis_bits);
-    if (axis >= dim || cell[axis][1] == 1u) {
+    if (at > f->size || marks + 12u + 2u * axis_bits > f->size - at || axis >= dim || cell[axis][1] == 1u) {
+        for (i = 0; has_values && i < size; ++i) { /* damaged bytes: the whole cell is a leaf */
+            corner[i] = ends[i];
+        }
         *number = PLR_JAX_LEAF;
         return 0;
     }
+    b = f->bytes + at;
     cell[axis][1] >>= 1;
     child = 2u * slot + !!(place[axis] & cell[axis][1]);
     cell[axis][0] |= place[axis] & cell[axis][1];
@@ -635,6 +635,7 @@ static inline int plr_jax_leaf(const struct plr_jax *f, float *x, uint32_t (*cel
     count = plr_jax_word(f, PLR_JAX_W_NUM_ODD);
     size = leaf_bits + 40u;
     row = plr_jax_find(f, at, count, size, leaf);
+    count = count - row < terms ? count : row + terms; /* damaged bytes may have endless records of a leaf */
     for (at += size * row; row < count && plr_jax_bits(f, at, leaf_bits) == leaf; ++row, at += size) {
         i = plr_jax_bits(f, at + leaf_bits, 8);
         if (i < terms) {
@@ -723,13 +724,13 @@ static inline float plr_jax_value(const struct plr_jax *f, const float *x, uint3
 /* Checks the bytes of a distance function, and makes f refer to them. Returns PLR_JAX_OK, or what is wrong. */
 static inline int plr_jax_open(struct plr_jax *f, const unsigned char *bytes, uint32_t size)
 {
-    uint32_t crc = 0xffffffffu, i, k, kind, dim, model, terms;
+    uint32_t crc = 0xffffffffu, i, k, kind, dim, model, terms, coding;
     f->bytes = bytes;
     f->size = size;
     if (size < 4u || plr_jax_word(f, PLR_JAX_W_MAGIC) != 0x31434c50u) {
         return PLR_JAX_NO_PLR;
     }
-    if (size < 4u * PLR_JAX_NUM_WORDS + 5u || plr_jax_word(f, PLR_JAX_W_SIZE) != size || size >> 29) {
+    if (size < 4u * PLR_JAX_NUM_WORDS + 4u || plr_jax_word(f, PLR_JAX_W_SIZE) != size || size >> 29) {
         return PLR_JAX_BAD_SIZE;
     }
     for (i = 0; i < size - 4u; ++i) {
@@ -747,17 +748,30 @@ static inline int plr_jax_open(struct plr_jax *f, const unsigned char *bytes, ui
     dim = kind & 255u;
     model = kind >> 8 & 255u;
     terms = plr_jax_word(f, PLR_JAX_W_TERMS);
+    coding = kind >> 16 & (PLR_JAX_CODED | PLR_JAX_VALUES);
     i = model == PLR_JAX_PLANE || model == PLR_JAX_CONE ? 1u + dim : 1u << (model * dim & 31u);
-    return !dim || dim > PLR_JAX_MAX_DIM || model > PLR_JAX_CONE || terms != i || terms > PLR_JAX_MAX_TERMS
-                   || (model % 3u && dim > 6u) || (!(model % 3u) && kind >> 16 & PLR_JAX_VALUES)
-               ? PLR_JAX_TOO_LARGE
-               : PLR_JAX_OK;
+    if (!dim || dim > PLR_JAX_MAX_DIM || model > PLR_JAX_CONE || terms != i || terms > PLR_JAX_MAX_TERMS
+        || (model % 3u && dim > 6u)) {
+        return PLR_JAX_TOO_LARGE;
+    }
+    /* Leaves of planes may be coded as integers, polynomials as values; all others are floats. */
+    i = model == PLR_JAX_PLANE ? PLR_JAX_CODED : PLR_JAX_CODED | PLR_JAX_VALUES;
+    if (coding && (coding != i || model == PLR_JAX_CONE || (model == PLR_JAX_SMOOTH && dim != 2u))) {
+        return PLR_JAX_TOO_LARGE;
+    }
+    return size < 4u * (PLR_JAX_NUM_WORDS + PLR_JAX_NUM_FLOATS * dim) + 4u ? PLR_JAX_BAD_SIZE : PLR_JAX_OK;
 }
 
 /* Returns the number of coordinates of a point. */
 static inline uint32_t plr_jax_dim(const struct plr_jax *f)
 {
     return plr_jax_word(f, PLR_JAX_W_KIND) & 255u;
+}
+
+/* Returns the leaf model. */
+static inline uint32_t plr_jax_model(const struct plr_jax *f)
+{
+    return plr_jax_word(f, PLR_JAX_W_KIND) >> 8 & 255u;
 }
 
 /* Returns whether the domain is far from the origin, so that points are doubles. */
@@ -798,7 +812,7 @@ static inline float plr_jax_distance(const struct plr_jax *f, const float *x)
     return plr_jax_distance_of(f, x, PLR_JAX_ANY);
 }
 
-/* For cones: the next waypoint on the way to the goal; NAN outside the domain. */
+/* For cones: the next waypoint on the way to the goal; NAN outside the domain, and for other leaves. */
 static inline void plr_jax_waypoint(const struct plr_jax *f, const float *x, float *waypoint)
 {
     const uint32_t dim = plr_jax_dim(f);
@@ -806,7 +820,7 @@ static inline void plr_jax_waypoint(const struct plr_jax *f, const float *x, flo
     float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
     int is_inside;
     memcpy(z, x, dim * sizeof *x);
-    is_inside = plr_jax_leaf(f, z, cell, n, 1u << PLR_JAX_CONE);
+    is_inside = plr_jax_model(f) == PLR_JAX_CONE && plr_jax_leaf(f, z, cell, n, 1u << PLR_JAX_CONE);
     for (axis = 0; axis < dim; ++axis) {
         waypoint[axis] = is_inside ? plr_jax_frame(f, axis, PLR_JAX_LO) + n[1u + axis] : NAN;
     }
@@ -853,7 +867,7 @@ static inline void plr_jax_waypoint_far(const struct plr_jax *f, const double *x
     float z[PLR_JAX_MAX_DIM], n[PLR_JAX_MAX_TERMS];
     int is_inside;
     plr_jax_place_far(f, x, z, dim);
-    is_inside = plr_jax_leaf(f, z, cell, n, 1u << PLR_JAX_CONE);
+    is_inside = plr_jax_model(f) == PLR_JAX_CONE && plr_jax_leaf(f, z, cell, n, 1u << PLR_JAX_CONE);
     for (axis = 0; axis < dim; ++axis) {
         waypoint[axis] = is_inside ? plr_jax_exact(f, axis, PLR_JAX_DOMAIN_LO) + (double)n[1u + axis] : NAN;
     }
