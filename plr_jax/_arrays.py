@@ -49,6 +49,11 @@ def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Floa
     return point
 
 
+def is_traced(value: object) -> bool:
+    """Return whether a value is a tracer of JAX, or JAX's error that a tracer is no array, without importing JAX."""
+    return "Tracer" in type(value).__name__
+
+
 def as_numbers(name: str, value: ArrayLike, expected: str) -> Float[np.ndarray, "..."]:
     """Check an array of real numbers, none masked, and return it as float64; ``expected`` describes it in errors."""
     try:
@@ -78,8 +83,7 @@ def as_cells(
 
 
 def _if_traced(value: object) -> str:
-    """Return advice if a value is a tracer of JAX, or JAX's error that a tracer is no array; else nothing."""
-    if "Tracer" not in type(value).__name__:
+    if not is_traced(value):
         return ""
     return (
         " Workspaces, oracles and planners take concrete arrays, not those that JAX traces: inside jit, call them by "

@@ -1,22 +1,51 @@
-"""Run a compiled JAX function on a large batch in parts, on all CPU cores."""
+"""Pytrees that ``jax.export`` can serialize; running a compiled function on a large batch on all cores."""
 
+import json
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from math import prod
-from typing import Any, TypeVar
+from typing import Any, TypeVar, dataclass_transform
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
+from jax import export
 from jax.export import is_symbolic_dim
 from jaxtyping import Array, Shaped
 
-from plr_jax._arrays import padded
+from plr_jax._arrays import is_traced, padded
 
 Columns = TypeVar("Columns")
 _PARTS = 8  # a batch of at most so many small parts is divided into small parts, a larger batch into large parts
+
+
+Class = TypeVar("Class", bound=type)
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
+def pytree(of: Class) -> Class:
+    """Make a class a frozen dataclass and a pytree that ``jax.export`` can serialize; a decorator."""
+    return serializable(jax.tree_util.register_dataclass(dataclass(frozen=True, eq=False)(of)))
+
+
+def serializable(of: Class, default: Any = None, object_hook: Any = None) -> Class:
+    """Let ``jax.export`` serialize functions of a registered pytree; a decorator.
+
+    Static fields become JSON, so that no file can run code. ``default`` and ``object_hook``, as in ``json``, are
+    functions that encode and decode values that JSON does not have.
+    """
+    return export.register_pytree_node_serialization(
+        of,
+        serialized_name=f"plr_jax.{of.__name__}",
+        serialize_auxdata=lambda static: json.dumps(static, default=default).encode(),
+        deserialize_auxdata=lambda data: _with_tuples(json.loads(data, object_hook=object_hook)),
+    )
+
+
+def _with_tuples(value: Any) -> Any:
+    return tuple(map(_with_tuples, value)) if isinstance(value, list) else value
 
 
 def num_cores() -> int:
@@ -25,7 +54,7 @@ def num_cores() -> int:
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
     """Return whether no array is traced, and all arrays and results of JAX are in the memory of one CPU."""
-    if any(isinstance(each, Tracer) for each in arrays):
+    if any(is_traced(each) for each in arrays):
         return False
     devices = {device for each in arrays if isinstance(each, jax.Array) for device in each.devices()}
     return len(devices) <= 1 and all(device.platform == "cpu" for device in devices or jax.devices())

@@ -27,6 +27,8 @@ from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
 from plr_jax.spaces import data_array_box, is_data_array, raster_values
 
+# Costs of paths, and squares of their ratios in the proof of bounds, then neither overflow nor vanish.
+_LEAST_COST, _MOST_COST = 1e-70, 1e70
 _REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray that hold for distances too
 
 
@@ -104,10 +106,10 @@ def cost_distance(
     change slowly, 0.5 to 7 % where they jump.
 
     Args:
-        costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
-            ``DataArray`` of two dimensions, y and x, with evenly spaced coordinates in units of length. With heights,
-            costs are factors without a unit. NaN, ``inf``, masked cells and a ``DataArray``'s no-data value are
-            barriers. No path passes between two barriers that touch in a corner.
+        costs: Costs per unit of length, ``(rows, columns)``, from 1e-70 to 1e70: an array, a masked array or an
+            xarray ``DataArray`` of two dimensions, y and x, with evenly spaced coordinates in units of length. With
+            heights, costs are factors without a unit. NaN, ``inf``, masked cells and a ``DataArray``'s no-data value
+            are barriers. No path passes between two barriers that touch in a corner.
         sources: Points ``(k, 2)``, rows ``(x, y)``; or a boolean mask of the raster's shape, whose cells are numbered
             as by ``np.argwhere(mask)``. Points of a ``DataArray`` have its coordinates. In an array, row 0 has the
             lowest y: ``costs[i, j]`` covers x from ``j`` to ``j + 1`` and y from ``i`` to ``i + 1``, times
@@ -207,9 +209,12 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
             raise ValueError(f"cell_size is for arrays, and this DataArray has coordinates, got {cell_size}.")
         box, order = data_array_box("costs", costs)
     cost = cost[order]
-    if (wrong := np.argwhere(cost <= 0)).size:
+    if not ((box.width >= _LEAST_COST) & (box.width <= _MOST_COST)).all():
+        raise ValueError(f"The raster must be {_LEAST_COST:g} to {_MOST_COST:g} long and wide, got {box.width}.")
+    if (wrong := np.argwhere((cost < _LEAST_COST) | ((cost > _MOST_COST) & (cost < np.inf)))).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
-        raise ValueError(f"costs must be positive, got {got}. Use a small cost for free passage, NaN for barriers.")
+        expected = f"costs must be positive, from {_LEAST_COST:g} to {_MOST_COST:g}"
+        raise ValueError(f"{expected}, got {got}. Use a small cost for free passage, NaN for barriers.")
     return cost, box, order
 
 

@@ -6,10 +6,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from plr_jax._arrays import as_point, as_points, as_queries, as_values, set_fields, shortened
-from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn, Distances
+from plr_jax._arrays import as_point, as_points, as_queries, as_values, is_traced, set_fields, shortened
+from plr_jax._types import ArrayLike, DimensionedFn, DistanceFn
 from plr_jax.oracles._visibility_graph import VisibilityGraph, nearest_cell_sources
 
 
@@ -49,14 +49,18 @@ class NearestGoal:
         """Whether the minimum is a lower bound of the true distance: true if all functions are lower bounds."""
         return all(getattr(fn, "is_lower_bound", False) for fn in self.distance_fns)
 
-    def __call__(self, x: ArrayLike) -> Distances:
-        """Return the distance of points ``(n, dim)`` to the nearest goal, ``inf`` where no goal can be reached."""
+    def __call__(self, x: ArrayLike) -> Any:
+        """Return the distances ``(n,)`` of points ``(n, dim)`` to the nearest goal, ``inf`` if none can be reached.
+
+        Inside ``jit``, this needs distance functions that can be traced, such as PLRs.
+        """
         return self._distances(x).min(axis=0)
 
-    def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
-        """Return the index of the goal nearest to each point ``(n, dim)``: the first of equal ones, -1 if none."""
+    def which(self, x: ArrayLike) -> Any:
+        """Return the index ``(n,)`` of the goal nearest to each point: the first of equal ones, -1 if none."""
         distances = self._distances(x)
-        return np.where(np.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
+        xp = distances.__array_namespace__()
+        return xp.where(xp.isfinite(distances).any(axis=0), distances.argmin(axis=0), -1)
 
     def shortest_path(self, x: ArrayLike) -> Float[np.ndarray, "m dim"]:
         """Return a point's path ``(m, dim)`` to the nearest goal; ``ValueError`` if its function offers no paths."""
@@ -68,7 +72,10 @@ class NearestGoal:
             )
         return nearest.shortest_path(x)
 
-    def _distances(self, x: ArrayLike) -> Float[np.ndarray, "goals n"]:
+    def _distances(self, x: ArrayLike) -> Any:
+        if is_traced(x):
+            answers = x.__array_namespace__().stack([fn(x) for fn in self.distance_fns])
+            return answers.__array_namespace__().nan_to_num(answers, nan=np.inf, posinf=np.inf)
         num = len(as_points("x", x, self.dim))
         x = as_queries(x)  # functions must know which points come as 32-bit floats
         fns = enumerate(self.distance_fns)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -19,6 +18,7 @@ from jaxtyping import Array, Bool, Int, Int32, Integer, Shaped
 from tqdm import tqdm
 
 from plr_jax._arrays import parts, ragged_indices
+from plr_jax._compiled import pytree
 
 # Lengths of steps in units: integers, so that sums are exact in any order.
 STRAIGHT = {4: 1, 8: 985}
@@ -214,8 +214,7 @@ def looked_up(table: Any, index: Any) -> Any:
     return table.at[index.astype(jnp.uint32)].get(mode="promise_in_bounds")
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class CornerTable:
     center: Integer[Array, "corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
@@ -230,8 +229,7 @@ class CornerTable:
         return between + looked_up(self.differences, (high * (high + 1) >> 1) + low).astype(np.int32)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class CornerLabels:
     """Distances from each obstacle corner of a grid to its ancestors in a tree; a corner is its own last ancestor.
 

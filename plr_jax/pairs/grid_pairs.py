@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Int32, UInt8
 
 from plr_jax._arrays import as_finite_point, as_numbers, require_integer, shortened
-from plr_jax._compiled import broadcast_shape, is_on_one_host
+from plr_jax._compiled import broadcast_shape, is_on_one_host, pytree
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.grid_corners import DIAGONAL, FAR, STRAIGHT, CornerTable
@@ -76,8 +76,7 @@ class GridHeader:
     table: bytes
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class DistanceToCell:
     """The distance to one cell of a grid as a function of points, made by :meth:`GridPairs.to`."""
 
@@ -102,8 +101,7 @@ class DistanceToCell:
         return evaluate_to(self.tables, self.from_goal, self.goal, _as_points("x", x))
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class GridPairs:
     """Lengths of shortest paths between any two cells of a grid, never above the truth.
 

@@ -8,7 +8,7 @@ be shorter than this length.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from jax.export import is_symbolic_dim
 from jaxtyping import Array, Bool, Float, Int, Int32, Integer, Num, UInt32
 
 from plr_jax._arrays import parts, ragged_indices
-from plr_jax._compiled import part_by_part
+from plr_jax._compiled import part_by_part, pytree
 from plr_jax.pairs.grid_corners import (
     FAR,
     STRAIGHT,
@@ -45,8 +45,7 @@ _Corners = Int32[Array, "n 4"]  # a block of corners of each cell, or their dist
 _Sums = Int[np.ndarray, "rows_plus_one columns_plus_one"]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class IllegalSteps:
     """Tables of a grid: which cells are free, and prefix sums by which :func:`sees` tests pairs of cells."""
 
@@ -132,8 +131,7 @@ BLOCK = 4  # corners of a cell that are read in one step
 GROUP = 16  # cells whose block offsets share a base
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class GridTables:
     """Arrays of a grid: free cells, corners where shortest paths from each cell may turn first, corner distances."""
 

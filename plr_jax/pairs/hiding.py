@@ -7,7 +7,7 @@ few dozen replace most tests of walls.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import reduce
 from typing import Any, TypeVar
 
@@ -18,6 +18,7 @@ from jax.export import is_symbolic_dim
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from plr_jax._arrays import padded, parts, ragged_indices, size_in_eighths, take_ragged
+from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
 
 _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer run
@@ -46,8 +47,7 @@ Walls = Float[np.ndarray, "walls 4"]
 NearPairs = tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]]  # list entries, and a wall near each
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class NearWalls:
     """The walls between each leaf, a box of the domain, and the corners that it lists as first turns of paths."""
 

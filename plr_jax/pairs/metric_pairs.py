@@ -1,16 +1,15 @@
 """Approximate distances between any two points for any metric: one PLR over the product of the space with itself."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
-from plr_jax._arrays import as_queries, shortened
+from plr_jax._arrays import as_queries, is_traced, shortened
+from plr_jax._compiled import pytree
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._construct import construct
@@ -18,8 +17,7 @@ from plr_jax.plr._plr import PLR
 from plr_jax.plr.frame import Frame
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class MetricPairs:
     """Approximate distances between any two points of a box, stored as one PLR over pairs of points.
 
@@ -40,7 +38,7 @@ class MetricPairs:
         for name, points in (("x", x), ("y", y)):
             if points.ndim == 0 or points.shape[-1] != self.dim:
                 raise ValueError(f"{name} must be points of shape (..., {self.dim}), got {points.shape}.")
-        on_host = all(isinstance(each, np.ndarray) for each in (x, y)) and not isinstance(self.plr.file, Tracer)
+        on_host = all(isinstance(each, np.ndarray) for each in (x, y)) and not is_traced(self.plr.file)
         module: Any = np if on_host else jnp  # NumPy points keep 64 bits
         x, y = module.broadcast_arrays(x, y)
         lo, hi, periodic = self._ends()
@@ -55,7 +53,7 @@ class MetricPairs:
     def _ends(self) -> tuple[Any, Any, Bool[np.ndarray, "dim"]]:
         # If JAX traces the file, the corners of the box come from the tables.
         periodic = np.isin(np.arange(self.dim), self.plr.tables.periodic)
-        if not isinstance(self.plr.file, Tracer):
+        if not is_traced(self.plr.file):
             domain = self.plr.domain
             return domain.lo[: self.dim], domain.hi[: self.dim], periodic
         frame = self.plr.tables.frame[:, : self.dim]

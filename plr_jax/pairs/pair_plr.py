@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
-from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Float, Shaped, UInt8
 
-from plr_jax._arrays import as_finite_point, as_queries
-from plr_jax._compiled import answered_in_parts, broadcast_shape, is_on_one_host
+from plr_jax._arrays import as_finite_point, as_queries, is_traced
+from plr_jax._compiled import answered_in_parts, broadcast_shape, is_on_one_host, serializable
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.one_goal import plr_to
@@ -36,6 +34,7 @@ _FEW_TESTS = 2**18  # pairs times walls up to which NumPy answers: at most about
 _PAIRS_A_GOAL = 8  # pairs that take as long as a prepared goal
 
 
+@serializable
 @jax.tree_util.register_pytree_with_keys_class
 @dataclass(frozen=True, eq=False)
 class PairPLR(FileBacked):
@@ -46,32 +45,13 @@ class PairPLR(FileBacked):
     """
 
     file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
-    _known_tables: PairTables | None = field(default=None, repr=False)
     _known_stored: PairsFileData | None = field(default=None, repr=False)
 
     @cached_property
     def tables(self) -> PairTables:
         """The tables that a query reads, built from the file on first use; many times as large as the file."""
-        if self._known_tables is not None:
-            return self._known_tables
         with jax.ensure_compile_time_eval():  # also inside a traced function
-            return build_pair_tables(self.stored, self.num_bytes)
-
-    def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
-        return ((GetAttrKey("tables"), self.tables), (GetAttrKey("file"), self.file)), None
-
-    @classmethod
-    def tree_unflatten(cls, _: None, children: tuple[Any, Any]) -> "PairPLR":
-        tables, file = children
-        return cls(file, tables)
-
-    def with_label(self, label: str) -> "PairPLR":
-        """Return a copy whose file stores another label, a text; tables that are already built are shared."""
-        if label == self.label:
-            return self
-        stored = replace(self.stored, label=label)
-        known = self.__dict__.get("tables", self._known_tables)
-        return replace(self, file=super().with_label(label).file, _known_tables=known, _known_stored=stored)
+            return build_pair_tables(self.stored, self.table_class)
 
     def __call__(
         self, x: ArrayLike, y: ArrayLike | PreparedGoals, *, outside: Outside = "inf"
@@ -197,11 +177,12 @@ class PairPLR(FileBacked):
 
     @cached_property
     def _numpy(self) -> NumpyPairs:
+        self.require_arrays_of_file()
         return NumpyPairs(self.stored)
 
     @property
     def _table_size(self) -> int:
-        return len(self.tables.distances) if isinstance(self.file, Tracer) else table_size(self.num_corners)
+        return len(self.tables.distances) if is_traced(self.file) else table_size(self.num_corners)
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
         x = x if isinstance(x, jax.Array) else as_queries(x)
@@ -209,7 +190,7 @@ class PairPLR(FileBacked):
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
         if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
             raise ValueError(f"{name} must be real numbers, got an array of {x.dtype}.")
-        if isinstance(self.file, Tracer):
+        if is_traced(self.file):
             unresolved, (first, rest) = self.tables.unresolved, self.tables.middle
         else:
             middle, unresolved = (self.domain.lo + self.domain.hi) / 2, unresolved_types(self.domain)
@@ -224,7 +205,7 @@ class PairPLR(FileBacked):
 
     @cached_property
     def stored(self) -> PairsFileData:
-        return self._known_stored or PairsFileData.from_bytes(self.to_bytes())
+        return self._known_stored or PairsFileData.from_bytes(self.file_bytes)
 
     @property
     def domain(self) -> Box:
@@ -242,10 +223,11 @@ class PairPLR(FileBacked):
         return len(self.stored.corner)
 
     def __repr__(self) -> str:
-        if np.ndim(self.file) != 1 or isinstance(self.file, Tracer):
-            return "PairPLR(of arrays that are traced or stacked)"
-        leaves, corners = self.num_leaves, self.num_corners
-        return f"PairPLR(num_leaves={leaves}, num_corners={corners}, num_bytes={self.num_bytes}, {self.domain})"
+        try:
+            leaves, corners = self.num_leaves, self.num_corners
+            return f"PairPLR(num_leaves={leaves}, num_corners={corners}, num_bytes={self.num_bytes}, {self.domain})"
+        except (TypeError, ValueError):
+            return "PairPLR(of arrays that are traced, stacked or replaced)"
 
 
 def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> PairPLR:
@@ -285,11 +267,11 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     from plr_jax.pairs.construct import construct_stored  # queries do not need it
 
     stored, data = construct_stored(workspace, max_bytes)
-    return PairPLR(padded_file(data), None, stored)
+    return PairPLR(padded_file(data), stored)
 
 
 def pairs_from_bytes(data: bytes) -> PairPLR:
-    return PairPLR(padded_file(data), None, PairsFileData.from_bytes(data))
+    return PairPLR(padded_file(data), PairsFileData.from_bytes(data))
 
 
 @partial(jax.jit, static_argnames="outside")

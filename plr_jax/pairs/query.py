@@ -7,7 +7,7 @@ the length of a path found. Most pairs of points need one or two rounds.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,14 +15,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.export import is_symbolic_dim
-from jaxtyping import Array, Float, Integer, Shaped, UInt32
+from jaxtyping import Array, Float, UInt32
 
 from plr_jax._arrays import padded_size
-from plr_jax._compiled import part_by_part
+from plr_jax._compiled import part_by_part, pytree
 from plr_jax.pairs.hiding import Flags, Points, Rows, is_across_occluder, updated
 from plr_jax.pairs.portable import crossings, winding
 from plr_jax.pairs.tables import NO_WAY, STEEPEST, PairTables
 from plr_jax.plr.query import lookup
+from plr_jax.plr.tables import gather
 
 _AT_ONCE = 2**14  # pairs of points that fit into caches
 _TESTED = 2**10  # pairs tested against the walls of a box together
@@ -32,8 +33,7 @@ _Lengths = Float[Array, "n"]
 _Crossed = tuple[Array, Array]  # whether segments cross walls inward, and whether outward
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class PreparedGoals:
     """Goals with their distances to all corners: a pytree of arrays made by :meth:`PairPLR.prepared`."""
 
@@ -57,8 +57,7 @@ def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n 
     return jax.lax.fori_loop(0, tables.x.shape[1], by_corner, none)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class _Pairs:
     x: Points
     y: Points
@@ -70,8 +69,7 @@ class _Pairs:
     keys: UInt32[Array, "n longest"]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class _Search:
     length: _Lengths  # of the shortest path found so far, `inf` if there is none
     via_x: Rows  # place of the path's first turn in the list of the first point's leaf; the list's length if straight
@@ -81,8 +79,7 @@ class _Search:
     hidden_y: UInt32[Array, "n words"]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class Ways:
     length: _Lengths  # of the shortest path found, `inf` if there is none
     least: _Lengths  # lower bound of the length of any path
@@ -119,9 +116,9 @@ def _ways(
     listed, longest = tables.listed[leaf_x].astype(jnp.uint32), tables.x.shape[1]
     # 1. Bound the path length through each corner of the first point's list.
     if to_corners is not None:
-        onward = _at(to_corners.ravel(), leaf_y[:, None] * size + listed)
+        onward = gather(to_corners.ravel(), leaf_y[:, None] * size + listed)
     else:
-        bound = _at(tables.onward.ravel(), leaf_y[:, None] * size + listed)
+        bound = gather(tables.onward.ravel(), leaf_y[:, None] * size + listed)
         length = jnp.where(bound & NO_WAY == NO_WAY, jnp.inf, (bound & NO_WAY).astype(jnp.float32) * tables.step)
         slopes = ((bound >> shift & 255).astype(jnp.float32) - STEEPEST for shift in (np.uint32(16), np.uint32(24)))
         away = (y - tables.middles[leaf_y]) / STEEPEST
@@ -173,7 +170,7 @@ def _after_round(
     via_x, corner = _corner_of(tables, leaf_x, first), tables.listed[leaf_x, first].astype(jnp.uint32)
     if to_corners is not None:
         hidden = _is_leg_hidden(tables, leaf_x, first, x, via_x)
-        length = _norm(x - via_x) + _at(to_corners.ravel(), leaf_y * size + corner)
+        length = _norm(x - via_x) + gather(to_corners.ravel(), leaf_y * size + corner)
         better = ~hidden & (length < search.length)
         length, via_x = jnp.where(better, length, search.length), jnp.where(better, first, search.via_x)
         return replace(search, length=length, via_x=via_x, key=next_key)
@@ -182,7 +179,7 @@ def _after_round(
     bits = search.hidden_y[:, :, None] >> np.arange(32, dtype=np.uint32)[None, None]
     is_left_out = (bits.reshape(bits.shape[0], -1)[:, : columns.size] & 1).astype(bool)
     listed = tables.listed[leaf_y].astype(jnp.uint32)
-    onward = _legs(tables, leaf_y, y) + _at(tables.distances.ravel(), corner[:, None] * size + listed)
+    onward = _legs(tables, leaf_y, y) + gather(tables.distances.ravel(), corner[:, None] * size + listed)
     onward = jax.lax.optimization_barrier(jnp.where(is_left_out, jnp.inf, onward))
     rest = onward.min(axis=1)
     last = _least(jnp.where(onward == rest[:, None], columns, columns.size - 1))
@@ -228,10 +225,6 @@ def _corner_of(tables: PairTables, leaf: Rows, place: Rows) -> Points:
 
 def _norm(v: Points) -> _Lengths:
     return jnp.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1])
-
-
-def _at(table: Shaped[Array, "m ..."], index: Integer[Array, "*n"]) -> Shaped[Array, "..."]:
-    return table.at[index].get(mode="promise_in_bounds")
 
 
 def _is_leg_hidden(tables: PairTables, leaf: Rows, place: Rows, x: Points, corner: Points) -> Flags:

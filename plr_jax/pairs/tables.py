@@ -1,18 +1,19 @@
 """Tables of a PairPLR's file that queries in JAX read. Coordinates are relative to the middle of the domain."""
 
-from dataclasses import dataclass, field
-from types import SimpleNamespace
+from dataclasses import field, replace
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float, UInt16, UInt32
 
 from plr_jax._arrays import padded, ragged_indices, size_in_eighths
+from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
 from plr_jax.pairs.hiding import NearWalls, occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, Scene
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types
+from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.tables import Tables, build_tables
 
 _UNROLLED, _CLUSTER = 16, 32  # occluders, and neighboring walls in a box, tested in one step of a loop
@@ -24,15 +25,13 @@ _SHRUNK = np.float32(1 - 8 * np.finfo(np.float32).eps)  # makes up for the round
 _NOWHERE = 1e30  # a coordinate beyond every domain, for boxes of no walls
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class Walls:
     groups: Float[Array, "groups 32 4"]  # coordinates of both ends of neighboring walls
     boxes: Float[Array, "groups 4"]  # of a box around each group with a margin for rounding: middle, half widths
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class PairTables:
     partition: Tables
     walls: Walls  # moved into obstacles a little
@@ -71,7 +70,6 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     size, rows = table_size(count), size_in_eighths(len(cells))
     seen, free = (Scene.of(stored, is_certain) for is_certain in (False, True))
     sure = Scene.of(stored, False, hides_surely=True).walls
-    no_leaf = SimpleNamespace(least_bytes=1.0, has_deep_trees=False)
     # 1. Pad the lists to one length, a multiple of eight.
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
@@ -114,7 +112,7 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     corners = padded(seen.corners, size, np.inf).astype(np.float32)
     x, y = (along[listed] for along in corners.T)
     return PairTables(
-        partition=build_tables(domain, cells, np.zeros((len(cells), 1)), no_leaf, num_bytes),
+        partition=replace(build_tables(domain, cells, np.zeros((len(cells), 1)), LeafModel, num_bytes), leaf=None),
         walls=in_boxes(seen.walls),
         occluders=in_groups(occluders, _UNROLLED),
         near=near,

@@ -3,12 +3,13 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial, reduce
+from operator import add
 from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
-from plr_jax._arrays import as_numbers, as_values, filled_with_inf, padded, padded_size, shortened
+from plr_jax._arrays import as_numbers, as_values, filled_with_inf, is_traced, padded, padded_size, shortened
 from plr_jax._problem import Problem, motion_costs
 from plr_jax._types import ArrayLike, BoundingFn, DimensionedFn, HeuristicFn, JointConfigurations, StackableDistanceFn
 
@@ -24,11 +25,11 @@ class SumOverRobots:
     per_robot: Callable[[ArrayLike], Float[np.ndarray, "n robots"]]  # the terms, never NaN
     is_lower_bound: bool = False  # whether the sum never exceeds the true cost-to-go
 
-    def __call__(self, q: ArrayLike) -> Float[np.ndarray, "n"]:
-        """Return estimated costs-to-go of joint configurations, in workspace units; they are never NaN."""
+    def __call__(self, q: ArrayLike) -> Any:
+        """Return estimated costs-to-go ``(n,)`` of joint configurations, in workspace units; they are never NaN."""
         terms = self.per_robot(q)
         # Robot by robot: NumPy's sum over a short last axis takes several times as long.
-        return reduce(np.add, terms.T, np.zeros(len(terms)))
+        return reduce(add, terms.T, np.zeros(len(terms)))
 
 
 def zero() -> SumOverRobots:
@@ -53,7 +54,8 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
     """Return the heuristic that adds up the robots' distances to their goals, each as if alone (paper, Section V-B).
 
     Functions of one type that offers ``stack``, as PLRs do, are evaluated by one call. Others are called one by one,
-    in batches of a few fixed sizes, so that functions under ``jit`` compile only a few times.
+    in batches of a few fixed sizes, so that functions under ``jit`` compile only a few times. Inside a jitted
+    function, the heuristic of functions that can be traced, such as PLRs, takes and returns arrays of JAX.
 
     Args:
         distance_fns: One distance function per robot, which returns NumPy or JAX arrays. If it has an attribute
@@ -84,8 +86,12 @@ def sum_of_distances(distance_fns: Sequence[AnyDistanceFn]) -> SumOverRobots:
     else:
         evaluate = partial(_evaluate_each, distance_fns)
 
-    def per_robot(q: ArrayLike) -> Float[np.ndarray, "n robots"]:
-        q = _joint_configurations(q, len(distance_fns))
+    def per_robot(q: ArrayLike) -> Any:
+        q = _joint_configurations(q, len(distance_fns), traced=True)
+        if is_traced(q):
+            of_robots: Any = [fn(q[:, i, : getattr(fn, "dim", None)]) for i, fn in enumerate(distance_fns)]
+            distances = q.__array_namespace__().stack(of_robots, axis=1)
+            return q.__array_namespace__().where(distances == distances, distances, np.inf)
         distances = filled_with_inf(evaluate(q))
         if not np.isnan(distances.min(initial=np.inf)):  # the minimum is NaN if any entry is
             return distances
@@ -141,10 +147,13 @@ def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations
     return distances
 
 
-def _joint_configurations(q: ArrayLike, num_robots: int | None = None, dof: int | None = None) -> JointConfigurations:
-    """Check and convert joint configurations, of any number of robots or coordinates where the argument is None."""
+def _joint_configurations(q: Any, num_robots: int | None = None, dof: int | None = None, traced: bool = False) -> Any:
+    """Check and convert joint configurations, of any number of robots or coordinates where the argument is None.
+
+    If ``traced``, they may be an array that JAX traces.
+    """
     expected = f"shape (n, {num_robots or 'robots'}, {dof or 'dof'})"
-    q = as_numbers("Joint configurations", q, f"numbers of {expected}")
+    q = q if traced and is_traced(q) else as_numbers("Joint configurations", q, f"numbers of {expected}")
     if q.ndim != 3 or q.shape[1] != (num_robots or q.shape[1]) or q.shape[2] not in ((dof,) if dof else (2, 3)):
         hint = " Use q[None] for a single joint configuration." if q.ndim == 2 else ""
         raise ValueError(f"Joint configurations must have {expected}, got {q.shape}.{hint}")

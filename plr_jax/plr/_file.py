@@ -17,7 +17,7 @@ from plr_jax.plr.folding import Folding
 from plr_jax.plr.frame import FRACTION_BITS, LARGEST, Corner, table_corners
 from plr_jax.plr.leaves import Cone, code_of_leaf, leaf_of_code, read_goals, write_goals
 from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel
-from plr_jax.plr.tree import Cells, Tree
+from plr_jax.plr.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +83,6 @@ def decode(data: bytes) -> DecodedFile:
     if not body.at_end():
         raise ValueError("it holds more data than its leaves need")
     return DecodedFile(container.folded_domain, leaf, tree, stored, certificate, straight, container.folding, cut_off)
-
-
-def decode_cells(data: bytes) -> Cells:
-    container = Container.from_bytes(data)
-    return read_tree(BitReader(container.last.body), container.domain.dim).leaves
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:

@@ -1,39 +1,25 @@
 """The public class :class:`PLR`: a distance function that is stored in the leaves of a binary space partition."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
 import jax
 import numpy as np
 from jax.core import Tracer
-from jax.tree_util import GetAttrKey
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import (
-    as_points,
-    as_queries,
-    no_attribute,
-    padded,
-    padded_size,
-    require_function,
-    shortened,
-)
+from plr_jax._arrays import as_points, as_queries, no_attribute, padded, padded_size, require_function, shortened
+from plr_jax._compiled import pytree, serializable
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr._file import (
-    DecodedFile,
-    decode,
-    decode_cells,
-    encode,
-    filled_coefficients,
-    planes_of_leaves,
-    relative_to_origin,
-)
+from plr_jax.plr._file import DecodedFile, decode, encode, filled_coefficients, planes_of_leaves, relative_to_origin
+from plr_jax.plr.coding import BitReader, read_tree
 from plr_jax.plr.container import Container, FileBacked, padded_file
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
-from plr_jax.plr.leaves import as_sourced, goal_of_leaves
+from plr_jax.plr.leaves import as_sourced, goal_of_leaves, leaf_model, require_goals
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.portable.numpy import NumpyPLR
 from plr_jax.plr.query import (
@@ -41,6 +27,7 @@ from plr_jax.plr.query import (
     evaluate_points,
     evaluate_points_anywhere,
     find_leaves,
+    goals_of_points,
     waypoints_of_points,
 )
 from plr_jax.plr.small_batches import SmallBatches
@@ -48,39 +35,36 @@ from plr_jax.plr.tables import Tables, build_tables
 from plr_jax.plr.team import PointPlacement, TableStack
 from plr_jax.plr.tree import Cells
 
+serializable(Tables, default=lambda leaf: {"leaf": leaf.name}, object_hook=lambda leaf: leaf_model(leaf["leaf"]))
 
+
+@serializable
 @jax.tree_util.register_pytree_with_keys_class
 class PLR(FileBacked):
     """A distance function compressed into a tree of cells: each final cell, a *leaf*, stores a simple function.
 
     :func:`construct` and :func:`load` make PLRs. ``plr(x)`` evaluates a PLR: see :func:`evaluate`. A PLR is immutable
     and a pytree of arrays: a jitted function can close over it or take it as an argument. Such a function can only
-    query it; properties like ``domain`` need concrete arrays. Reference: Putman et al., Section III.
+    query it; properties like ``domain`` need concrete arrays. If arrays are replaced, as by ``jax.tree.map``, queries
+    use the new ones, but the file, proof and exports raise ``ValueError``. Reference: Putman et al., Section III.
 
     ``jax.grad`` differentiates with respect to points, but raises ``TypeError`` with respect to the PLR, because a
     PLR has integer tables.
     """
 
-    def __init__(
-        self,
-        file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"],
-        *,
-        nearest_goal: Callable[[np.ndarray], np.ndarray] | None = None,
-    ) -> None:
-        """Wrap ``file``, the bytes that :func:`save` writes, padded by :func:`~plr_jax.plr.container.padded_file`.
+    array_names = "tables", "file", "band", "goals"
+    nearest_goal: Callable[[np.ndarray], np.ndarray] | None = None  # see :meth:`with_nearest_goal`
 
-        Only :meth:`which` uses ``nearest_goal``, a function from points ``(n, dim)`` to indices of goals ``(n,)``,
-        instead of the goals that cones store.
-        """
+    def __init__(self, file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]) -> None:
+        """Wrap ``file``, the bytes that :func:`save` writes, padded by :func:`~plr_jax.plr.container.padded_file`."""
         self.file = file
-        self.nearest_goal = nearest_goal
 
     @cached_property
     def tables(self) -> Tables:
         """Lookup tables, decoded from ``file``, with which a query finds and evaluates the leaf of a point."""
         contents = self._contents
         with jax.ensure_compile_time_eval():  # the PLR may be closed over by a traced function
-            return tables_of_contents(contents, np.zeros(contents.domain.dim), self.num_bytes)
+            return tables_of_contents(contents, np.zeros(contents.domain.dim), self.table_class)
 
     @cached_property
     def band(self) -> Float[Array, "2 rows"] | None:
@@ -91,23 +75,16 @@ class PLR(FileBacked):
         with jax.ensure_compile_time_eval():
             return jax.device_put(padded(bounds.T, padded_size(bounds.shape[1])).T)
 
-    def tree_flatten_with_keys(self) -> tuple[tuple[tuple[GetAttrKey, Any], ...], None]:
-        names = ("tables", "file", "band")
-        return tuple((GetAttrKey(name), getattr(self, name)) for name in names), None
-
-    @classmethod
-    def tree_unflatten(cls, _: None, children: tuple[Any, Any, Any]) -> "PLR":
-        tables, file, band = children
-        plr = cls(file)
-        plr.tables, plr.band = tables, band
-        return plr
+    @cached_property
+    def goals(self) -> Int[Array, "rows"] | None:
+        """Index of the nearest goal for each leaf, if the file stores it; or None."""
+        if (goals := goal_of_leaves(self.leaf, self._contents.stored)) is None:
+            return None
+        with jax.ensure_compile_time_eval():
+            return jax.device_put(padded(goals.astype(np.int32), padded_size(len(goals))))
 
     def __getattr__(self, name: str) -> Any:
         raise no_attribute(self, name, "A PLR is immutable: construct a new PLR for a changed map or another goal.")
-
-    def with_label(self, label: str) -> "PLR":
-        labeled = super().with_label(label)
-        return self if labeled is self else self._copied(labeled.file, self.nearest_goal)
 
     def with_nearest_goal(self, nearest_goal: Callable[[np.ndarray], np.ndarray]) -> "PLR":
         """Return a copy whose :meth:`which` calls ``nearest_goal``, such as :meth:`NearestGoal.which`.
@@ -116,11 +93,8 @@ class PLR(FileBacked):
         file does not store it.
         """
         require_function("nearest_goal", nearest_goal)
-        return self._copied(self.file, nearest_goal)
-
-    def _copied(self, file: Any, nearest_goal: Callable[[np.ndarray], np.ndarray] | None) -> "PLR":
-        plr = PLR(file, nearest_goal=nearest_goal)
-        plr.tables, plr.band = self.tables, self.band
+        plr = copy(self)
+        plr.nearest_goal = nearest_goal
         return plr
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
@@ -161,7 +135,7 @@ class PLR(FileBacked):
     @cached_property
     def tables_from_corner(self) -> Tables:
         """Lookup tables of a domain far from the origin, for points relative to its lower corner."""
-        return tables_of_contents(self._contents, self.domain.lo, self.num_bytes)
+        return tables_of_contents(self._contents, self.domain.lo, self.table_class)
 
     def bounds(self, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven bounds of the distance at points of free space from which the goal can be reached.
@@ -192,6 +166,8 @@ class PLR(FileBacked):
 
     def _require_band(self) -> Float[Array, "2 rows"]:
         if self.band is not None:
+            if np.ndim(self.file) == 1 and not isinstance(self.file, Tracer):
+                self.require_arrays_of_file()
             return self.band
         raise ValueError(
             "Nothing is proven of this PLR: construct it with certified=True, call certify(plr, oracle), or call "
@@ -220,25 +196,25 @@ class PLR(FileBacked):
         source = self._answer(waypoints_of_points, (tables,), placed)
         return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
 
-    def which(self, x: ArrayLike) -> Int[np.ndarray, "n"]:
+    def which(self, x: ArrayLike) -> Int[Array | np.ndarray, "*batch"]:
         """Return the index of the goal that is nearest to each point ``(n, dim)``; -1 where the PLR is not finite.
 
         Where two goals are about equally near, the index may be wrong. If a goal was given twice, its first index is
         returned. A file stores goals only if the PLR has cones and was built from a :class:`NearestGoal` of
-        visibility graphs. Other PLRs of several goals lose them in a file and in a jitted function; see
-        :meth:`with_nearest_goal`. Call this method outside of ``jit``. ``ValueError`` if the PLR does not know its
-        goals, or points have another shape.
+        visibility graphs. Such a PLR also answers inside ``jit``, for points ``(..., dim)``. Other PLRs of several
+        goals lose them in a file and in a jitted function; see :meth:`with_nearest_goal`. ``ValueError`` if the PLR
+        does not know its goals, or points have another shape.
         """
-        x = as_points("x", x, self.tables.dim)
-        is_finite = np.isfinite(np.asarray(self(x)))
-        goal = np.full(len(x), -1)
-        x = x[is_finite]
-        goal[is_finite] = self.nearest_goal(x) if self.nearest_goal else self._goal_of_leaf[leaf_of(self, x)]
-        return goal
-
-    @cached_property
-    def _goal_of_leaf(self) -> Int[np.ndarray, "leaves"]:
-        return goal_of_leaves(self.leaf, self.stored)
+        if self.nearest_goal and not isinstance(x, Tracer):
+            x = as_points("x", x, self.dim)
+            is_finite = np.isfinite(np.asarray(self(x)))
+            goal = np.full(len(x), -1)
+            goal[is_finite] = self.nearest_goal(x[is_finite])
+            return goal
+        x, goals = x if isinstance(x, Tracer) else as_points("x", x, self.dim), require_goals(self.goals)
+        tables, placed = self._tables_and_points(x)
+        goal = self._answer(goals_of_points, (tables, goals), placed)
+        return goal if isinstance(goal, Tracer) else np.asarray(goal, np.int64)
 
     def numpy(self) -> NumpyPLR:
         """Return the PLR as a :class:`NumpyPLR`, which needs no JAX and is fast for single points."""
@@ -312,7 +288,7 @@ class PLR(FileBacked):
 
     @cached_property
     def container(self) -> Container:
-        return Container.from_bytes(self.to_bytes())
+        return Container.from_bytes(self.file_bytes)
 
     @cached_property
     def domain(self) -> Box:
@@ -327,7 +303,7 @@ class PLR(FileBacked):
     @cached_property
     def cells(self) -> Cells:
         """Cells of the leaves, in left-to-right traversal order of the tree."""
-        return decode_cells(self.to_bytes())
+        return read_tree(BitReader(self.container.last.body), self.dim).leaves
 
     @property
     def stored(self) -> Any:
@@ -385,10 +361,11 @@ class PLR(FileBacked):
         return self._planes[0]
 
     def __repr__(self) -> str:
-        if np.ndim(self.file) != 1 or isinstance(self.file, Tracer):
-            return f"PLR({self.leaf.name!r}, of arrays that are traced or stacked)"
-        size = f"dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}"
-        return f"PLR({self.leaf.name!r}, {size}, {self.domain})"
+        try:
+            size = f"dim={self.dim}, num_leaves={self.num_leaves}, num_bytes={self.num_bytes}"
+            return f"PLR({self.leaf.name!r}, {size}, {self.domain})"
+        except (TypeError, ValueError):
+            return f"PLR({self.leaf.name!r}, of arrays that are traced, stacked or replaced)"
 
     @cached_property
     def _contents(self) -> DecodedFile:
@@ -417,28 +394,27 @@ def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
 
 def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) -> Tables:
     """Build the lookup tables of a decoded file of ``num_bytes`` bytes, for points given relative to ``origin``."""
-    domain, numbers = relative_to_origin(contents, origin)
-    tables = build_tables(domain, contents.tree.leaves, numbers, contents.leaf, num_bytes)
+    (domain, numbers), leaf = relative_to_origin(contents, origin), leaf_model(contents.leaf.name)  # as from a file
+    tables = build_tables(domain, contents.tree.leaves, numbers, leaf, num_bytes)
     if contents.straight is not None:
         tables = replace(tables, straight=jax.device_put(contents.straight.arrays))
     return tables.with_folding(contents.folding, origin)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class LowerBound:
-    """A distance function that is proven never to exceed the true distance; see :attr:`plr_jax.PLR.lower`."""
+    """A function that is proven never to exceed the true distance; see :attr:`plr_jax.PLR.lower`."""
 
-    plr: PLR
+    plr: Any  # a PLR or a stack of PLRs
     is_lower_bound = True  # tells planners that the function is an admissible heuristic
 
     @property
     def dim(self) -> int:
         return self.plr.dim
 
-    def __call__(self, x: ArrayLike) -> Float[Array, "*batch"]:
-        """Return a lower bound of the distance at each point ``(..., dim)``; see :meth:`PLR.bounds`."""
-        return self.plr.bounds(x)[0]
+    def __call__(self, *x: ArrayLike) -> Float[Array, "*batch"]:
+        """Return a lower bound at each point ``(..., dim)``, after an index if of a stack; see :meth:`PLR.bounds`."""
+        return self.plr.bounds(*x)[0]
 
     @staticmethod
     def stack(fns: Sequence["LowerBound"]) -> TableStack:
@@ -466,7 +442,7 @@ def plr_of_leaves(contents: DecodedFile, data: bytes | None = None) -> PLR:
     plr = PLR(padded_file(encode(contents) if data is None else data))
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
-    _ = plr.tables, plr.band, plr._corner_if_far
+    _ = plr.tables, plr.band, plr.goals, plr._corner_if_far
     del plr._contents
     return plr
 

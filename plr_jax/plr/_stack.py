@@ -8,20 +8,21 @@ Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix e
 """
 
 from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property, partial
 from itertools import pairwise
 from math import prod
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int, UInt32
 
-from plr_jax._arrays import as_queries, hash64, padded, size_in_eighths
+from plr_jax._arrays import as_queries, hash64, is_traced, padded, size_in_eighths
+from plr_jax._compiled import pytree
 from plr_jax._types import ArrayLike
-from plr_jax.plr._plr import PLR, as_plrs
+from plr_jax.plr._plr import PLR, LowerBound, as_plrs
 from plr_jax.plr.frame import (
     FRACTION_BITS,
     Outside,
@@ -36,7 +37,7 @@ from plr_jax.plr.frame import (
     spread_bits,
     unresolved_types,
 )
-from plr_jax.plr.query import evaluate_tables
+from plr_jax.plr.query import bounds_of_tables, evaluate_tables
 from plr_jax.plr.small_batches import SmallBatches
 from plr_jax.plr.tables import AnyArray, PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
@@ -114,16 +115,15 @@ def _page_entries(
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class _SameShapeGroup:
     """The merged lookup tables of those PLRs in a stack that have the same leaf model, periodic axes and mirrors."""
 
-    arrays: tuple[AnyArray, ...]  # of domains and symmetries: one that all PLRs share, or those of all, flattened
+    frame: Tables  # without leaves; each array is one that all PLRs share, or has those of all PLRs, flattened
     trie: Trie
     leaf_parameters: Float[AnyArray, "count rows"] | Float[AnyArray, "numbers"]  # only distinct rows
+    band: Any  # proven bounds of each row, ``(2, rows)``, as ``PLR.band``; None if a PLR has none
     shapes: tuple[tuple[int, ...] | None, ...] = field(metadata={"static": True})  # of an array; None if all share it
-    structure: jax.tree_util.PyTreeDef = field(metadata={"static": True})  # of a PLR's tables, without leaves
     first_bits: int = field(metadata={"static": True})  # index bits of the first level of the trie
 
     @classmethod
@@ -137,10 +137,14 @@ class _SameShapeGroup:
             shapes.append(None if is_shared else column[0].shape)
         # 2. Deduplicate rows of leaf parameters, by a hash of their bits.
         rows, distinct, num_rows = [], [], 0
-        for plr, each in zip(plrs, tables, strict=True):
+        has_proof = all(plr.band is not None and plr.has_arrays_of_file for plr in plrs)
+        for plr, each in zip(plrs, tables, strict=True):  # a row ends with the leaf's two bounds, if there is a proof
             # In paged tables, parameters are stored by slot, and the first slots are the leaves themselves.
             count, numbers = each.leaf.num_leaf_parameters(each.dim), np.asarray(each.leaf_parameters)
             of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
+            if has_proof:
+                band = np.asarray(plr.band)[:, : plr.num_leaves]
+                of_leaves = np.concatenate([of_leaves, np.broadcast_to(band, (2, plr.num_leaves))])
             key = np.zeros(plr.num_leaves, np.uint64)
             for column in np.ascontiguousarray(of_leaves).view(np.uint32):
                 key = hash64(key + column + np.uint64(1))
@@ -150,28 +154,27 @@ class _SameShapeGroup:
             num_rows += len(first)
         table = np.concatenate(distinct)
         table = padded(table, size_in_eighths(len(table)))
+        numbers, band = table[:, :count], jax.device_put(table[:, count:].T) if has_proof else None
         # 3. Build the trie that leads to the rows.
         levels = trie_levels(np.max([plr.cells.depth.max(axis=0) for plr in plrs], axis=0))
         trie = build_trie([plr.cells for plr in plrs], rows, levels)
-        structure = jax.tree_util.tree_structure(frames[0])
-        first_bits = int(levels[1].sum())
-        return cls(
-            tuple(arrays), trie, jax.device_put(arrange_parameters(table)), tuple(shapes), structure, first_bits
-        )
+        frame = jax.tree_util.tree_structure(frames[0]).unflatten(arrays)
+        numbers = jax.device_put(arrange_parameters(np.ascontiguousarray(numbers)))
+        return cls(frame, trie, numbers, band, tuple(shapes), int(levels[1].sum()))
 
     def pick(self, which: UInt32[AnyArray, "*batch"]) -> Tables:
         # ``which`` has the index in this group of each point's PLR.
+        arrays, structure = jax.tree_util.tree_flatten(self.frame)
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
-            for array, shape in zip(self.arrays, self.shapes, strict=True)
+            for array, shape in zip(arrays, self.shapes, strict=True)
         ]
-        tables = jax.tree_util.tree_unflatten(self.structure, picked)
+        tables = structure.unflatten(picked)
         trie = replace(self.trie, start=self.trie.start + (which << np.uint32(self.first_bits)))
         return replace(tables, trie=trie, leaf_parameters=self.leaf_parameters)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class PLRStack:
     """Many PLRs as one function: ``f(index, x)`` evaluates PLR number ``index`` at each point.
 
@@ -205,6 +208,29 @@ class PLRStack:
         Raises:
             ValueError: If ``index`` is not of integers, or as for :func:`evaluate`.
         """
+        return self._query(index, x, as_outside(outside))[0]
+
+    def bounds(self, index: ArrayLike, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        """Return proven lower and upper bounds of the distance of a PLR at each point; see :meth:`PLR.bounds`.
+
+        Arguments, shapes and errors are as for a call. ``ValueError`` if not every PLR has a proof, or the arrays of
+        one were replaced before it was stacked.
+        """
+        self._require_bands()
+        return self._query(index, x, None)
+
+    @property
+    def lower(self) -> LowerBound:
+        """The first result of :meth:`bounds` as a function of index and points; see :attr:`PLR.lower`."""
+        self._require_bands()
+        return LowerBound(self)
+
+    def _require_bands(self) -> None:
+        if any(group.band is None for group in self.groups):
+            raise ValueError("Every PLR of the stack must have a proof: see certify.")
+
+    def _query(self, index: ArrayLike, x: ArrayLike, outside: Outside | None) -> Any:
+        # Return a tuple of distances or, if ``outside`` is None, of lower and upper bounds.
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if index.dtype.kind not in "iu":
@@ -215,21 +241,17 @@ class PLRStack:
             index = np.where((index >= 0) & (index < len(self)), index.astype(np.int32), np.int32(-1))
         if x.ndim == 1 and index.ndim:
             x = jnp.broadcast_to(x, (*index.shape, self.dim)) if isinstance(x, jax.Array) else x[(None,) * index.ndim]
-        corners, outside = self.corners, as_outside(outside)
+        corners = self.corners
         is_rounded = isinstance(index, jax.Array) or isinstance(x, jax.Array) or x.dtype != np.float64
-        if corners is None or isinstance(corners, Tracer) or is_rounded:
+        if corners is None or is_traced(corners) or is_rounded:
             require_resolved(jax.dtypes.canonicalize_dtype(x.dtype), self.unresolved)
             return self._answer(_evaluate, (self, index), x, outside)
-        from_corner = x - self._exact_corners[index]
+        from_corner = x - np.asarray(corners, np.float64).sum(axis=1)[index]
         return self._answer(_evaluate, (replace(self, corners=None), index), from_corner, outside)
 
     @cached_property
     def _answer(self) -> SmallBatches:
         return SmallBatches()
-
-    @cached_property
-    def _exact_corners(self) -> Float[np.ndarray, "plrs dim"]:
-        return np.asarray(self.corners, np.float64).sum(axis=1)
 
 
 def stack(plrs: Sequence[PLR]) -> PLRStack:
@@ -266,9 +288,8 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     groups = []
     for members in kinds.values():
         group[members], place[members] = len(groups), np.arange(len(members))
-        groups.append(
-            _SameShapeGroup.of([plrs[i] for i in members], [tables[i] for i in members], [frames[i] for i in members])
-        )
+        of_members: Any = ([row[i] for i in members] for row in (plrs, tables, frames))
+        groups.append(_SameShapeGroup.of(*of_members))
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
     parts = jax.device_put(in_parts(np.array(corners))) if np.any(corners) else None
     arrays = jax.device_put(group), jax.device_put(place), parts
@@ -276,7 +297,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
 
 
 @partial(jax.jit, static_argnums=3)
-def _evaluate(stacked: PLRStack, index: AnyArray, x: AnyArray, outside: Outside) -> Float[AnyArray, "*batch"]:
+def _evaluate(stacked: PLRStack, index: AnyArray, x: AnyArray, outside: Outside | None) -> tuple[AnyArray, ...]:
     xp, shape = x.__array_namespace__(), jnp.broadcast_shapes(index.shape, x.shape[:-1])
     index, x = xp.broadcast_to(index, shape), xp.broadcast_to(x, (*shape, x.shape[-1]))
     is_one = (index >= 0) & (index < len(stacked))
@@ -287,13 +308,13 @@ def _evaluate(stacked: PLRStack, index: AnyArray, x: AnyArray, outside: Outside)
             x = x - part
     has_kinds = len(stacked.groups) > 1
     place, group = (stacked.place[known], stacked.group[known]) if has_kinds else (known, np.uint32(0))
-    value = None
+    values = np.nan, np.nan
     for number, alike in enumerate(stacked.groups):
         here = group == number
-        of_group = evaluate_tables(alike.pick(xp.where(here, place, np.uint32(0))), x, outside)
-        value = of_group if value is None else xp.where(here, of_group, value)
-    assert value is not None
-    return xp.where(is_one, value, np.nan)
+        tables = alike.pick(xp.where(here, place, np.uint32(0)))
+        found = (evaluate_tables(tables, x, outside),) if outside else bounds_of_tables(tables, alike.band, x)
+        values = [xp.where(here, each, value) for each, value in zip(found, values, strict=False)]
+    return tuple(xp.where(is_one, value, np.nan) for value in values)
 
 
 def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
@@ -305,8 +326,8 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     computes the first small batches of each shape, with the same bits as compiled code.
 
     ``jax.export`` (with the package ``flatbuffers``) turns a query into a program of a few hundred kilobytes that
-    runs without this package, for batches of any size. Close over the PLR or pass the leaves of
-    ``jax.tree.flatten(plr)``, since a program that takes the PLR itself cannot be serialized::
+    runs without this package, for batches of any size. A program that takes the PLR as an argument needs this
+    package, to read the PLR::
 
         n, dim = jax.export.symbolic_shape("n, 2")
         exported = jax.export.export(jax.jit(plr))(jax.ShapeDtypeStruct((n, dim), np.float32))

@@ -3,9 +3,10 @@
 import os
 import struct
 import zlib
+from copy import copy
 from dataclasses import dataclass, replace
 from decimal import Context, Decimal
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate
 from typing import Any
 
@@ -260,19 +261,68 @@ def _decimals(numbers: list[float]) -> bytes | None:
     return bytes([decimals]) + b"".join(map(signed_varint, integers))
 
 
+_REPLACED = (
+    "The arrays must be those that were built with the file, but were replaced, as by jax.tree.map. The file, its "
+    "proof and exports belong to the old arrays: to store other distances, fit them with construct."
+)
+
+
 class FileBacked:
     """A base class of objects that keep the bytes of their file: PLRs, and distances between any two points."""
 
     tables: Any
     file: Any
+    array_names = "tables", "file"  # attributes that make the object a pytree
+    is_from_arrays = False  # whether JAX made the object from a pytree's arrays, which may differ from the file's
 
     def to_bytes(self) -> bytes:
-        """Return the bytes that :func:`save` writes; ``ValueError`` if the arrays of several objects are stacked."""
+        """Return the bytes that :func:`save` writes.
+
+        ``ValueError`` if the arrays of several objects are stacked, or were replaced, as by ``jax.tree.map``.
+        """
+        data = self.file_bytes
+        self.require_arrays_of_file()
+        return data
+
+    @property
+    def file_bytes(self) -> bytes:
+        """The bytes of the file, also if the arrays were replaced."""
         if np.ndim(self.file) != 1:
-            raise ValueError(
-                f"to_bytes needs one object, but its arrays are stacked: file has shape {self.file.shape}."
-            )
-        return np.asarray(self.file).tobytes()[: self.num_bytes]
+            raise ValueError(f"One object is needed, but its arrays are stacked: file has shape {self.file.shape}.")
+        data = np.asarray(self.file).tobytes()[: self.num_bytes]
+        if self.is_from_arrays and not data.startswith(MAGIC):
+            raise ValueError(_REPLACED)
+        return data
+
+    def require_arrays_of_file(self) -> None:
+        if not self.has_arrays_of_file:
+            raise ValueError(_REPLACED)
+
+    @cached_property
+    def has_arrays_of_file(self) -> bool:
+        """Whether the arrays that a query reads are those that the file decodes to; at first use, decode it."""
+        if not self.is_from_arrays:
+            return True
+        import jax  # only needed here
+
+        made_of: Any = type(self)
+        try:
+            of_file = made_of(padded_file(self.file_bytes))
+            are_equal = jax.tree.map(partial(np.array_equal, equal_nan=True), self, of_file)
+        except ValueError:  # bytes of no file, or arrays of another structure
+            return False
+        return all(jax.tree.leaves(are_equal))
+
+    def tree_flatten_with_keys(self) -> tuple[tuple[tuple[Any, Any], ...], None]:
+        from jax.tree_util import GetAttrKey  # only needed here
+
+        return tuple((GetAttrKey(name), getattr(self, name)) for name in self.array_names), None
+
+    @classmethod
+    def tree_unflatten(cls, _: None, children: tuple[Any, ...]) -> Any:
+        new = object.__new__(cls)
+        new.__dict__.update(zip(cls.array_names, children, strict=True), is_from_arrays=True)
+        return new
 
     @property
     def num_bytes(self) -> int:
@@ -280,23 +330,32 @@ class FileBacked:
         return int.from_bytes(np.asarray(self.file)[-_SIZE_BYTES:].tobytes(), "little")
 
     @property
+    def table_class(self) -> int:
+        """Size of the file without its label in bytes, on which the sizes of lookup tables depend."""
+        header = Header.read(self.file_bytes)
+        return self.num_bytes - len(header.data) + len(replace(header, label="").data)
+
+    @property
     def label(self) -> str:
         """Text attached to the file, such as a map's name, or ``""``; it may contain control characters."""
-        return Header.read(self.to_bytes()).label
+        return Header.read(self.file_bytes).label
 
     def with_label(self, label: str) -> Any:
-        """Return a copy whose file stores another label, a text of at most 1,000 bytes (else ``ValueError``)."""
+        """Return a copy whose file stores another label, a text of at most 1,000 bytes (else ``ValueError``).
+
+        The copy shares all tables.
+        """
         try:
             fits = isinstance(label, str) and len(label.encode()) <= MOST_LABEL_BYTES
         except UnicodeEncodeError:  # half a surrogate pair
             fits = False
         if not fits:
-            expected = f"label must be text of at most {MOST_LABEL_BYTES:,} bytes in UTF-8"
-            raise ValueError(f"{expected}, got {shortened(label)}.")
+            raise ValueError(f"label must be text of up to {MOST_LABEL_BYTES:,} UTF-8 bytes, got {shortened(label)}.")
         if label == self.label:
             return self
-        made_of: Any = type(self)
-        return made_of(padded_file(replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes()))
+        labeled = copy(self)
+        labeled.__dict__["file"] = padded_file(replace(Container.from_bytes(self.to_bytes()), label=label).to_bytes())
+        return labeled
 
     @property
     def resident_bytes(self) -> int:

@@ -11,7 +11,7 @@ from operator import add, or_
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Shaped, UInt32
+from jaxtyping import Bool, Float, Int, Shaped, UInt32
 
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
 from plr_jax.plr.tables import AnyArray, Blocks, FoldedDomain, Tables, Trie, gather
@@ -21,6 +21,7 @@ Values = Float[AnyArray, "*batch"]
 Flags = Bool[AnyArray, "*batch"]
 Bits = UInt32[AnyArray, "*batch"]
 _EXPONENT = np.uint32(0xFF800000)  # sign and exponent of a 32-bit float
+_SUBNORMALS = np.uint32(0xFFFFFE)  # number of subnormal 32-bit floats
 _SHIFTS = np.uint32(WORD_BITS - 1)  # a mask that tells the compiler that no shift is by 32 bits or more
 _ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables, for 64-bit points
 
@@ -102,6 +103,13 @@ def _straight_bound(tables: Tables, x: Points) -> Values:
             cost = cost + without_fusion(length * rates[group])
         least = xp.minimum(least, cost)
     return xp.maximum(least - margin[()], 0)
+
+
+def goals_in_tables(tables: Tables, goals: Int[AnyArray, "rows"], x: AnyArray) -> Int[AnyArray, "*batch"]:
+    """Return the index of the goal that each point's leaf leads to, of ``goals`` by leaf; -1 if it leads to none."""
+    x = _constant(_as_float_points(tables, x))
+    leads = x.__array_namespace__().isfinite(evaluate_tables(tables, x))
+    return x.__array_namespace__().where(leads, gather(goals, lookup(tables, x)), -1)
 
 
 def waypoints_in_tables(tables: Tables, x: AnyArray) -> Points:
@@ -190,7 +198,11 @@ def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Val
             below = frame[Frame.HI, axis] - x[..., axis]
             outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
         else:
-            outside |= (above < 0) | (x[..., axis] > frame[Frame.HI, axis])
+            lo, hi, bits = frame[Frame.LO, axis], frame[Frame.HI, axis], x[..., axis].view(np.uint32)
+            # XLA takes subnormal numbers for 0; their bits tell whether they are beyond an end at 0.
+            is_subnormal = (bits << np.uint32(1)) - np.uint32(2) < _SUBNORMALS
+            is_beyond_zero = is_subnormal & (xp.where(bits >> np.uint32(31) != 0, lo, hi) == 0)
+            outside |= (above < 0) | (x[..., axis] > hi) | is_beyond_zero
     return outside, answer
 
 
@@ -355,3 +367,4 @@ find_leaves = jax.jit(lookup)
 evaluate_points = jax.jit(evaluate_tables)  # separate, as a static argument adds a tenth to the time of a call
 evaluate_points_anywhere = jax.jit(evaluate_tables, static_argnums=2)
 bound_points, waypoints_of_points = jax.jit(bounds_of_tables), jax.jit(waypoints_in_tables)
+goals_of_points = jax.jit(goals_in_tables)

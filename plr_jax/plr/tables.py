@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Shaped, UInt16, UInt32
 
 from plr_jax._arrays import padded, padded_size
+from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.frame import (
@@ -57,8 +58,7 @@ def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> S
     return table[index] if isinstance(table, np.ndarray) else table.at[index].get(mode="promise_in_bounds")
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class Trie:
     """A lookup table of several PLRs in one array, which a query reads level by level, from coarse to fine."""
 
@@ -85,8 +85,7 @@ class PerPointTable:
         return self.flat.__array_namespace__().stack(entries) if places.ndim else entries[0]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class FoldedDomain:
     """A domain whose points are folded (mapped by mirror symmetries) before their leaves are looked up."""
 
@@ -103,8 +102,7 @@ class FoldedDomain:
         return self.frame.shape[1]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class Blocks:
     """The coarse level of a lookup table: each cell of a coarse grid, a *block*, has a table for a finer grid.
 
@@ -172,8 +170,7 @@ def leaves_of_slots(
     return np.repeat(leaf_of_start[starts], np.diff(starts, append=offset[-1]))
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class Pages:
     """The coarse level of a lookup table whose entries, called *slots*, each hold the parameters of a leaf.
 

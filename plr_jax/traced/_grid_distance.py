@@ -2,7 +2,7 @@
 
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import partial, reduce
 from operator import or_
 from typing import Literal, overload
@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from plr_jax._arrays import require_integer, shortened
-from plr_jax._compiled import broadcast_shape
+from plr_jax._compiled import broadcast_shape, pytree
 from plr_jax._types import ArrayLike
 from plr_jax.traced.any_angle import MAX_LATTICE, MOST_CORNERS, CornerPairs, CornerPaths, convex_corners
 from plr_jax.traced.steps import MOST_CELLS, Mask, Points, StepPairs, Steps
@@ -21,8 +21,7 @@ from plr_jax.traced.steps import MOST_CELLS, Mask, Points, StepPairs, Steps
 Moves = Literal["any-angle", 4, 8]
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class GridDistance:
     """The distance from any point of a grid to a goal, made by :func:`grid_distance`; a pytree of arrays.
 
@@ -56,8 +55,7 @@ class GridDistance:
         return f"GridDistance({self.shape[0]} x {self.shape[1]} cells, {type(self.paths).__name__})"
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class GridDistances:
     """The distance between any two points of a grid; made by :func:`grid_distance` without a goal."""
 

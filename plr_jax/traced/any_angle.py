@@ -7,7 +7,6 @@ whole grid row is tested at once.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +16,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int32, UInt32
 
+from plr_jax._compiled import pytree
 from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, containing_cells, pack
 
 Broadcast = Float[Array, "*#batch 2"]
@@ -124,8 +124,7 @@ def _end_facing(ends: Float[Array, "*#batch 2 2"], x: Broadcast) -> Float[Array,
     return jnp.where(is_second[..., None], second, first)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class Corners:
     """The convex corners of a map: cell corners with exactly one blocked cell around them, where paths can bend."""
 
@@ -223,8 +222,7 @@ def _(primals, tangents):
     return through, jnp.where(jnp.isfinite(through), tangents[1][onward], 0)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class CornerPaths:
     corners: Corners
     distances: Float[Array, "*maps corners"]  # from convex corners to the goal
@@ -258,8 +256,7 @@ class CornerPaths:
         return jnp.where(is_free, value, jnp.inf)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class CornerPairs:
     corners: Corners
     between: Float[Array, "*maps corners corners"]

@@ -1,6 +1,5 @@
 """Distances on a grid that JAX may trace, along steps from each cell to its 4 or 8 neighbors."""
 
-from dataclasses import dataclass
 from functools import reduce
 from operator import or_
 from typing import Any, Literal
@@ -11,6 +10,8 @@ import numpy as np
 from jax import lax
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int32, UInt32
+
+from plr_jax._compiled import pytree
 
 Mask = Bool[Array, "h w"]
 Words = UInt32[Array, "h words"]
@@ -62,8 +63,7 @@ def containing_cells(shape: Shape, x: Points) -> tuple[Cells, Bool[Array, "*batc
     return (rows, columns), jnp.all(clipped == x, axis=-1)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class Steps:
     """Path lengths from all cells to the goal's cell; a point on a border has the least length of the cells there."""
 
@@ -83,8 +83,7 @@ class Steps:
         return jnp.where(is_inside, self.table[cells].min(axis=0), jnp.inf)
 
 
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True, eq=False)
+@pytree
 class StepPairs:
     table: Float[Array, "*maps h w h w"]
 

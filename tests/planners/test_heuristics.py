@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import given
@@ -110,6 +111,7 @@ def test_stack_of_plrs_equals_single_plrs(plrs):
         assert np.array_equal(heuristic.per_robot(q), expected)
         beside = sum_of_distances([plrs[1], taxicab])
         assert np.array_equal(beside.per_robot(q[:, 1:, :2])[:, 0], expected[:, 1])
+    np.testing.assert_allclose(jax.jit(heuristic)(q[:99]), heuristic(q[:99]), rtol=1e-6)  # 32-bit sums
 
 
 def test_distance_functions_get_few_batch_sizes():

@@ -132,6 +132,7 @@ def test_cones_in_files_name_the_nearest_goal():
     pickled, named = pickle.loads(pickle.dumps(from_cones)), from_planes.with_nearest_goal(nearest.which)
     for plr in (cones, planes, from_cones, pickled, named, from_cones.numpy()):
         assert plr.which(x).tolist() == [1, 0, 1, 0, -1, -1]
+    assert jax.jit(lambda plr, x: plr.which(x))(cones, np.array(x)).tolist() == from_cones.which(x).tolist()
     f = from_cones.numpy()
     assert f.which(np.array(x * 9)).tolist()[:6] == [f.which(each) for each in x]
     one = construct(nearest.distance_fns[0], Box(*TEN), leaf="cone", max_leaves=60)

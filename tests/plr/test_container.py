@@ -433,5 +433,5 @@ def test_bytes_are_padded_to_powers_of_two(data, more):
 @pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize("label", ["x" * 1001, "ä" * 501, "\ud800", b"text"])
 def test_invalid_labels_raise(held, label):
-    with pytest.raises(ValueError, match="label must be text of at most 1,000 bytes in UTF-8, got"):
+    with pytest.raises(ValueError, match="label must be text of up to 1,000 UTF-8 bytes, got"):
         held.with_label(label)

@@ -31,6 +31,13 @@ FULL = [
     (2, lambda: lambda x: construct_grid_pairs(GRID)(32 * x, 32 * x[:, ::-1])),
     (2, lambda: partial(lambda to, x: to(32 * x), construct_grid_pairs(GRID).to(np.argwhere(GRID)[0, ::-1]))),
 ]
+# Objects that are arguments of exported functions, and functions of them and points.
+GIVEN = [
+    (lambda: case("cones of exits"), lambda plr, x: (plr(x), plr.which(x), *plr.bounds(x))),
+    (lambda: stack([case("maze of cones"), case("maze of planes")]).lower, lambda lower, x: lower(1, x)),
+    (lambda: construct_pairs(scenes.maze().workspace, max_bytes=300), lambda pairs, x: pairs.tables.step * x),
+    (lambda: construct_grid_pairs(np.arange(20).reshape(4, 5) % 7 > 1), lambda pairs, x: pairs(4 * x, x[:, ::-1])),
+]
 
 
 @pytest.mark.parametrize(
@@ -42,11 +49,22 @@ FULL = [
 )
 def test_exported_queries_answer_any_number_of_points(dim, make):
     """Programs become bytes, which ``jax.export`` writes with the package flatbuffers."""
+    assert_exported(make(), dim)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("make", "query"), GIVEN)
+def test_exported_functions_take_objects(make, query):
+    assert_exported(query, 2, make())
+
+
+def assert_exported(query, dim, *given):
     pytest.importorskip("flatbuffers")
-    query, (size,) = make(), export.symbolic_shape("n")
+    (size,) = export.symbolic_shape("n")
     shape = jax.ShapeDtypeStruct((size, dim), np.float32)
-    program = export.deserialize(export.export(jax.jit(query))(shape).serialize())
+    program = export.deserialize(export.export(jax.jit(query))(*given, shape).serialize())
     for n in (1, 300):
         x = np.random.default_rng(n).random((n, dim), np.float32)
-        for one, other in zip(jax.tree.leaves(program.call(x)), jax.tree.leaves(jax.jit(query)(x)), strict=True):
+        answers = program.call(*given, x), jax.jit(query)(*given, x)
+        for one, other in zip(*map(jax.tree.leaves, answers), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)

@@ -24,7 +24,7 @@ from plr_helpers import (
 from plr_jax import Box, BuildOptions, construct, from_bytes, load, load_numpy, save
 from plr_jax.plr import Plane
 from plr_jax.plr import container as container_module
-from plr_jax.plr._file import decode, decode_cells, encode
+from plr_jax.plr._file import decode, encode
 from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.coding import BitWriter, write_tree
 from plr_jax.plr.container import Container, Layer
@@ -66,7 +66,6 @@ def test_files_are_read_as_written(seed, dim, leaf, wraps):
             found, written = (getattr(each.stored.partition, name) for each in (again, contents))
             np.testing.assert_array_equal(found, written)
     assert encode(again) == data
-    np.testing.assert_array_equal(decode_cells(data).position, contents.tree.leaves.position)
 
 
 @pytest.mark.parametrize(("dim", "grow"), [(1, "chain"), (3, "anywhere"), (8, "chain")])

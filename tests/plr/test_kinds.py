@@ -1,6 +1,7 @@
 """PLRs of all kinds: compiled and not, their gradients, in files and stacks, in 64 bits, and outside the domain."""
 
 from functools import cache, partial
+from itertools import product
 
 import jax
 import jax.numpy as jnp
@@ -117,7 +118,8 @@ def test_points_outside_are_clamped_to_the_nearest_point(plr):
 
 def test_files_and_arrays_keep_all_of_a_plr(plr):
     x = around(plr)
-    for again in (from_bytes(plr.to_bytes()), jax.tree.map(jnp.array, plr)):
+    labeled = jax.tree.map(jnp.array, plr.with_label("x" * 1000)).with_label("")  # sizes of tables ignore labels
+    for again in (from_bytes(plr.to_bytes()), jax.tree.map(jnp.array, plr), labeled):
         assert again.to_bytes() == plr.to_bytes() and again.num_bytes == len(plr.to_bytes())
         assert again.folded_domain == plr.folded_domain and again.max_error == plr.max_error
         np.testing.assert_array_equal(again(x), plr(x))
@@ -125,6 +127,26 @@ def test_files_and_arrays_keep_all_of_a_plr(plr):
     found = plr.values_in_leaves(leaf_of(plr, inside), inside)
     is_near = np.isclose(found, plr(inside), rtol=1e-5, atol=2e-3)
     assert is_near.mean() > (0.99 if is_far(plr) else 0.999)
+
+
+@pytest.mark.usefixtures("unchecked_types")
+def test_plr_of_other_arrays_answers_by_them_but_has_no_file(plr):
+    arrays, structure = jax.tree.flatten(plr)
+    numbers = next(i for i, array in enumerate(arrays) if array is plr.tables.leaf_parameters)
+    changed = structure.unflatten([*arrays[:numbers], 1.5 * arrays[numbers], *arrays[numbers + 1 :]])
+    # Doubling changes the bytes of the file too.
+    doubled, several = (jax.tree.map(lambda *a, f=f: f(a), plr, plr) for f in (sum, np.stack))
+    x, rows = around(plr), [(changed, "built with the file"), (doubled, "built with the file"), (several, "stacked")]
+    calls = [PLR.to_bytes, lambda plr: plr.max_error, lambda plr: plr.with_label("a")]
+    for call, (each, message) in product(calls, rows):
+        with pytest.raises(ValueError, match=message):
+            call(each)
+    of_file = [lambda plr: plr.with_nearest_goal(len).c_header("a")] + [lambda plr: plr(x)] * is_far(plr)
+    for call in of_file + [lambda plr: plr.bounds(x), lambda plr: plr.lower] * (plr.band is not None):
+        with pytest.raises(ValueError, match="built with the file"):
+            call(changed)
+    assert "replaced" in repr(doubled) and changed.num_leaves == plr.num_leaves
+    assert is_far(plr) or np.mean(changed(x) == plr(x)) < 0.9
 
 
 def test_64_bit_mode_answers_in_64_bits(plr):
@@ -147,6 +169,12 @@ def test_stacks_answer_as_their_plrs(plr):
         for index, each in enumerate((plr, other)):
             found, expected = stacked(index, x, outside=outside), each(x, outside=outside)
             np.testing.assert_allclose(found, expected, rtol=2e-6, atol=2e-6 * plr.domain.width.max())
+    if plr.band is not None:
+        twice = stack([plr, plr])
+        for found, expected in zip((twice.lower(1, x), twice.bounds(1, x)[1]), plr.bounds(x), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=2e-6, atol=2e-6 * plr.domain.width.max())
+    with pytest.raises(ValueError, match="stack must have a proof"):
+        stacked.lower(0, x)
     q = np.stack([around(plr), around(plr, seed=3)], axis=1)
     answers = [np.asarray(plr(q[:, 0]), np.float64), np.asarray(other(q[:, 1]), np.float64)]
     np.testing.assert_array_equal(PLR.stack([plr, other])(q), np.stack(answers, axis=1))

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, walled
 
-from plr_jax import PLR, Box, BuildOptions, construct, save
+from plr_jax import PLR, Box, BuildOptions, construct
 from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.query import evaluate_points
 
@@ -31,16 +31,6 @@ def test_points_of_any_batch_shape(plr):
         x = np.random.default_rng(1).random(shape)
         assert plr(x).shape == shape[:-1]
         np.testing.assert_allclose(np.ravel(plr(x)), np.ravel(plr(x.reshape(-1, 2))), rtol=1e-6)
-
-
-@pytest.mark.parametrize("leaf", ["plane"])
-def test_saving_arrays_of_several_plrs_raises(plr, tmp_path, unchecked_types):
-    """Once, the file held only the first PLR."""
-    several = jax.tree.map(lambda *arrays: jnp.stack(arrays), plr, plr)
-    assert "stacked" in repr(several)
-    with pytest.raises(ValueError, match="its arrays are stacked"):
-        save(several, tmp_path / "several.plr")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("leaf", ["plane"])

@@ -11,6 +11,7 @@ from plr_jax.plr.leaves.cone.family import family_task as family_task
 from plr_jax.plr.leaves.cone.model import Cone as Cone
 from plr_jax.plr.leaves.cone.model import as_sourced as as_sourced
 from plr_jax.plr.leaves.cone.model import goal_of_leaves as goal_of_leaves
+from plr_jax.plr.leaves.cone.model import require_goals as require_goals
 from plr_jax.plr.leaves.cone.worst_first import WorstFirst as WorstFirst
 from plr_jax.plr.leaves.continuous import Continuous
 from plr_jax.plr.leaves.continuous import StoredValues as StoredValues

@@ -31,15 +31,7 @@ from plr_jax.plr.finite_elements import (
     plane_coefficients,
 )
 from plr_jax.plr.frame import LARGEST, Corner
-from plr_jax.plr.growth import (
-    Limits,
-    check_memory,
-    check_rules,
-    grow,
-    is_within_depth,
-    least_priority,
-    urgent_first,
-)
+from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
 from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, tree_of

@@ -13,14 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from plr_jax.plr._file import DecodedFile, relative_to_origin
-from plr_jax.plr.frame import (
-    FRACTION_BITS,
-    Frame,
-    corner_if_far,
-    folding_numbers,
-    frame_of,
-    table_corners,
-)
+from plr_jax.plr.frame import FRACTION_BITS, Frame, corner_if_far, folding_numbers, frame_of, table_corners
 from plr_jax.plr.leaves import as_sourced
 from plr_jax.plr.tree import Tree
 

@@ -16,7 +16,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.plr._file import decode
 from plr_jax.plr.container import read_bytes
 from plr_jax.plr.frame import FRACTION_BITS, Outside, as_outside, spread_bits
-from plr_jax.plr.leaves import as_sourced, goal_of_leaves
+from plr_jax.plr.leaves import as_sourced, goal_of_leaves, require_goals
 from plr_jax.plr.portable.arithmetic import ARRAYS, CodedTree, Program, clamp
 from plr_jax.plr.portable.c import c_header, compact_header
 from plr_jax.plr.portable.compact import compact_bytes
@@ -163,7 +163,8 @@ class NumpyPLR:
 
     ``f(x)`` is the distance at points ``(..., dim)``. Results equal those of C headers (:meth:`PLR.c_header`) bit for
     bit, and those of ``plr(x)`` on a CPU except for numbers below 1e-38. Points are rounded to 32 bits; before that,
-    64-bit points are wrapped and, in a domain far from the origin, shifted.
+    64-bit points are wrapped and, in a domain far from the origin, shifted. With ``jax_enable_x64``, ``plr(x)``
+    computes in 64 bits for 64-bit points, so that answers differ by the rounding of this class.
 
     A single point, as a tuple, list or array, takes a few microseconds, as does each point of an array of at most
     eight. A larger batch takes up to about 0.1 ms plus tens of nanoseconds per point. Bounds, points around periodic
@@ -264,7 +265,7 @@ class NumpyPLR:
 
     @cached_property
     def _goal_rows(self) -> Float[np.ndarray, "leaves_and_outside"]:
-        return np.append(goal_of_leaves(self._program.leaf, self._program.contents.stored), np.nan)
+        return np.append(require_goals(goal_of_leaves(self._program.leaf, self._program.contents.stored)), np.nan)
 
     def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, "leaves_and_outside *row"]) -> Any:
         # The row of each point's leaf; the last row, of NaN, for NaN and outside the domain.

@@ -115,15 +115,19 @@ def as_sourced(leaf: LeafModel) -> Cone:
     return leaf
 
 
-def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, "leaves"]:
+def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, "leaves"] | None:
     goals = stored.sources.goal_of_source if isinstance(leaf, Cone) else None
+    return None if goals is None else goals[stored.source]
+
+
+def require_goals(goals: Any) -> Any:
     if goals is None:
         raise ValueError(
             "The PLR does not store which goal is nearest: only cones of a NearestGoal of VisibilityGraphs do. Give "
             "it a function that knows this, plr.with_nearest_goal(oracle.which); or, if its leaves are cones, take "
             "the ends of trace(plr, x).paths."
         )
-    return goals[stored.source]
+    return goals
 
 
 def _require_euclidean(domain: Box) -> None:
