@@ -125,7 +125,7 @@ function readPairs({ domain, layers }, fileBytes) {
     const reach = half.map((along, axis) => along + EPS * Math.abs(middle[axis]));
     const at = [outline.x, outline.y].map(along => Float64Array.from(corner, i => along[i]));
     const isThin = outline.isThin = new Set(thin);
-    const nudged = movedPoints(outline, -1.25 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
+    const nudged = movedPoints(outline, -0.2 * MARGIN * width), proud = movedPoints(outline, -2 * RECEDING * width);
     const recede = RECEDING * width, [mx, my] = moves(outline, recede, false);
     const endsSight = Array.from(mx, (move, i) => outline.isContact[i] || move === 0 && my[i] === 0);
     const seen = [0, 1].map(axis => Float64Array.from(corner, (i, k) => endsSight[i] ? nudged[axis][i] : at[axis][k]));

@@ -99,8 +99,9 @@ class Scene:
         if is_certain:
             corners = outline.moved_points(-2 * receding)[stored.corner]
         else:
-            # Corners at the end of a wall move in front of it, or rounding would hide them.
-            before = outline.moved_points(-1.25 * MARGIN * width)[stored.corner]
+            # Corners at the end of a wall move in front of it, or rounding would hide them: by at most `0.2 * MITRE`
+            # margins, so that no corner moves through an obstacle close ahead whose walls move back.
+            before = outline.moved_points(-0.2 * MARGIN * width)[stored.corner]
             corners = np.where(outline.ends_sight(receding)[stored.corner, None], before, stored.points)
         walls = outline.moved_walls(-receding if is_certain else receding, surely=hides_surely)
         moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))

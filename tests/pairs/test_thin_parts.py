@@ -6,7 +6,7 @@ from exact_plane import ExactPlane
 from hostile_plans import hostile_plan, judge
 from piece_helpers import TEN, box
 
-from plr_jax import Workspace, construct_pairs
+from plr_jax import VisibilityGraph, Workspace, construct_pairs
 from plr_jax.pairs.construct import outline_of
 from plr_jax.pairs.thin_parts import with_thin_parts
 
@@ -53,7 +53,7 @@ PLANK = [(346, 577), (346.0005, 577), (402.0005, 871), (402, 871)]  # 5e-7 width
         # Beside a tip in the middle of a thin wall, no path leads through the wall.
         ([PLANK, [(374, 724), (200, 730), (200, 720)]], (300, 750), (300, 700), [(374, 724)]),
         ([PLANK, [(374, 724), (200, 730), (200, 720)]], (300, 750), (390, 724), [(402, 871), (402.0005, 871)]),
-        # Nor through a thin wall 2e-6 widths beyond a tip.
+        # No path leads through a thin wall 2e-6 widths beyond a tip.
         ([PLANK, [(373.998, 724), (200, 730), (200, 720)]], (300, 700), (390, 724), [(346, 577), (346.0005, 577)]),
     ],
 )
@@ -62,6 +62,18 @@ def test_paths_squeeze_through_contacts_of_thin_obstacles_only(obstacles, x, y, 
     expected = np.linalg.norm(np.diff([x, *corners, y], axis=0), axis=1).sum()
     lower, upper = pairs.bounds(x, y)
     assert pairs(x, y) == pytest.approx(expected, abs=2e-2) and lower <= expected <= upper
+
+
+def test_lower_bounds_hold_where_a_tip_almost_touches_a_wall_that_is_hardly_thick():
+    """Corners in front of tips moved 5e-6 widths, through the wall, so that its far side hid them."""
+    tip = (6.874998590212537, 3.281251128794903)
+    wall = [(5.365886685883218, 1.39647090977969), (5.365926913414429, 1.396438700220883)]
+    wall += [(8.540985254153487, 5.361868939869193), (8.540945026622275, 5.361901149428)]
+    needles = [[tip, (4.184053, 8.125986), (4.135243, 8.098551)], [tip, (1.284329, 9.711063), (1.282487, 9.709461)]]
+    workspace, goal = Workspace(TEN, [wall, *needles]), (3.80524, 6.815452)
+    x = workspace.sample_free(200, seed=0)
+    lower, _ = construct_pairs(workspace, max_bytes=2_000).numpy().bounds(x, goal)
+    assert (lower <= VisibilityGraph(workspace, goal)(x)).all()
 
 
 MORE_PLANS = [(0, 42), (1, 2), (1, 67), (1, 97), (1, 187)]
