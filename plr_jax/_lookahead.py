@@ -164,8 +164,7 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
     moves = (counts > 0)[:, None] & (lengths > 0)
     prices[moves] = costs.integrals(begin[moves.ravel()], end[moves.ravel()], _LAST_TOLERANCE)
     # Cumulative sums do not depend on how many copies of the goal follow.
-    lengths, prices = (np.cumsum(each, axis=1)[:, -1] for each in (lengths, prices))
-    return vertices, counts, lengths, prices, is_free
+    return vertices, counts, np.cumsum(lengths, axis=1)[:, -1], np.cumsum(prices, axis=1)[:, -1], is_free
 
 
 class _Lookahead:

@@ -21,7 +21,7 @@ from scipy import ndimage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from plr_jax._arrays import as_numbers
+from plr_jax._arrays import as_numbers, shortened
 from plr_jax.eikonal.program import rescaling_of
 
 # Most cells of a search for paths, which takes about 2 kB a cell: into which smaller rasters are divided; by default;
@@ -319,8 +319,7 @@ def _mean_factor(
     slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
     factor = as_numbers("slope_cost's answer", slope_fn(slopes), "numbers")
     if factor.shape not in ((), slopes.shape) or not (factor > 0).all():
-        got = "others" if (factor <= 0).any() else "NaN" if np.isnan(factor).any() else f"shape {factor.shape}"
-        raise ValueError(f"slope_cost must return one positive number per slope, {slopes.shape}, got {got}.")
+        raise ValueError(f"slope_cost must return positive numbers of shape {slopes.shape}, got {shortened(factor)}.")
     return np.mean(np.broadcast_to(factor, slopes.shape), axis=0)
 
 

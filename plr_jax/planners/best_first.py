@@ -240,5 +240,4 @@ class BestFirstSearch:
 
 
 def bytes_of_tables(joint: JointLattice) -> int:
-    sizes = [(lattice.kind.child.size, len(lattice.q)) for lattice in joint.lattices]
-    return sum(_MOTION_BYTES * num_motions + _ESTIMATE_BYTES * num_nodes for num_motions, num_nodes in sizes)
+    return sum(_MOTION_BYTES * each.kind.child.size + _ESTIMATE_BYTES * len(each.q) for each in joint.lattices)

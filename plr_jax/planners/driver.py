@@ -161,8 +161,7 @@ class Run:
     def try_sequential_path(self) -> Status | None:
         """Move robots one after the other; return SOLVED if this path's cost needs no improvement."""
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
-            path = sequential_path(self.problem)
-            if path is not None:
+            if (path := sequential_path(self.problem)) is not None:
                 self.record(path, _SEQUENTIAL, math.inf)
                 self.path = with_early_departures(self.problem, path)  # of equal cost, up to rounding
             self.end_phase("search")
@@ -283,18 +282,17 @@ class Run:
     def _improve(self, searches: "Searches") -> None:
         """Replan and shorten the path that ``searches`` found, and record each path that is the cheapest so far."""
         found_by, state = searches.found
-        path, factor = self._path(searches, state)
-        self.record(path, found_by, factor)
+        path, factor = self._recorded(searches, state)
         can_replan = len(self.problem.robots) > 1 and len(state) > 1
         # If the path costs little more than the least costs, shortening alone finds what can be gained.
         if can_replan and factor > _NEAR_LEAST:
             state = self._replanned(searches, state, in_groups=False)
-            path, factor = self._path(searches, state)
+            path, factor = self._recorded(searches, state)
         if self.shorten_sequential_path(factor):
             return
         self._shorten(path, found_by, factor, searches.joint.step / 2)
         if can_replan and self.accepted_cost < self.cost:
-            path, factor = self._path(searches, self._replanned(searches, state, in_groups=True))
+            path, factor = self._recorded(searches, self._replanned(searches, state, in_groups=True))
             self._shorten(path, found_by, factor, searches.joint.step / 2)
 
     def _shorten(self, path: JointPath, found_by: str, factor: float, width: float) -> None:
@@ -314,7 +312,7 @@ class Run:
 
     def _replanned(self, searches: "Searches", state: State, in_groups: bool) -> State:
         """Replan robots one by one, then ``in_groups`` until a path is accepted or little is gained."""
-        joint, budget, (found_by, _) = searches.joint, self.budget, searches.found
+        joint, budget = searches.joint, self.budget
         rows = np.concatenate([state, np.repeat(state[-1:], int(len(state) * _WAITING_SHARE), axis=0)])
         if budget.memory + num_bytes_of_table(joint, len(rows)) >= budget.max_memory:
             return state
@@ -325,8 +323,7 @@ class Run:
             replan_each(table)
             rng, gains = np.random.default_rng(0), True
             while gains:
-                path, factor = self._path(searches, table.state)
-                self.record(path, found_by, factor)
+                self._recorded(searches, table.state)
                 if not in_groups or self.cost <= self.accepted_cost or budget.exceeded():
                     break
                 before = table.cost.sum()
@@ -335,20 +332,20 @@ class Run:
         self.end_phase("replan")
         if table is None:
             return state
-        path, factor = self._path(searches, table.state)
-        self.record(path, found_by, factor)
         table.memory_use.release()
         # Drop the rows at the end in which all robots wait.
         waits = np.all(table.state == table.state[-1], axis=1)
         return table.state[: len(waits) + 1 - np.append(waits[::-1], False).argmin()]
 
-    def _path(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
-        """Return the path through lattice nodes ``state``, and its cost over the sum of the robots' least costs."""
+    def _recorded(self, searches: "Searches", state: State) -> tuple[JointPath, float]:
+        """Record and return the path through lattice nodes ``state``, and its cost over the robots' least costs."""
         path, least = searches.joint.configurations(state), float(searches.joint.least_costs.sum())
         if not np.array_equal(path[0], self.problem.starts):
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
         cost = path_cost(self.problem, path)
-        return path, (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
+        factor = (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
+        self.record(path, searches.found[0], factor)
+        return path, factor
 
     def _fits(self, step: float) -> bool:
         needed = self.budget.memory + num_bytes(self.problem, step)

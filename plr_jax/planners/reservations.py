@@ -5,7 +5,6 @@ neighborhood search", 2021.
 """
 
 from collections import defaultdict
-from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -150,9 +149,8 @@ def replan_each(table: ReservationTable) -> None:
             return
 
 
-def replan_together(table: ReservationTable, robots: Sequence[int]) -> bool:
+def replan_together(table: ReservationTable, robots: list[int]) -> bool:
     """Replan robots one after the other, unless that raises the cost; return whether the cost fell."""
-    robots = list(robots)
     state, cost = table.state[:, robots].copy(), table.cost[robots].copy()
     for i in robots:
         table.reserve(i, -1)

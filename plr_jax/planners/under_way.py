@@ -228,8 +228,7 @@ def lifelong(
     require_problem_and_options(problem, options)
     require_integer("num_goals", num_goals, 1)
     require_function("next_goal", next_goal)
-    if plan is not None:
-        require_function("plan", plan)
+    require_function("plan", plan or bl_plan)
     team = _LifelongTeam(problem, options, plan)
     with tqdm(total=num_goals, desc="lifelong", unit=" goals", delay=3, leave=False, disable=None) as progress:
         try:
@@ -259,8 +258,8 @@ class _LifelongTeam:
         self._done, self._num_rows, self._seconds = [problem.starts[None]], 0, []
         self._since = np.zeros(len(problem.robots))  # row at which each robot got its goal
         self._hurried = np.full(len(problem.robots), -_WINDOW)  # row of each robot's last replan for lateness
-        self._num_from_nothing = 0
-        self._due, self._num_idle = math.inf, 0  # row of the next planned arrival; how often it was put off
+        self._num_from_nothing, self._num_idle = 0, 0  # idle: how often the next planned arrival was put off
+        self._due = math.inf  # row of the next planned arrival
 
     def plan_from_nothing(self) -> Status:
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))

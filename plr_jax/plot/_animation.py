@@ -56,26 +56,18 @@ def player(problem: Problem, motion: Timeline, seconds: float) -> str:
 
 def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, object]:
     """Return the data of a path for ``player.js``, with positions rounded by at most 1/20 of a pixel."""
-
-    def short(value: float, digits: int) -> float | int:
-        rounded = round(float(value), digits)
-        return int(rounded) if rounded == int(rounded) else rounded
-
     bounds = problem.workspace.bounds
-    digits = max(0, 4 - math.floor(math.log10(bounds.width.max())))
-    headings = [robot.dof == 3 for robot in problem.robots]
+    places = max(0, 4 - math.floor(math.log10(bounds.width.max())))
+    digits = [(places, places, 4)[: robot.dof] for robot in problem.robots]
     return {
         "seconds": seconds,
         "hold": HOLD,
         "view": {"scale": pixel_scale(bounds), "left": float(bounds.lo[0]), "top": float(bounds.hi[1])},
         "duration": motion.duration,
-        "times": [short(share, 6) for share in motion.times / motion.duration],
+        "times": np.round(motion.times / motion.duration, 6).tolist(),
         "steps": [
-            [
-                [short(x, digits), short(y, digits)] + ([short(rest[0], 4)] if turns else [])
-                for (x, y, *rest), turns in zip(step, headings, strict=True)
-            ]
-            for step in motion.configurations
+            [list(map(round, q, each)) for q, each in zip(step, digits, strict=True)]  # stops after the robot's dof
+            for step in motion.configurations.tolist()
         ],
     }
 

@@ -57,10 +57,9 @@ def timeline(problem: Problem, path: ArrayLike) -> Timeline:
     if problem.dof == 3:
         turns = np.array([robot.dof == 3 for robot in problem.robots])
         moves[..., 2] = np.where(turns, shorter_turn(path[:-1, :, 2], path[1:, :, 2]), 0.0)
-    kept = moves.any(axis=(1, 2))
     continued = path[:1] + np.concatenate([np.zeros_like(path[:1]), np.cumsum(moves, axis=0)])
     continued[..., :2] = path[..., :2]  # exact, without rounding errors of the sum
-    rows = np.append(True, kept)
+    rows = np.append(True, moves.any(axis=(1, 2)))
     return Timeline(row_times(problem, path)[rows], continued[rows])
 
 
