@@ -163,7 +163,8 @@ class Run:
         if set(self.options.searchers) == set(SEARCHERS):  # both searches are requested
             if (path := sequential_path(self.problem)) is not None:
                 self.record(path, _SEQUENTIAL, math.inf)
-                self.path = with_early_departures(self.problem, path)  # of equal cost, up to rounding
+                self.path = with_early_departures(self.problem, path)
+                self.history[-1] = self.history[-1][0], path_cost(self.problem, self.path)  # equal but for rounding
             self.end_phase("search")
         self.lower_bound = max(self.lower_bound, straight_line_bound(self.problem))
         if isinstance(self.heuristic, BoundingFn) and self.heuristic.is_lower_bound:
@@ -321,13 +322,12 @@ class Run:
             table = ReservationTable(joint, rows, budget)
             # From here on the table's paths are free of collisions, whenever time is up.
             replan_each(table)
-            rng, gains = np.random.default_rng(0), True
-            while gains:
-                self._recorded(searches, table.state)
-                if not in_groups or self.cost <= self.accepted_cost or budget.exceeded():
-                    break
+            self._recorded(searches, table.state)
+            rng, gains = np.random.default_rng(0), in_groups
+            while gains and self.cost > self.accepted_cost and not budget.exceeded():
                 before = table.cost.sum()
                 replan_neighborhoods(table, len(self.problem.robots), rng)
+                self._recorded(searches, table.state)
                 gains = before - table.cost.sum() > _GAIN * before
         self.end_phase("replan")
         if table is None:
