@@ -27,8 +27,6 @@ from plr_jax.plr._construct import construct
 from plr_jax.plr._plr import PLR
 from plr_jax.spaces import data_array_box, is_data_array, raster_values
 
-# Costs of paths, and squares of their ratios in the proof of bounds, then neither overflow nor vanish.
-_LEAST_COST, _MOST_COST = 1e-70, 1e70
 _REFERENCES = "crs", "grid_mapping"  # attributes and encodings of a DataArray that hold for distances too
 
 
@@ -106,8 +104,8 @@ def cost_distance(
     change slowly, 0.5 to 7 % where they jump.
 
     Args:
-        costs: Costs per unit of length, ``(rows, columns)``, from 1e-70 to 1e70: an array, a masked array or an
-            xarray ``DataArray`` of two dimensions, y and x, with evenly spaced coordinates in units of length. With
+        costs: Costs per unit of length, ``(rows, columns)``, positive: an array, a masked array or an xarray
+            ``DataArray`` of two dimensions, y and x, with evenly spaced coordinates in units of length. With
             heights, costs are factors without a unit. NaN, ``inf``, masked cells and a ``DataArray``'s no-data value
             are barriers. No path passes between two barriers that touch in a corner.
         sources: Points ``(k, 2)``, rows ``(x, y)``; or a boolean mask of the raster's shape, whose cells are numbered
@@ -123,7 +121,8 @@ def cost_distance(
         max_bytes: If given, the result has a PLR of at most so many bytes.
 
     Raises:
-        ValueError: If costs or heights are not such a raster, a source is outside of it or in a barrier, there is no
+        ValueError: If costs or heights are not such a raster, lengths or costs are too large or too small
+            for 64-bit numbers (the message states limits), a source is outside of it or in a barrier, there is no
             source, an option is out of its range, or ``bounds`` comes with heights or more than 4 million cells.
             Over more than 2 million cells, if costs differ by more than a factor of 100,000.
     """
@@ -209,12 +208,18 @@ def _raster(costs: Any, cell_size: float | ArrayLike) -> tuple[Raster, Box, tupl
             raise ValueError(f"cell_size is for arrays, and this DataArray has coordinates, got {cell_size}.")
         box, order = data_array_box("costs", costs)
     cost = cost[order]
-    if not ((box.width >= _LEAST_COST) & (box.width <= _MOST_COST)).all():
-        raise ValueError(f"The raster must be {_LEAST_COST:g} to {_MOST_COST:g} long and wide, got {box.width}.")
-    if (wrong := np.argwhere((cost < _LEAST_COST) | ((cost > _MOST_COST) & (cost < np.inf)))).size:
+    if (wrong := np.argwhere(cost <= 0)).size:
         got = f"{cost[tuple(wrong[0])]:g} in {len(wrong)} cells"
-        expected = f"costs must be positive, from {_LEAST_COST:g} to {_MOST_COST:g}"
-        raise ValueError(f"{expected}, got {got}. Use a small cost for free passage, NaN for barriers.")
+        raise ValueError(f"costs must be positive, got {got}. Use a small cost for free passage, NaN for barriers.")
+    # Products and squares of these numbers must neither overflow nor vanish.
+    cell, width = float((box.width / cost.shape[::-1]).min()), float(box.width.max())
+    low, high = float(cost.min()), float(cost.max(where=np.isfinite(cost), initial=0.0))
+    fits = min(low, low * cell) >= 1e-290 and max(high, high * width) <= min(1e290, 1e140 * low * cell)
+    if not (fits and cell >= 1e-140 and width <= 1e140):
+        raise ValueError(
+            "Lengths must be from 1e-140 to 1e140; costs, also times lengths, from 1e-290 to 1e290 and at most 1e140 "
+            f"apart: got costs {low:g} to {high:g}, lengths {cell:g} to {width:g}. Use other units."
+        )
     return cost, box, order
 
 

@@ -186,6 +186,7 @@ def solve_eikonal(
                 guide, domain, leaf=leaf, max_leaves=leaves, max_bytes=most_bytes, seed=seed, options=options
             )
         except BudgetTooSmall as error:
+            assert max_bytes is not None
             raise BudgetTooSmall(max_bytes, error.num_bytes + spare) from None
         plr = plr_of_leaves(replace(plr._contents, straight=straight))
         which = guide.which_reached

@@ -429,11 +429,11 @@ def write_proof(body: BitWriter, certificate: Certificate | None, straight: Stra
         body.write_floats(np.append(np.inf, straight.numbers))
         return Proof.CLASSES
     proof, codes = certificate.proof, certificate.codes
-    has_classes = proof is Proof.CLASSES and codes is not None
-    has_more = has_classes or straight is not None
+    classes = codes if proof is Proof.CLASSES else None
+    has_more = classes is not None or straight is not None
     body.write_floats(np.array([-certificate.scale if has_more else certificate.scale]))
-    if has_classes:
-        write_classes(body, codes)
+    if classes is not None:
+        write_classes(body, classes)
     elif codes is not None:
         body.write(codes.ravel().astype(np.int64), _CODE_BITS)
     if straight is not None:
