@@ -140,10 +140,8 @@ def solve_eikonal(
             f"certified=False is for up to {MOST_AXES} axes, without a tolerance, got {got}: leave it out."
         )
     tolerance = 0.0 if tolerance is None else as_finite("tolerance", tolerance)
-    domain, goal = (
-        space.domain,
-        as_numbers("goal", space.domain.settled(goal, space.is_free), "numbers, (dim,) or (k, dim)"),
-    )
+    domain = space.domain
+    goal = as_numbers("goal", domain.settled(goal, space.is_free), "numbers, (dim,) or (k, dim)")
     if goal.ndim not in (1, 2) or goal.shape[-1] != domain.dim or not goal.size:
         got = f"{goal.size}" if goal.ndim == 1 else f"shape {goal.shape}"
         raise ValueError(f"goal must have {domain.dim} coordinates, like the space, or be rows of these, got {got}.")
