@@ -210,20 +210,25 @@ def test_lone_robot_goes_straight_to_each_goal():
     np.testing.assert_allclose(run.times[run.rows], 8.0 * np.arange(1, 6))
 
 
-def test_goals_taken_by_other_robots_are_served_later():
-    """Two robots want to be where the other one is, over and over, in a room with a bay."""
-    room = Workspace(((0, 0), (6, 3)), [shapely.box(0, 1.2, 2, 3), shapely.box(4, 1.2, 6, 3)])
-    problem = Problem(room, [DiscRobot(0.4)] * 2, [(0.6, 0.6), (5.4, 0.6)], [(5.4, 0.6), (0.6, 0.6)])
-    ends = [(0.6, 0.6), (5.4, 0.6)]
-    side = [1, 0]
+BAYS = Workspace(((0, 0), (6, 3)), [shapely.box(0, 1.2, 2, 3), shapely.box(4, 1.2, 6, 3)])
+HALL = Workspace(((0, 0), (8, 2)))  # discs can pass one another, but only if both make way
+
+
+@pytest.mark.parametrize(
+    ("room", "ends", "num_goals", "fewest"),
+    [(BAYS, [(0.6, 0.6), (5.4, 0.6)], 8, 3), (HALL, [(1, 1), (7, 1)], 5, 2)],
+)
+def test_goals_taken_by_other_robots_are_served_later(room, ends, num_goals, fewest):
+    """Two robots want to be where the other one is, over and over."""
+    problem, side = Problem(room, [DiscRobot(0.4)] * 2, ends, ends[::-1]), [1, 0]
 
     def next_goal(i, others):
         side[i] = 1 - side[i]
         return ends[side[i]]
 
-    run = lifelong(problem, next_goal, 8)
-    assert_served(problem, run, 8)
-    assert np.bincount(run.robots).min() >= 3
+    run = lifelong(problem, next_goal, num_goals)
+    assert_served(problem, run, num_goals)
+    assert np.bincount(run.robots).min() >= fewest and (room is BAYS or run.num_from_nothing > 1)
 
 
 def test_robot_that_stays_at_its_goal_is_served_when_another_arrives():
@@ -234,21 +239,6 @@ def test_robot_that_stays_at_its_goal_is_served_when_another_arrives():
         places[1] = [(3, 9), (1, 9)]
         np.testing.assert_array_equal(run.robots, [0, 0, 1, 0, 1])
         np.testing.assert_allclose(run.times[run.rows], [1, 2, 2, 4, 4])
-
-
-def test_robots_that_block_each_other_are_planned_together():
-    """The discs can pass in the hall, but only if both make way."""
-    ends = [(1, 1), (7, 1)]
-    problem = Problem(Workspace(((0, 0), (8, 2))), [DiscRobot(0.4)] * 2, ends, ends[::-1])
-    side = [1, 0]
-
-    def next_goal(i, others):
-        side[i] = 1 - side[i]
-        return ends[side[i]]
-
-    run = lifelong(problem, next_goal, 5)
-    assert_served(problem, run, 5)
-    assert np.bincount(run.robots).min() >= 2 and run.num_from_nothing > 1
 
 
 def test_interrupted_lifelong_returns_its_path():
