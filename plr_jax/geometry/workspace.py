@@ -206,23 +206,25 @@ class Workspace:
         """Move 32-bit points ``(..., 2)`` that only rounding has put outside free space onto its walls; keep others.
 
         The rule is that of :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. A point
-        that is not free moves to the nearest free point if that is at most one step of 32 bits away, and any point so
-        near to a contact of obstacles moves there.
+        of the domain that is not free moves to the nearest free point if that is at most one step of 32 bits away, and
+        any point so near to a contact of obstacles moves there.
         """
         domain = self.bounds if domain is None else domain
         settled = domain.settled(x)
-        if settled is x or not np.isfinite(settled).any():
+        if settled is x:
             return x
         points = settled.reshape(-1, 2)
-        finite = np.flatnonzero(np.isfinite(points).all(axis=1))
-        step = np.hypot(*np.spacing(np.asarray(x).reshape(-1, 2)[finite]).T).astype(np.float64)
-        away = np.flatnonzero(~shapely.intersects_xy(self.free_space, *points[finite].T))
-        row, _, foot = self.boundary.feet(points[finite[away]], float(step.max()))
-        near = np.linalg.norm(foot - points[finite[away[row]]], axis=1) <= step[away[row]]
-        points[finite[away[row[near]]]] = np.clip(foot[near], domain.lo, domain.hi)
-        places: Any = shapely.points(points[finite])
+        inside = np.flatnonzero(domain.contains(points))
+        if not len(inside):
+            return settled
+        step = np.hypot(*np.spacing(np.asarray(x).reshape(-1, 2)[inside]).T).astype(np.float64)
+        away = np.flatnonzero(~shapely.intersects_xy(self.free_space, *points[inside].T))
+        row, _, foot = self.boundary.feet(points[inside[away]], float(step.max()))
+        near = np.linalg.norm(foot - points[inside[away[row]]], axis=1) <= step[away[row]]
+        points[inside[away[row[near]]]] = np.clip(foot[near], domain.lo, domain.hi)
+        places: Any = shapely.points(points[inside])
         row, contact = self.boundary.contact_tree.query(places, predicate="dwithin", distance=step)
-        points[finite[row]] = self.boundary.vertices[self.boundary.contacts[contact]]
+        points[inside[row]] = self.boundary.vertices[self.boundary.contacts[contact]]
         return settled
 
     def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
