@@ -186,14 +186,15 @@ def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
 
 
 _MOST_SPLIT = 0.5  # largest share of the leaves that one round splits before all values are fitted again
-# A round splits at least one in 16 leaves, or one in 4 near a byte limit, where fewer rounds take less time. If the
-# byte limit allows to split less than one in 64, growth ends.
-_LEAST_SPLIT, _LEAST_SPLIT_OF_BYTES, _WORTH_A_ROUND = 1 / 16, 1 / 4, 1 / 64
+# A round splits a third of the leaves that the limits allow to split, since errors change when adjacent leaves are
+# split: last rounds that split many leaves would leave some of them with several times the error of the others. It
+# splits at least one in 32 leaves. If the byte limit allows to split less than one in 64, growth ends.
+_SHARE_OF_ROOM, _LEAST_SPLIT, _WORTH_A_ROUND = 1 / 3, 1 / 32, 1 / 64
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
 _VOLUME_POWER = 0.25
 # Values are rounded to the mean error: more leaves reduce the error further than more digits. Near the byte limit,
 # continuous leaves aim at rounding to twice the mean error; values are rounded to at most this multiple.
-_MOST_MEAN_ERRORS = 3.0
+_MOST_MEAN_ERRORS, _FULL = 3.0, 1.8
 _SMALLEST_STEP = 2.0**-22  # in units of the largest distance: the resolution of 32-bit floats
 # Weight of the difference between a value and its prediction, relative to the samples of a cell: so small that it
 # decides only values that no sample determines, inside walls.
@@ -237,16 +238,14 @@ class _Rounds:
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
         fit, limits = now.fit, self._limits
-        room, least = limits.max_leaves - len(now), _LEAST_SPLIT
+        room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
             # If the step doubles, each value takes a bit less. Smooth leaves need the finer step.
             num_bytes = now.num_bytes - (len(now.stored.code) / 8 if self._order == 0 else 0)
             room = min(room, self._most, int(np.ceil(len(now) * (limits.max_bytes / num_bytes - 1))))
-            least = _LEAST_SPLIT_OF_BYTES
             if now.is_full or room < _WORTH_A_ROUND * len(now):
                 room = 0
-        # Only half of the splits that fit, since errors change when adjacent leaves are split.
-        number = max((room + 1) // 2, int(least * len(now)))
+        number = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
         number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
@@ -291,7 +290,7 @@ class _Rounds:
             num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits, num_cut_off)
             excess = 8 * (num_bytes - self._limits.max_bytes) / len(values)
             if excess <= 0 or step > _MOST_MEAN_ERRORS * least:
-                return _FittedPartition(replace(fit, residual=residual), stored, num_bytes, step > least)
+                return _FittedPartition(replace(fit, residual=residual), stored, num_bytes, step > _FULL * least)
             step *= 2 ** max(excess, 0.01)
 
 
