@@ -205,18 +205,15 @@ class Workspace:
     def settled(self, x: ArrayLike, domain: Box | None = None) -> ArrayLike:
         """Move 32-bit points ``(..., 2)`` that only rounding has put outside free space onto its walls; keep others.
 
-        The rule is that of :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. A point
-        of the domain that is not free moves to the nearest free point if that is at most one step of 32 bits away, and
-        any point so near to a contact of obstacles moves there.
+        The rule is that of :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. In the
+        domain, a point that is not free moves to the nearest free point if that is at most one step of 32 bits away,
+        and any point so near to a contact of obstacles moves there.
         """
         domain = self.bounds if domain is None else domain
         settled = domain.settled(x)
-        if settled is x:
-            return x
-        points = settled.reshape(-1, 2)
-        inside = np.flatnonzero(domain.contains(points))
-        if not len(inside):
+        if settled is x or not len(inside := np.flatnonzero(domain.contains(settled.reshape(-1, 2)))):
             return settled
+        points = settled.reshape(-1, 2)
         step = np.hypot(*np.spacing(np.asarray(x).reshape(-1, 2)[inside]).T).astype(np.float64)
         away = np.flatnonzero(~shapely.intersects_xy(self.free_space, *points[inside].T))
         row, _, foot = self.boundary.feet(points[inside[away]], float(step.max()))

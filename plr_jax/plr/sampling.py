@@ -77,12 +77,13 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     rng = np.random.default_rng(seed)
     center = np.zeros((1, dim))
     corners = np.array(list(product((-1.0, 1.0), repeat=dim)) if 4 * 2**dim <= num_samples else []).reshape(-1, dim)
-    faces = 2 * lattice(num_samples // 3, rng.random(dim)) - 1
-    face = np.arange(len(faces)) % (2 * dim)
-    faces[np.arange(len(faces)), face // 2] = 2.0 * (face % 2) - 1
-    inside = 2 * lattice(num_samples - 1 - len(corners) - len(faces), rng.random(dim)) - 1
-    u = np.concatenate([center, inside, corners, faces]) * (1 + 2 * margin)
-    weight = np.repeat([1.0, _FACE_WEIGHT], [1 + len(inside), len(corners) + len(faces)])
+    per_face = num_samples // (6 * dim)
+    sides = [(axis, side) for axis in range(dim) for side in (-1.0, 1.0)]
+    faces = [np.insert(2 * lattice(per_face, rng.random(dim - 1)) - 1, *side, axis=1) for side in sides]
+    num_inside = num_samples - 1 - len(corners) - len(faces) * per_face
+    inside = 2 * lattice(num_inside, rng.random(dim)) - 1
+    u = np.concatenate([center, inside, corners, *faces]) * (1 + 2 * margin)
+    weight = np.repeat([1.0, _FACE_WEIGHT], [1 + num_inside, len(u) - 1 - num_inside])
     return Pattern(u, weight)
 
 
