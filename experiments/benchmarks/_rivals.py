@@ -33,7 +33,7 @@ class Rival(NamedTuple):
     function: Callable[[Float[Array, "*batch 2"]], Float[Array, "*batch"]] | None = None
     chunk: int | None = None
 
-    def on_host(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    def on_host(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """Answers as float64 NumPy numbers, to points of any precision."""
         return np.asarray(self.answer(jnp.asarray(x, jnp.float32) if self.on_device else x), np.float64)
 
@@ -68,7 +68,7 @@ _GROWTH = 3  # vertices are added in rounds of a third
 class Grid(NamedTuple):
     """Values at the nodes of a regular grid, and the bytes that these take."""
 
-    axes: tuple[Float[np.ndarray, "rows"], Float[np.ndarray, "columns"]]
+    axes: tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " columns"]]
     values: Float[np.ndarray, "rows columns"]
     num_bytes: int
 
@@ -142,7 +142,7 @@ def interpax_grid(grid: Grid, method: str) -> Rival:
 
 
 def triangles(
-    workspace: Workspace, num_bytes: int, x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"]
+    workspace: Workspace, num_bytes: int, x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, " n"]
 ) -> Rival:
     """SciPy's linear interpolation over Delaunay triangles, whose vertices are chosen among samples.
 
@@ -167,7 +167,7 @@ def triangles(
 
 
 def _worst_in_triangles(
-    interpolator: LinearNDInterpolator, x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"]
+    interpolator: LinearNDInterpolator, x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, " n"]
 ) -> Int[np.ndarray, "triangles"]:
     """The sample of the largest error in each triangle, the worst first."""
     order = np.argsort(-np.abs(interpolator(x) - distance))
@@ -175,7 +175,7 @@ def _worst_in_triangles(
     return order[np.sort(first)]
 
 
-def _axes(bounds: Box, num_nodes: int) -> tuple[Float[np.ndarray, "rows"], Float[np.ndarray, "columns"]]:
+def _axes(bounds: Box, num_nodes: int) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " columns"]]:
     """Nodes spread in proportion to the sides of the map."""
     width, height = bounds.width
     rows = int(np.sqrt(num_nodes * width / height))
@@ -208,7 +208,7 @@ _WORTH_A_THREAD = 10_000  # points; waking another thread costs more than it sav
 
 
 def linear_trees(
-    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"], leaves: int, num_trees: int, seed: int
+    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, " n"], leaves: int, num_trees: int, seed: int
 ) -> Rival:
     """Trees with so many leaves each; bytes are counted as if packed, a fraction of the text that LightGBM saves."""
     trees = train_linear_trees(x, distance, leaves, num_trees, seed)
@@ -220,7 +220,7 @@ def linear_trees(
 
 
 def train_linear_trees(
-    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"], leaves: int, num_trees: int, seed: int
+    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, " n"], leaves: int, num_trees: int, seed: int
 ) -> Any:
     """LightGBM's booster: a stump, then boosted trees with so many leaves each.
 
@@ -251,7 +251,7 @@ def leaves_that_fit(num_bytes: int, num_trees: int) -> int:
 
 
 def best_linear_trees(
-    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"], num_bytes: int, seed: int
+    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, " n"], num_bytes: int, seed: int
 ) -> Rival:
     """One, two or four trees of so many packed bytes together, whichever are nearest to their own samples."""
     trees = [linear_trees(x, distance, leaves_that_fit(num_bytes, number), number, seed) for number in NUM_TREES]
@@ -264,12 +264,12 @@ _HIDDEN_LAYERS = 3
 _BATCH = 2_048
 _LEARNING_RATE = 1e-2
 
-Layers = list[tuple[Float[Array, "inputs outputs"], Float[Array, "outputs"]]]
+Layers = list[tuple[Float[Array, "inputs outputs"], Float[Array, " outputs"]]]
 
 
 def train_network(
     x: Float[np.ndarray, "n 2"],
-    distance: Float[np.ndarray, "n"],
+    distance: Float[np.ndarray, " n"],
     num_bytes: int,
     num_steps: int,
     seed: int,
@@ -327,7 +327,7 @@ def _apply(layers: Layers, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"
 
 
 @partial(jax.jit, static_argnames="num_steps")
-def _train(layers: Layers, x: Float[Array, "n 2"], distance: Float[Array, "n"], num_steps: int, seed: int) -> Layers:
+def _train(layers: Layers, x: Float[Array, "n 2"], distance: Float[Array, " n"], num_steps: int, seed: int) -> Layers:
     optimizer = optax.adam(optax.cosine_decay_schedule(_LEARNING_RATE, num_steps))
 
     def loss(layers: Layers, batch: Array) -> Array:

@@ -52,7 +52,7 @@ _PAGED_SLOTS_A_ROW, _PAGED_SLOTS = 4, [2**13, 2**14, 2**15, 3 * 2**14, 2**16]
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the other half is for slots
 
 
-def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
+def gather(table: Shaped[AnyArray, " n"], index: UInt32[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
     """Return ``table[index]`` without a bounds check."""
     return table[index] if isinstance(table, np.ndarray) else table.at[index].get(mode="promise_in_bounds")
 
@@ -61,7 +61,7 @@ def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> S
 class Trie:
     """A lookup table of several PLRs in one array, which a query reads level by level, from coarse to fine."""
 
-    entries: UInt32[AnyArray, "entries"]
+    entries: UInt32[AnyArray, " entries"]
     bits: UInt32[AnyArray, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
     start: UInt32[AnyArray, "*batch"]  # first entry of one PLR, or of each point's PLR
 
@@ -109,13 +109,13 @@ class Blocks:
     in ``leaf_of_slot``. Axes that do not fit go into further words, each of which costs a query one more read.
     """
 
-    words: tuple[UInt32[AnyArray, "blocks"], ...]
-    shift: UInt32[AnyArray, "dim"]  # number of a point's fraction bits below those that identify the block
+    words: tuple[UInt32[AnyArray, " blocks"], ...]
+    shift: UInt32[AnyArray, " dim"]  # number of a point's fraction bits below those that identify the block
     axes: tuple[int, ...] = field(metadata={"static": True})  # how many each array of words describes
     width: int = field(metadata={"static": True})  # bits of a word per axis
 
 
-def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"], shift: PerAxis) -> Blocks:
+def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], shift: PerAxis) -> Blocks:
     # ``shape`` has log2 of the sizes of the blocks' tables by axis, ``offset`` their starts. ``shift`` counts the
     # bits of a point's position below those of its block, by axis.
     width = max(1, int(shape.max()).bit_length())
@@ -154,8 +154,8 @@ def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
 
 
 def leaves_of_slots(
-    cells: Cells, block_bits: PerAxis, shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"]
-) -> UInt32[np.ndarray, "slots"]:
+    cells: Cells, block_bits: PerAxis, shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"]
+) -> UInt32[np.ndarray, " slots"]:
     # ``shape`` has log2 of the sizes of the blocks' tables by axis, ``offset`` their first entries.
     # Write a leaf at the first slot of each of its runs along the last axis, and repeat it up to the next run.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
@@ -179,13 +179,13 @@ class Pages:
     not adjacent, the page has gaps, which slots of other pages fill.
     """
 
-    words: UInt32[AnyArray, "blocks"]  # mask of the fraction bits that index the page and, above it, the page's start
+    words: UInt32[AnyArray, " blocks"]  # mask of the fraction bits that index the page; above it, the page's start
     bits: UInt32[AnyArray, "3 dim"]  # mask of fraction bits below a block, their right shift, width of a word's mask
 
 
 def build_pages(
     cells: Cells, classes: list[int], numbers_a_slot: int
-) -> tuple[Pages, PerAxis, Int[np.ndarray, "slots"], int] | None:
+) -> tuple[Pages, PerAxis, Int[np.ndarray, " slots"], int] | None:
     """Build a lookup table with pages (:class:`Pages`); None if leaves are too many or too deep for such a table.
 
     Return the pages, how often their grid halves each axis, the leaf in each slot, and the number of slots after
@@ -231,11 +231,11 @@ def build_pages(
 
 def _place_pages(
     shape: PerBlock, page_bits: PerAxis, below: PerAxis, first: int
-) -> tuple[Int[np.ndarray, "blocks"], int]:
+) -> tuple[Int[np.ndarray, " blocks"], int]:
     # A buddy allocator places pages by decreasing size, from the slot ``first`` on. Either half of a room that it
     # halves has every other slot. ``below`` counts the bits of later axes in the index of a slot in the largest page.
     finest = tuple(page_bits.tolist())
-    rooms: dict[tuple[int, ...], Int[np.ndarray, _]] = {}  # starts of free rooms, by shape
+    rooms: dict[tuple[int, ...], Int[np.ndarray, " _"]] = {}  # starts of free rooms, by shape
     start, end = np.zeros(len(shape), np.int64), first
     order = np.flatnonzero(shape.any(axis=1))
     order = order[np.lexsort((*shape[order].T, -shape[order].sum(axis=1)))]
@@ -268,9 +268,9 @@ class Tables:
     bits: UInt32[AnyArray, "2 dim"]  # mask of the fraction bits that index an entry or block, and their right shift
     blocks: Blocks | None
     pages: Pages | None
-    leaf_of_slot: UInt16[AnyArray, "slots"] | UInt32[AnyArray, "slots"]
+    leaf_of_slot: UInt16[AnyArray, " slots"] | UInt32[AnyArray, " slots"]
     # For each leaf or, with pages, for each slot: see :func:`arrange_parameters`.
-    leaf_parameters: Float[AnyArray, "count padded"] | Float[AnyArray, "numbers"]
+    leaf_parameters: Float[AnyArray, "count padded"] | Float[AnyArray, " numbers"]
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedDomain | None = None

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _RESIDUAL, _MOST_STEPS = 1e-10, 200
 
 
-def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
+def solve_normal(normal: "csr_array", moments: Float[np.ndarray, " n"], dim: int) -> Float[np.ndarray, " n"]:
     """Solve ``normal @ x = moments``, symmetric positive definite, by a method for the domain's dimension ``dim``."""
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
@@ -59,7 +59,7 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int)
     return factors.solve(moments)
 
 
-def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
+def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
     # SciPy's ``cg`` calls BLAS, whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
     values, residual, direction = np.zeros_like(right), right, right
     square = first = np.einsum("i,i", right, right)
@@ -88,7 +88,7 @@ class FaceTests:
         self._domain = domain
         self._keys, self._free = np.zeros(0, np.uint64), np.zeros(0, bool)  # of the faces of the last call
 
-    def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, "faces"]:
+    def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, " faces"]:
         domain, of_cell = self._domain, cells.hashes()
         keys = hash64(hash64(of_cell[faces.lower]) + of_cell[faces.upper])
         keys += faces.axis.astype(np.uint64)  # a cell may share several faces with itself
@@ -128,15 +128,15 @@ class TiedPartition:
     """Leaves whose functions agree on their ``tied`` faces: shared faces of reachable leaves that paths can cross."""
 
     tree: Tree
-    unreachable: Bool[np.ndarray, "leaves"]
+    unreachable: Bool[np.ndarray, " leaves"]
     faces: SharedFaces
-    tied: Bool[np.ndarray, "faces"]
+    tied: Bool[np.ndarray, " faces"]
 
     @cached_property
     def space(self) -> NodalSpace:
         return nodal_space(self.tree, self.faces[self.tied], self.unreachable)
 
-    def may_be_tied(self) -> Bool[np.ndarray, "faces"]:
+    def may_be_tied(self) -> Bool[np.ndarray, " faces"]:
         return ~(self.unreachable[self.faces.lower] | self.unreachable[self.faces.upper])
 
 
@@ -147,10 +147,10 @@ class StoredValues:
     partition: TiedPartition
     offset: float
     step: float
-    code: Int[np.ndarray, "free_dofs"]
+    code: Int[np.ndarray, " free_dofs"]
 
     @staticmethod
-    def quantize(partition: TiedPartition, values: Float[np.ndarray, "free_dofs"], step: float) -> "StoredValues":
+    def quantize(partition: TiedPartition, values: Float[np.ndarray, " free_dofs"], step: float) -> "StoredValues":
         if np.abs(values).max(initial=0.0) > LARGEST:
             raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
         offset, step = float(np.float32(values.mean())), float(np.float32(step))
@@ -167,7 +167,7 @@ class StoredValues:
         stored = StoredValues.quantize(partition, of_group[space.free_dofs], step)
         return replace(stored, code=np.maximum(stored.code, int(np.ceil(-stored.offset / stored.step))))
 
-    def decode(self) -> Float[np.ndarray, "free_dofs"]:
+    def decode(self) -> Float[np.ndarray, " free_dofs"]:
         return self.offset + self.step * self.code
 
     def write(self, body: BitWriter) -> None:
@@ -180,7 +180,7 @@ class StoredValues:
             body.write_signed(surplus[level])
 
 
-def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
+def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
     starts = np.flatnonzero(np.diff(level, prepend=-1)).tolist()
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
 
@@ -236,7 +236,7 @@ class _Rounds:
                 return grown
             self._most = len(leaf) // 2
 
-    def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
+    def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
         fit, limits = now.fit, self._limits
         room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
@@ -296,7 +296,7 @@ class _Rounds:
 
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
-) -> tuple[Float[np.ndarray, "free_dofs"], Float[np.ndarray, "leaves k"]]:
+) -> tuple[Float[np.ndarray, " free_dofs"], Float[np.ndarray, "leaves k"]]:
     """Fit a finite-element function by least squares to the samples of leaves, each with its ``weight``.
 
     Return the free degrees of freedom, and the distance minus the function at each sample (0 if its weight is 0).
