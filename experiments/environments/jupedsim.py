@@ -41,7 +41,7 @@ class Exits:
         paths = trace(self.cones, x).paths
         is_ahead = np.linalg.norm(paths - x[:, None], axis=2) > RADIUS
         index = np.where(is_ahead.any(axis=1), is_ahead.argmax(axis=1), -1)
-        return self.cones.which(x), paths[np.arange(len(x)), index]
+        return np.asarray(self.cones.which(x)), paths[np.arange(len(x)), index]
 
 
 class Evacuation(NamedTuple):

@@ -4,7 +4,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, Int8
@@ -200,19 +200,15 @@ def solve_eikonal(
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
         which = field.which
         warn_if_cut_off(field.reach or (field.guide and field.guide.reach(domain)), plr._contents)
-    return (
-        plr
-        if certified and goal.ndim == 1
-        else plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), which))
-    )
+    if certified and goal.ndim == 1:
+        return plr
+    return plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), which))
 
 
 def _row_of_goal(
-    row: Int[np.ndarray, " goals_plus_one"],
-    which: Callable[[Float[np.ndarray, "n dim"]], Int[np.ndarray, " n"]],
-    x: Float[np.ndarray, "n dim"],
+    rows: Int[np.ndarray, " k"], which: Callable, x: Float[np.ndarray, "n dim"]
 ) -> Int[np.ndarray, " n"]:
-    return row[which(x)]  # a function of its own, since lambdas cannot be pickled
+    return rows[which(x)]  # a function of its own, since lambdas cannot be pickled
 
 
 def _require_goals(
@@ -429,12 +425,9 @@ class SampledSpace(CheckedSpace):
 
     seed: int
 
-    @cached_property
-    def _samples(self) -> Float[np.ndarray, "k dim"]:
-        return (1 + sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u) / 2
-
     def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, " n"]:
-        x = lo[:, None] + (hi - lo)[:, None] * self._samples
+        u = sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u
+        x = lo[:, None] + (hi - lo)[:, None] * (1 + u) / 2
         free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
         state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
         return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -44,7 +43,9 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
     targets = []
     for each, leaves in zip(contents, (slice(*both) for both in pairwise(ends)), strict=True):
         rounding = leaf.rounding_bounds(domain, each.tree.leaves, coefficients[leaves])
-        targets.append(_Targets(leaves, rounding, partial(Certificate.of, proof=proof, **_volume_and_size(each))))
+        volume, size = np.ldexp(1.0, -each.tree.leaves.depth.sum(axis=1)), len(body_of_leaves(each).to_bytes())
+        encode = partial(Certificate.of, proof=proof, volume=volume, num_bytes=size)
+        targets.append(_Targets(leaves, rounding, encode))
 
     def sufficient(least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
         bounds = [each(least[each.leaves], most[each.leaves], anew) for each in targets]
@@ -75,8 +76,3 @@ class _Targets:
             if last is None or anew or last.codes is not None or max(most.max(), -least.min()) > last.scale:
                 self.last = last = self.encode(least, most, None if anew else last)
         return last.sufficient_bounds(least, most, self.rounding)
-
-
-def _volume_and_size(contents: DecodedFile) -> dict[str, Any]:
-    volume = np.ldexp(1.0, -contents.tree.leaves.depth.sum(axis=1))
-    return {"volume": volume, "num_bytes": len(body_of_leaves(contents).to_bytes())}
