@@ -185,11 +185,12 @@ def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
 
 
-_MOST_SPLIT = 0.5  # largest share of the leaves that one round splits before all values are fitted again
-# A round splits a third of the leaves that the limits allow to split, since errors change when adjacent leaves are
-# split: last rounds that split many leaves would leave some of them with several times the error of the others. It
-# splits at least one in 32 leaves. If the byte limit allows to split less than one in 64, growth ends.
-_SHARE_OF_ROOM, _LEAST_SPLIT, _WORTH_A_ROUND = 1 / 3, 1 / 32, 1 / 64
+# A round splits up to half of the leaves, or all if they are few, before all values are fitted again.
+_MOST_SPLIT, _FEW_LEAVES = 0.5, 64
+# A round makes at most 0.4 of the splits that the limits allow, since errors change when adjacent leaves are split:
+# last rounds that split many leaves would leave some of them with several times the error of the others. It splits
+# at least one in 32 leaves. If the byte limit allows to split less than one in 50, growth ends.
+_SHARE_OF_ROOM, _LEAST_SPLIT, _WORTH_A_ROUND = 0.4, 1 / 32, 1 / 50
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
 _VOLUME_POWER = 0.25
 # Values are rounded to the mean error: more leaves reduce the error further than more digits. Near the byte limit,
@@ -246,7 +247,8 @@ class _Rounds:
             if now.is_full or room < _WORTH_A_ROUND * len(now):
                 room = 0
         number = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
-        number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), room)
+        share = 1.0 if len(now) < _FEW_LEAVES else _MOST_SPLIT
+        number = min(number, int(np.ceil(share * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
         error, _ = urgent_first(fit, error, fit.urgent_axis)
