@@ -19,7 +19,7 @@ RESULTS = Path(__file__).parent / "results"
 
 _PACKAGES = (
     *("plr-jax", "jax", "numpy", "scipy", "shapely", "networkx", "optax", "matplotlib"),
-    *("interpax", "lightgbm", "numba", "ompl", "python-motion-planning", "scikit-fmm", "jupedsim"),
+    *("lightgbm", "numba", "ompl", "python-motion-planning", "scikit-fmm", "jupedsim"),
 )
 
 Compute = Callable[[int, bool], dict[str, Any]]

@@ -2,7 +2,7 @@
 
 | what changes | use | answer |
 | --- | --- | --- |
-| both points, among polygons | `plr_jax.construct_pairs` | exact but for the rounding of 32-bit floats |
+| both points, among polygons | `plr_jax.construct_pairs` | within 3e-7 of the map's width, except beside walls |
 | both cells of a grid | `plr_jax.construct_grid_pairs` | exact number of steps |
 | both points, any metric | `plr_jax.construct_metric_pairs` | approximate |
 | a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | by one PLR for each goal |
@@ -23,7 +23,7 @@ distance = pairs(x, y)  # (n,); the batches are broadcast
 lower, upper = pairs.bounds(x[:3], y[:3])  # proven
 
 goals = pairs.prepared(y)  # goals that are queried many times; also inside jit
-distance = pairs(x, goals)  # large batches take about half the time, a fifth on large maps
+distance = pairs(x, goals)  # large batches take a half to a fifth of the time
 
 plr = pairs.to(y[0])  # the distance to one goal, a PLR with cone leaves
 print(plr(x[:3]), plr_jax.VisibilityGraph(workspace, y[0]).between(x[:3], y[:3]))
