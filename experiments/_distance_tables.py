@@ -2,12 +2,11 @@
 
 from collections.abc import Iterable
 from itertools import chain
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from experiments._tables import formatted, markdown, mean_and_largest, or_dash, spread, two_digits
+from experiments._tables import formatted, markdown, mean_and_largest, or_dash, spread
 from experiments.compare_summaries import MAX_BYTES, TOLERANCE
 
 _SHORT_BYTES = 6_144
@@ -29,7 +28,7 @@ _RIVALS = {
 
 
 def rivals(results: dict[str, Any]) -> str:
-    """Errors at one number of bytes, one row an approximation and one column a map; and how far cones are ahead."""
+    """Errors at one number of bytes, one row an approximation and one column a map; and of a grid in equal memory."""
     maps = {
         name: {row["contender"]: row for row in rows if row["budget"] == _SHORT_BYTES}
         for name, rows in results["maps"].items()
@@ -37,19 +36,16 @@ def rivals(results: dict[str, Any]) -> str:
     table = [[f"mean (largest) error, {_SHORT_BYTES:,} bytes", *maps]]
     for contender in _SHORT_CONTENDERS:
         table.append([contender, *(mean_and_largest(rows[contender]["free"]) for rows in maps.values())])
-    for contender in _PLRS:
-        in_memory = [mean_and_largest(rows[contender]["grid_in_memory"]) for rows in maps.values()]
-        table.append([f"grid, memory of {contender.removeprefix('PLR, ')}", *in_memory])
-    ahead = ", ".join(f"{name} {at_equal_bytes(results, name, _SHORT_BYTES)[2]}" for name in maps)
-    note = f"Mean errors of the best rival, over those of cones: {ahead}."
-    return markdown(table, numbers=len(maps)) + f"\n{note}\n"
+    in_memory = [mean_and_largest(rows["PLR, planes"]["grid_in_memory"]) for rows in maps.values()]
+    table.append(["32-bit grid, memory of planes", *in_memory])
+    return markdown(table, numbers=len(maps))
 
 
-def at_equal_bytes(results: dict[str, Any], name: str, budget: int) -> tuple[float, tuple[float, str], str]:
-    """Return the mean error of cones on a map, the least mean error of other methods, and their ratio."""
+def cones_and_best_rival(results: dict[str, Any], name: str, budget: int) -> tuple[float, float, str]:
+    """Return the mean error of cones on a map, the least mean error of other methods, and the name of that method."""
     errors = {row["contender"]: row["free"]["mean"] for row in results["maps"][name] if row["budget"] == budget}
     least = min((error, contender) for contender, error in errors.items() if contender not in _PLRS)
-    return errors["PLR, cones"], least, two_digits(least[0] / errors["PLR, cones"])
+    return errors["PLR, cones"], *least
 
 
 def memory(results: dict[str, Any]) -> str:
@@ -60,8 +56,12 @@ def memory(results: dict[str, Any]) -> str:
         for row in rows
         if row["contender"] in _PLRS and row["budget"] == _SHORT_BYTES
     ]
-    columns = (("file, bytes", "{bytes:,}"), ("memory, bytes", "{resident_bytes:,}"), ("PLR", "{cells[0]}"))
-    return formatted(rows, ("map", "{map}"), ("", "{contender}"), *columns, ("grid", "{cells[1]}"), words=2)
+    return formatted(
+        rows,
+        *(("map", "{map}"), ("", "{contender}"), ("file, bytes", "{bytes:,}"), ("memory", "{resident_bytes:,}")),
+        *(("mean (largest) error", "{cells[0]}"), ("of the grid", "{cells[1]}")),
+        words=2,
+    )
 
 
 def leaves(results: dict[str, Any]) -> str:
@@ -75,29 +75,15 @@ def leaves(results: dict[str, Any]) -> str:
     )
     farthest = {row["map"]: row["largest_distance"] for row in results["rows"]}
     scale = ", ".join(f"{distance:.3g} in {name}" for name, distance in farthest.items())
-    best = ", ".join(
-        f"{name} {_best(results, name, 'mean')} ({_best(results, name, 'largest')})" for name in farthest
-    )
     return table + (
-        f"\nSmallest mean (largest found): {best}. `max_bytes={results['budget']}`. Memory: bytes once loaded. "
-        f"In C: bytes of code and tables. Errors in workspace units, over {results['points']:,} free points; "
-        f"largest distance: {scale}.\n"
+        f"\n`max_bytes={results['budget']}`. Memory: bytes once loaded. In C: bytes of code and tables. "
+        f"Errors in workspace units, over {results['points']:,} free points; largest distance: {scale}.\n"
     )
-
-
-def _best(results: dict[str, Any], name: str, error: str) -> str:
-    return min((row for row in results["rows"] if row["map"] == name), key=itemgetter(error))["leaf"]
 
 
 def speed(results: dict[str, Any]) -> str:
     """Bytes, error and nanoseconds a point of a PLR and of some others in its place."""
-    plane = results["plane"]
-    many = f"{plane['points'][-1]}"
-    ours, in_numba, grid = (plane["nanoseconds"][name][many][0] for name in _SPEED_CONTENDERS[:3])
-    return _nanoseconds(plane, _SPEED_CONTENDERS) + (
-        f"\n{int(many):,} points a call: planes take {ours / grid:.2g} times as long as the grid in JAX, "
-        f"{ours / in_numba:.2g} times as long as the Numba loop over their tables.\n"
-    )
+    return _nanoseconds(results["plane"], _SPEED_CONTENDERS)
 
 
 def query(results: dict[str, Any]) -> str:

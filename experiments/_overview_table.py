@@ -3,7 +3,7 @@
 from statistics import median
 from typing import Any
 
-from experiments._distance_tables import at_equal_bytes
+from experiments._distance_tables import cones_and_best_rival
 from experiments._tables import markdown, two_digits
 
 _MAP = "den312d"  # the map of single numbers: medium size, not made by us
@@ -19,7 +19,7 @@ def overview(
     race: dict[str, Any],
 ) -> str:
     """Return one row for each comparison with other tools, with a link to the section that has the details."""
-    cones, (error, other), smaller = at_equal_bytes(benchmark["accuracy"], _MAP, _BYTES)
+    cones, error, other = cones_and_best_rival(benchmark["accuracy"], _MAP, _BYTES)
     nanoseconds = {name: each["1000000"][0] for name, each in benchmark["query"]["plane"]["nanoseconds"].items()}
     faster = nanoseconds["grid, JAX"] / nanoseconds["PLR, planes"]
     oracle = benchmark["oracle"]["maps"][_MAP]
@@ -48,7 +48,7 @@ def overview(
             f"mean error of a file of {_BYTES:,} bytes, {_MAP}",
             f"cones {cones:.2g}",
             f"{other} {error:.2g}",
-            f"**ours**, {smaller} times smaller",
+            f"**ours**, {two_digits(error / cones)} times smaller",
             "[errors](#errors)",
         ],
         [

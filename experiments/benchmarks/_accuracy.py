@@ -96,9 +96,8 @@ def _draw_map(ax: Axes, rows: list[dict[str, Any]]) -> None:
 
 def _ends(rows: list[dict[str, Any]]) -> list[tuple[str, float, float, str]]:
     """Label, end and color of each line."""
-    most = max(row["budget"] for row in rows)
-    last = [row for row in rows if row["budget"] == most and row["contender"] in _STYLES and row["free"]["mean"]]
-    return [(row["contender"], row["bytes"], row["free"]["mean"], _STYLES[row["contender"]][0]) for row in last]
+    last = {row["contender"]: row for row in rows if row["contender"] in _STYLES and row["free"]["mean"]}
+    return [(name, row["bytes"], row["free"]["mean"], _STYLES[name][0]) for name, row in last.items()]
 
 
 # Error at equal bytes: PLRs against everything else that can hold a distance function, map by map.
@@ -109,7 +108,7 @@ def _ends(rows: list[dict[str, Any]]) -> list[tuple[str, float, float, str]]:
 # - The PLRs, of cones, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they
 #   like, which is counted; cones ask it what whole cells see, which is not.
 # - Coded grid: distances at nodes, rounded to multiples of a step, predicted from their neighbors and compressed by
-#   LZMA. Among 22 numbers of nodes, the best at its samples is taken. Nodes in obstacles take the value of the
+#   LZMA. Among 41 numbers of nodes, the best at its samples is taken. Nodes in obstacles take the value of the
 #   nearest free node.
 # - Linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to half a
 #   million (``samples`` in the results). Of the trees, one, two or four are kept, whichever are nearest to their
