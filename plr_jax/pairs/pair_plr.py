@@ -253,7 +253,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     - Where a thin wall starts at the sharp tip of a thicker obstacle, a point near the tip, in line with the wall up
       to rounding, may see through where both meet. So may a point within 4e-6 w of another wall that ends there.
     - Paths around the end of a thin wall may be 2e-6 w too long. If the workspace lets paths squeeze through places
-      where obstacles touch, and a thin wall ends in one, paths through such places may be 2e-6 w too short.
+      where obstacles touch, and a thin wall ends in one, paths through such places may be 2e-6 w too short. Some are
+      not found: the distance is then that of a longer path, above the upper bound.
 
     Otherwise gaps stay open however narrow, and places where obstacles touch stay closed, unless paths may squeeze
     through. Only gaps below 6e-8 w beside such a place, or below 8e-6 w beside the tip of a thin wall, may be closed,
