@@ -41,7 +41,7 @@ class CompiledHeader:
             code += ["    }", "}"]
         self.library = compiled_library("\n".join(code) + "\n", folder)
 
-    def __call__(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+    def __call__(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:
         return self._answers(self.library.distances, x, np.empty(len(x), np.float32))
 
     def waypoints(self, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n dim"]:

@@ -77,7 +77,7 @@ def leaves(results: dict[str, Any]) -> str:
     scale = ", ".join(f"{distance:.3g} in {name}" for name, distance in farthest.items())
     return table + (
         f"\n`max_bytes={results['budget']}`. Memory: bytes once loaded. In C: bytes of code and tables. "
-        f"Errors in workspace units, over {results['points']:,} free points; largest distance: {scale}.\n"
+        f"Errors in workspace units; largest distance: {scale}.\n"
     )
 
 

@@ -4,9 +4,11 @@ import argparse
 import json
 import os
 import platform
+import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
+from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,6 +18,7 @@ import numpy as np
 from experiments._tables import as_text
 
 RESULTS = Path(__file__).parent / "results"
+WHOLE = "whole"  # name of the part of an experiment that has no sections
 
 _PACKAGES = (
     *("plr-jax", "jax", "numpy", "scipy", "shapely", "networkx", "optax", "matplotlib"),
@@ -57,24 +60,30 @@ def run(
     fresh = Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke and not arguments.output else RESULTS
     output = arguments.output or fresh
 
-    def results_so_far() -> Iterator[dict[str, Any]]:
+    def results_so_far() -> Iterator[tuple[str, dict[str, Any]]]:
         if isinstance(measured, Mapping):
             for section in arguments.only or measured:
                 print(f"== {section}", flush=True)
                 part = measured[section].measure(arguments.seed, arguments.smoke)
                 old = read(output, name)["results"] if (output / f"{name}.json").exists() else {}
-                yield {each: part if each == section else old[each] for each in measured if each in {*old, section}}
+                kept = {each: part if each == section else old[each] for each in measured if each in {*old, section}}
+                yield section, kept
         elif renew is not None and arguments.only is not None:
-            yield renew(read(output, name)["results"], arguments.only)
+            yield arguments.only, renew(read(output, name)["results"], arguments.only)
         else:
-            yield measured(arguments.seed, arguments.smoke)
+            yield WHOLE, measured(arguments.seed, arguments.smoke)
 
     began = time.perf_counter()
     if not arguments.draw:
-        for results in results_so_far():
+        commit, today = commit_of_code(), date.today().isoformat()
+        for part, results in results_so_far():
+            now = time.perf_counter()
+            about = {"commit": commit, "date": today, "minutes": round((now - began) / 60, 1)}
+            is_kept = part != WHOLE and (output / f"{name}.json").exists()
+            measured_parts = {**(read(output, name)["measured"] if is_kept else {}), part: about}
             record = {"experiment": name, "smoke": arguments.smoke, "seed": arguments.seed, **_environment()}
-            record["minutes"] = round((time.perf_counter() - began) / 60, 1)
-            print(f"wrote {write(output, name, {**record, 'results': results})}")
+            print(f"wrote {write(output, name, {**record, 'measured': measured_parts, 'results': results})}")
+            began = now
     results = read(output, name)["results"]
     print(as_text(results, name))
     drawn = [(draw, results)] if sections is None else [(sections[each].draw, part) for each, part in results.items()]
@@ -98,6 +107,17 @@ def _arguments(
     elif renew is not None:
         parser.add_argument("--only", metavar="PART", help=again)
     return parser.parse_args()
+
+
+def commit_of_code() -> str:
+    """The commit that is checked out, with a plus if the code differs from it; ``"unknown"`` outside a clone."""
+
+    def git(*words: str) -> subprocess.CompletedProcess:
+        return subprocess.run(["git", *words], cwd=RESULTS, capture_output=True, text=True, check=False)
+
+    commit = git("rev-parse", "--short=8", "HEAD")
+    changed = git("diff", "--quiet", "HEAD", "--", ":(top)plr_jax", ":(top,glob)experiments/**/*.py").returncode
+    return f"{commit.stdout.strip()}{'+' * changed}" if commit.returncode == 0 else "unknown"
 
 
 def _environment() -> dict[str, Any]:

@@ -34,21 +34,21 @@ class Paths(NamedTuple):
     """All points of the paths, one path after the other, each from its start to the goal; and whose they are."""
 
     points: Points
-    path: Int[np.ndarray, "n"]
+    path: Int[np.ndarray, " n"]
 
     @property
-    def is_bend(self) -> Bool[np.ndarray, "n"]:
+    def is_bend(self) -> Bool[np.ndarray, " n"]:
         """Which points are neither the first nor the last of their path."""
         same = self.path[1:] == self.path[:-1]
         return np.append(False, same) & np.append(same, False)
 
     @property
-    def position(self) -> Int[np.ndarray, "n"]:
+    def position(self) -> Int[np.ndarray, " n"]:
         """How many points are before each in its path."""
         return np.arange(len(self.path)) - np.searchsorted(self.path, self.path)
 
     @property
-    def to_goal(self) -> Float[np.ndarray, "n"]:
+    def to_goal(self) -> Float[np.ndarray, " n"]:
         """Length of the path from each point on."""
         legs = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         legs = np.append(np.where(self.path[1:] == self.path[:-1], legs, 0.0), 0.0)
@@ -56,7 +56,7 @@ class Paths(NamedTuple):
         return beyond - beyond[np.searchsorted(self.path, self.path, side="right") - 1]
 
     @property
-    def lengths(self) -> Float[np.ndarray, "paths"]:
+    def lengths(self) -> Float[np.ndarray, " paths"]:
         """Length of each path."""
         return self.to_goal[self.position == 0]
 
@@ -233,7 +233,7 @@ def _shorter(space: VoxelSpace, a: Points, old: list[Points], ways: list[np.ndar
     return [np.where(best[:, None] < 0, p, way[np.arange(len(p)), best]) for p, way in zip(old, ways, strict=True)]
 
 
-def _shortest_free(space: VoxelSpace, length: np.ndarray, *points: np.ndarray) -> Int[np.ndarray, "n"]:
+def _shortest_free(space: VoxelSpace, length: np.ndarray, *points: np.ndarray) -> Int[np.ndarray, " n"]:
     """Which of the ways through points, ``(n, ways, 3)``, is the shortest that is free; -1: none of finite length."""
     points = tuple(np.broadcast_to(each, (*length.shape, 3)) for each in points)
     choice, left = np.full(len(length), -1), np.arange(len(length))

@@ -36,22 +36,22 @@ _TURNS = 3
 _FINE = 1_600  # rows of the truth
 
 Points = Float[np.ndarray, "n 2"]
-Distance = Callable[[Points], Float[np.ndarray, "n"]]
+Distance = Callable[[Points], Float[np.ndarray, " n"]]
 
 
-def _ramp(q: Points) -> Float[np.ndarray, "n"]:
+def _ramp(q: Points) -> Float[np.ndarray, " n"]:
     return 1 + 3 / (1 + np.exp(-(12 * (q[:, 0] - 1.4) - 6 * (q[:, 1] - 0.5))))
 
 
-def _waves(q: Points) -> Float[np.ndarray, "n"]:
+def _waves(q: Points) -> Float[np.ndarray, " n"]:
     return 1.5 + 0.5 * np.sin(6 * q[:, 0]) * np.cos(7 * q[:, 1])
 
 
-def _hill(q: Points) -> Float[np.ndarray, "n"]:
+def _hill(q: Points) -> Float[np.ndarray, " n"]:
     return 1 + 9 * np.exp(-12 * ((q[:, 0] - 1.3) ** 2 + (q[:, 1] - 0.7) ** 2))
 
 
-def _cliff(q: Points) -> Float[np.ndarray, "n"]:
+def _cliff(q: Points) -> Float[np.ndarray, " n"]:
     return np.exp(np.log(50) / (1 + np.exp(-10 * (q[:, 1] - 0.55))))
 
 
@@ -98,7 +98,7 @@ def marched(space: PlaneSpace, cost_map: CostMap, rows: int) -> tuple[Distance, 
     return RegularGridInterpolator((x, y), cost.T), march
 
 
-def converged(space: PlaneSpace, cost_map: CostMap, x: Points, rows: int) -> tuple[Float[np.ndarray, "n"], ...]:
+def converged(space: PlaneSpace, cost_map: CostMap, x: Points, rows: int) -> tuple[Float[np.ndarray, " n"], ...]:
     """The cost-to-go extrapolated to steps of length 0, and how far it may be off."""
     fine, half, quarter = (marched(space, cost_map, rows // parts)[0](x) for parts in (1, 2, 4))
     return 2 * fine - half, np.abs(2 * fine - 3 * half + quarter)

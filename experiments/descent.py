@@ -58,7 +58,7 @@ def _measure_descent(
     workspace: Workspace,
     starts: Float[np.ndarray, "n 2"],
     goal: Float[np.ndarray, "2"],
-    distance: Float[np.ndarray, "n"],
+    distance: Float[np.ndarray, " n"],
     num_runs: int,
 ) -> dict[str, Any]:
     descent = descend(field, workspace, starts, goal)  # compiles the field's query

@@ -80,7 +80,7 @@ def _beside_contacts(name: str, workspace: Workspace, rng: np.random.Generator, 
     return rows
 
 
-def _broken(bounds: Any, exact: Float[np.ndarray, "n"], slack: float) -> Any:
+def _broken(bounds: Any, exact: Float[np.ndarray, " n"], slack: float) -> Any:
     """How many lower and upper bounds are broken of points that reach the goal, and how many points do."""
     (lower, upper), reached = (np.asarray(bound, float) for bound in bounds), np.isfinite(exact)
     beyond = [(lower > exact + slack)[reached], (upper < exact - slack)[reached], reached]

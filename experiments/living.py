@@ -33,7 +33,7 @@ from experiments.benchmarks._maps import load_map, load_maps
 from plr_jax import PLR, VisibilityGraph, Workspace, construct, from_bytes, plot, trace
 
 MAPS, BYTES = ("floor_plan", "arena", "den520d"), 8_192
-CHANGES, EVERY, POINTS = 100, 10, 1_000_000
+CHANGES, EVERY, POINTS, BOXES = 100, 10, 1_000_000, 20
 _TRIED = 40  # places of a doorway
 
 Points = Float[np.ndarray, "n 2"]
@@ -150,7 +150,7 @@ def rivals(seed: int, smoke: bool) -> dict[str, Any]:
     names = ("with_workspace", "built anew", *planners, "scikit-fmm")
     seconds, errors = ({name: [] for name in names} for _ in range(2))
     made: list[Any] = []
-    for step in range(2 if smoke else FEW):
+    for step in range(2 if smoke else BOXES):
         blocked = step % 2 == 0
         if blocked:
             made.append(_free_cells(rng, free, np.stack([start, goal])))

@@ -35,7 +35,7 @@ def table_of(distance: Distance, sites: Points, demand: Points) -> Table:
     return np.asarray(distance(x, y), float).reshape(len(sites), len(demand))
 
 
-def exchanged(table: Table, k: int, cost: Callable[..., Any]) -> Int[np.ndarray, "k"]:
+def exchanged(table: Table, k: int, cost: Callable[..., Any]) -> Int[np.ndarray, " k"]:
     """Choose ``k`` rows greedily, then exchange one at a time, always the best, while the cost falls."""
     chosen: list[int] = []
     for _ in range(k):
@@ -73,7 +73,7 @@ def place(
     return facilities
 
 
-def straight(x: Points, y: Points) -> Float[np.ndarray, "n"]:
+def straight(x: Points, y: Points) -> Float[np.ndarray, " n"]:
     return np.linalg.norm(x - y, axis=1)
 
 

@@ -231,7 +231,7 @@ def add_line(ax: Axes, name: str, attempt: dict[str, Any], bound: float, end: fl
         ax.step([*seconds, end], excess, where="post", color=color, lw=width, zorder=4 if name == OURS else 3)
 
 
-def excess_of(costs: list[float], bound: float) -> Float[np.ndarray, "n"]:
+def excess_of(costs: list[float], bound: float) -> Float[np.ndarray, " n"]:
     return np.maximum(np.array(costs) / bound - 1, _LEAST_EXCESS)
 
 

@@ -48,7 +48,16 @@ def render(text: str) -> str:
 
 def _table(name: str) -> str:
     renderer, *sources = TABLES[name]
-    return renderer(*(results_of(*source.split(".")) for source in sources))
+    table = renderer(*(results_of(*source.split(".")) for source in sources))
+    when = min((about["date"], about["commit"]) for source in sources for about in parts_of(*source.split(".")))
+    separator = "\n" if table.splitlines()[-1].startswith("|") else ""
+    return f"{table}{separator}Measured {when[0]} ({when[1]}).\n"
+
+
+def parts_of(name: str, section: str | None = None) -> list[dict[str, str]]:
+    """When, and at which commit, each part of an experiment was measured that its table is made of."""
+    measured = read(RESULTS, name)["measured"]
+    return [measured[section]] if section in measured else list(measured.values())
 
 
 def results_of(name: str, section: str | None = None) -> dict[str, Any]:

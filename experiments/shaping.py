@@ -178,7 +178,7 @@ def advantages(agent: Any, batch: Batch) -> Float[Array, "steps environments"]:
     return lax.scan(backward, jnp.zeros(surprise.shape[1]), (surprise, batch.is_over), reverse=True)[1]
 
 
-def loss(agent: Any, batch: Batch, advantage: Float[Array, "n"], value: Float[Array, "n"]) -> Float[Array, ""]:
+def loss(agent: Any, batch: Batch, advantage: Float[Array, " n"], value: Float[Array, " n"]) -> Float[Array, ""]:
     chances = log_chances(agent, batch.seen)
     ratio = jnp.exp(_of(chances, batch.action) - batch.log_chance)
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
@@ -187,7 +187,7 @@ def loss(agent: Any, batch: Batch, advantage: Float[Array, "n"], value: Float[Ar
     return 0.5 * jnp.mean((value_of(agent, batch.known) - value) ** 2) - jnp.mean(gain + _ENTROPY * entropy)
 
 
-def learn(key: Array, kind: Kind, size: Size) -> Float[Array, "evaluations"]:
+def learn(key: Array, kind: Kind, size: Size) -> Float[Array, " evaluations"]:
     """Success of an agent as it learns."""
     optimizer = optax.chain(optax.clip_by_global_norm(0.5), optax.adam(_RATE, eps=1e-5))
     agent_key, reset_key, key = jax.random.split(key, 3)

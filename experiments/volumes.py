@@ -84,7 +84,7 @@ def _volume(name: str, free: Volume, seed: int, smoke: bool) -> tuple[list[dict[
     return rows, rival | {"26 moves": relative_error(graph(x), truth)}
 
 
-def _bounds(plr: PLR, x: Points, truth: Float[np.ndarray, "n"], goal: Float[np.ndarray, "dim"]) -> dict[str, Any]:
+def _bounds(plr: PLR, x: Points, truth: Float[np.ndarray, " n"], goal: Float[np.ndarray, " dim"]) -> dict[str, Any]:
     """How far bounds are apart, and how many are broken; and upper bounds by paths shorter than the truth's."""
     lower, upper = (np.asarray(each, float) for each in plr.bounds(x))
     known, above = np.isfinite(upper), (1 + _ROUNDING) * upper

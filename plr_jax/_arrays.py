@@ -32,7 +32,7 @@ def as_points(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.n
     return points
 
 
-def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
+def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, " dim"]:
     expected = f"shape ({'dim' if dim is None else dim},)"
     point = as_numbers(name, value, f"numbers of {expected}")
     if point.ndim != 1 or point.size != (dim or max(1, point.size)):
@@ -40,7 +40,7 @@ def as_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.nd
     return point
 
 
-def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, "dim"]:
+def as_finite_point(name: str, value: ArrayLike, dim: int | None = None) -> Float[np.ndarray, " dim"]:
     """Check one point, such as a goal, which must be finite; return a read-only copy."""
     point = as_point(name, value, dim).copy()
     if not np.isfinite(point).all():
@@ -123,7 +123,7 @@ def filled_with_inf(value: ArrayLike) -> ArrayLike:
     return value
 
 
-def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
+def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, " n"]:
     """Check the answer of a function of ``n`` points: one number for each; masked entries become ``inf``."""
     values = as_numbers(f"{name}'s answer", filled_with_inf(value), f"real numbers of shape ({n},)")
     if values.shape != (n,):
@@ -132,7 +132,7 @@ def as_values(name: str, value: ArrayLike, n: int) -> Float[np.ndarray, "n"]:
     return values
 
 
-def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, "n"]:
+def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, " n"]:
     booleans = np.asarray(value)
     if booleans.shape != (n,) or booleans.dtype != bool or np.ma.is_masked(value):
         masked = ", some masked" if np.ma.is_masked(value) else ""
@@ -141,7 +141,7 @@ def as_booleans(name: str, value: ArrayLike, n: int) -> Bool[np.ndarray, "n"]:
     return booleans
 
 
-def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+def as_distances(name: str, value: ArrayLike, x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:
     """Check the answer of a distance function as :func:`as_values` does; NaN and ``-inf`` are rejected too."""
     distances = as_values(name, value, len(x))
     bad = np.flatnonzero(np.isnan(distances) | (distances == -np.inf))
@@ -184,7 +184,7 @@ def size_in_eighths(n: int) -> int:
     return -(-n // step) * step
 
 
-def padded(rows: Shaped[np.ndarray, "n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, "padded *row"]:
+def padded(rows: Shaped[np.ndarray, " n *row"], size: int, fill: ArrayLike = 0) -> Shaped[np.ndarray, " padded *row"]:
     result = np.empty((size, *rows.shape[1:]), rows.dtype)
     result[: len(rows)], result[len(rows) :] = rows, fill
     return result
@@ -196,7 +196,7 @@ def as_bool(name: str, value: object) -> bool:
     return bool(value)
 
 
-def ragged_indices(counts: Int[np.ndarray, "runs"]) -> tuple[Int[np.ndarray, "items"], Int[np.ndarray, "items"]]:
+def ragged_indices(counts: Int[np.ndarray, " runs"]) -> tuple[Int[np.ndarray, " items"], Int[np.ndarray, " items"]]:
     """Return, for consecutive runs of ``counts`` items, the run of each item, and the item's index in this run."""
     run = np.repeat(np.arange(len(counts)), counts)
     return run, np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -207,13 +207,13 @@ def concatenated(objects: Sequence[object], *names: str) -> list[Shaped[np.ndarr
     return [np.concatenate([getattr(each, name) for each in objects]) for name in names]
 
 
-def parts(counts: Int[np.ndarray, "items"], most: int) -> list[slice]:
+def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
     """Split items into consecutive slices; the ``counts`` of each slice sum to about ``most``."""
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
     return [slice(*both) for both in pairwise([0, *ends.tolist(), len(counts)])]
 
 
-def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wanted"]) -> Int[np.ndarray, "wanted"]:
+def index_of(known: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     """Return the index of each wanted value among distinct known values; -1 if it is not among them."""
     if not len(known):
         return np.full(len(wanted), -1)
@@ -223,15 +223,15 @@ def index_of(known: Shaped[np.ndarray, "known"], wanted: Shaped[np.ndarray, "wan
 
 
 def take_ragged(
-    first: Int[np.ndarray, "runs_plus_one"], which: Int[np.ndarray, "some"]
-) -> tuple[Int[np.ndarray, "members"], Int[np.ndarray, "members"]]:
+    first: Int[np.ndarray, " runs_plus_one"], which: Int[np.ndarray, " some"]
+) -> tuple[Int[np.ndarray, " members"], Int[np.ndarray, " members"]]:
     """Return the indices of all items in the runs ``which``, and for each item the index in ``which`` of its run."""
     # Run `i` has the items from `first[i]` up to `first[i + 1]`.
     run, place = ragged_indices(first[which + 1] - first[which])
     return first[which][run] + place, run
 
 
-def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, "n"]:
+def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, " n"]:
     """Sum each row from left to right; ``np.sum`` adds in blocks, so that different CPUs round differently."""
     total = terms[:, 0].copy()
     for column in terms.T[1:]:
@@ -252,7 +252,7 @@ def product_in_order(a: Float[np.ndarray, "n terms"], b: Float[np.ndarray, "term
     return total
 
 
-def hash64(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np.ndarray, "n"]:
+def hash64(numbers: Int[np.ndarray, " n"] | UInt64[np.ndarray, " n"]) -> UInt64[np.ndarray, " n"]:
     """Hash integers so that every output bit depends on all input bits (SplitMix64, Steele et al., 2014)."""
     bits = numbers.astype(np.uint64) * _FACTORS[0]
     bits = (bits ^ (bits >> np.uint64(30))) * _FACTORS[1]
@@ -260,7 +260,7 @@ def hash64(numbers: Int[np.ndarray, "n"] | UInt64[np.ndarray, "n"]) -> UInt64[np
     return bits ^ (bits >> np.uint64(31))
 
 
-def format_numbers(numbers: Float[np.ndarray, "n"]) -> list[float]:
+def format_numbers(numbers: Float[np.ndarray, " n"]) -> list[float]:
     """Round numbers to 12 digits for messages, to hide rounding errors."""
     return [float(f"{number:.12g}") for number in numbers.tolist()]
 

@@ -43,14 +43,14 @@ class Descent:
         costs: Integral of the cost map along each path, ``(n,)``; without a cost map, the length.
     """
 
-    status: Shaped[np.ndarray, "n"]
+    status: Shaped[np.ndarray, " n"]
     vertices: Float[np.ndarray, "n longest dim"]
-    counts: Int[np.ndarray, "n"]
-    lengths: Float[np.ndarray, "n"]
-    costs: Float[np.ndarray, "n"]
+    counts: Int[np.ndarray, " n"]
+    lengths: Float[np.ndarray, " n"]
+    costs: Float[np.ndarray, " n"]
 
     @property
-    def reached(self) -> Bool[np.ndarray, "n"]:
+    def reached(self) -> Bool[np.ndarray, " n"]:
         """Whether each path ends at the goal."""
         return self.counts > 0
 
@@ -205,8 +205,8 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
 def _edges(
     workspace: Workspace,
     places: ReflexCorners,
-    field: Float[np.ndarray, "places"],
-    corners: Int[np.ndarray, "corners"],
+    field: Float[np.ndarray, " places"],
+    corners: Int[np.ndarray, " corners"],
     count: int,
 ) -> Int[np.ndarray, "edges 2"]:
     """Join each corner to ``count`` visible corners or goals with the least sum of distance and cost-to-go."""
@@ -219,7 +219,7 @@ def _edges(
         option[np.arange(len(here)), here] = False
         return np.where(option, score, np.nan)
 
-    def sees(row: Int[np.ndarray, "pairs"], place: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+    def sees(row: Int[np.ndarray, " pairs"], place: Int[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
         return workspace.is_visible(places.points[corners[row]], places.points[place])
 
     ways, _ = first_visible_in_parts(lookahead, len(corners), len(places.points), sees, count)

@@ -24,17 +24,17 @@ from plr_jax.spaces import ConfigurationSpace, CostMap, MotionCost, cost_bounds,
 
 Field: TypeAlias = Callable[[ArrayLike], ArrayLike]
 Points: TypeAlias = Float[np.ndarray, "_ dim"]
-Next: TypeAlias = Int[np.ndarray, "_"]  # the next node of each node
-Numbers: TypeAlias = Float[np.ndarray, "n"]
+Next: TypeAlias = Int[np.ndarray, " _"]  # the next node of each node
+Numbers: TypeAlias = Float[np.ndarray, " n"]
 # Vertices, counts, lengths, costs, and whether starts are free.
 Chains: TypeAlias = tuple[
-    Float[np.ndarray, "n longest dim"], Int[np.ndarray, "n"], Numbers, Numbers, Bool[np.ndarray, "n"]
+    Float[np.ndarray, "n longest dim"], Int[np.ndarray, " n"], Numbers, Numbers, Bool[np.ndarray, " n"]
 ]
 
 
 def chains_of(
-    starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, "starts"], num_goals: int = 1
-) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, "starts"]]:
+    starts: Points, nodes: Points, onward: Next, first: Int[np.ndarray, " starts"], num_goals: int = 1
+) -> tuple[Float[np.ndarray, "starts longest dim"], Int[np.ndarray, " starts"]]:
     """Return the vertices of paths, and the number of each path's vertices: 0 if its node ``first`` is -1.
 
     A path leads from its start to the node ``first``, then from each node to the node ``onward[node]``, until a goal.
@@ -109,7 +109,7 @@ class PathCosts:
         rates = motion_rates(motion, self.cost_map, q, np.repeat(changes.reshape(-1, dof), _SAMPLES, axis=0))
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
-    def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, "n"]:
+    def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, " n"]:
         """Integrate costs along straight motions, to a relative error of at most about ``tolerance``."""
         if self.cost_map is None:
             return self.space.motion_cost.lengths(q0, q1, self.space.domain)
@@ -168,7 +168,7 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
-    def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, "dim"]):
+    def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, " dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
         self.domain, motion = costs.space.domain, costs.space.motion_cost
         directions = unit_motions(motion)
@@ -182,7 +182,7 @@ class _Lookahead:
         self.cell_steps = np.concatenate([self.side * count * directions for count in _CELL_STEPS])
         self.escapes: dict[bytes, Points | None] = {}
 
-    def values(self, x: Points) -> Float[np.ndarray, "n"]:
+    def values(self, x: Points) -> Float[np.ndarray, " n"]:
         x, inside = self.domain.wrapped(x), self.domain.contains(x)
         values = np.full(len(x), np.inf)
         if inside.any():
@@ -191,7 +191,7 @@ class _Lookahead:
             values[inside] = as_distances("The field", self.field(batch), batch)[:num]
         return np.maximum(values, 0.0)
 
-    def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, "n"]]:
+    def follow(self, starts: Points) -> tuple[Float[np.ndarray, "nodes dim"], Next, Int[np.ndarray, " n"]]:
         # Return nodes (goal first), each node's next node (-1: stuck), and the starts' nodes.
         nodes, onward = [self.goal[None]], [np.zeros(1, int)]
         x, value, num = starts, self.values(starts), 1
@@ -216,7 +216,7 @@ class _Lookahead:
             x, value = y[goes_on], self.values(y[goes_on])
         return np.concatenate(nodes), np.concatenate(onward), np.arange(1, 1 + len(starts))
 
-    def _step(self, x: Points, value: Float[np.ndarray, "n"]) -> tuple[Points, Int[np.ndarray, "n"]]:
+    def _step(self, x: Points, value: Float[np.ndarray, " n"]) -> tuple[Points, Int[np.ndarray, " n"]]:
         # Return the end of each best step, and 1 if it is the goal, -1 without a step, else 0.
         num_ways = 1 + len(self.steps)
         promised = np.empty((len(x), num_ways))
@@ -237,11 +237,11 @@ class _Lookahead:
             falls[:, 0] = True
             return np.where(falls, self.leniency - np.clip(rate, 0.0, 1.0), np.nan)
 
-        def leads_to(x: Points, way: Int[np.ndarray, "n"]) -> Points:
+        def leads_to(x: Points, way: Int[np.ndarray, " n"]) -> Points:
             there = self.domain.wrapped(x + self.steps[np.maximum(way, 1) - 1])
             return np.where(way[:, None] == 0, self.goal, there)
 
-        def sees(row: Int[np.ndarray, "pairs"], way: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+        def sees(row: Int[np.ndarray, " pairs"], way: Int[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
             here, there = x[row], leads_to(x[row], way)
             free = self.space.are_free(here, there)
             exact = self.costs.integrals(here[free], there[free], _STEP_TOLERANCE)
@@ -251,7 +251,7 @@ class _Lookahead:
         way = first_visible_in_parts(flatness, len(x), num_ways, sees)[0][:, 0]
         return leads_to(x, way), np.where(way < 0, -1, np.where(way == 0, 1, 0))
 
-    def _escape(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
+    def _escape(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
         """Return a path from a local minimum to a cost-to-go less than ``below``, or None.
 
         The minima in a cell share a path from the cell's center, so that no path depends on the other starts.
@@ -268,7 +268,7 @@ class _Lookahead:
                 return np.concatenate([center[None], chain])
         return self._search_below(x, below)
 
-    def _search_below(self, x: Float[np.ndarray, "dim"], below: float) -> Points | None:
+    def _search_below(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
         """Search best first, with a node per grid cell, for a path to a cost-to-go less than ``below``."""
         found, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
@@ -322,7 +322,7 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
         onward[which], leg[which] = ahead[which], straight
 
 
-def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, "paths"]) -> Points:
+def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, " paths"]) -> Points:
     """Shift the nodes of paths, except ``first`` and the goal, so that the segments to their neighbors cost least."""
     nodes, motion = nodes.copy(), costs.space.motion_cost
     before, number = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
@@ -346,10 +346,10 @@ def _cheapest_places(
     """Return ``x``, or ``x`` plus one of ``changes`` if that is a cheaper place between ``before`` and ``after``."""
     domain, k = costs.space.domain, len(changes)
 
-    def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:
+    def exact(a: Points, x: Points, b: Points) -> Float[np.ndarray, " n"]:
         return costs.integrals(a, x, _STEP_TOLERANCE) + costs.integrals(x, b, _STEP_TOLERANCE)
 
-    def estimated(a: Points, x: Points, b: Points) -> Float[np.ndarray, "n"]:
+    def estimated(a: Points, x: Points, b: Points) -> Float[np.ndarray, " n"]:
         to_x, to_b = domain.difference(x, a)[:, None], domain.difference(b, x)[:, None]
         return (costs.estimates(a, to_x) + costs.estimates(x, to_b))[:, 0]
 
@@ -367,7 +367,7 @@ def _cheapest_places(
             price = price.reshape(-1, k)
             return np.where(price <= (1 - _GAIN) * now[rows[some], None], price, np.nan)
 
-        def sees(row: np.ndarray, way: np.ndarray, rows=rows) -> Bool[np.ndarray, "pairs"]:
+        def sees(row: np.ndarray, way: np.ndarray, rows=rows) -> Bool[np.ndarray, " pairs"]:
             y = domain.wrapped(x[rows[row]] + changes[way])
             return costs.space.are_free(before[rows[row]], y) & costs.space.are_free(y, after[rows[row]])
 

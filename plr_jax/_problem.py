@@ -75,12 +75,12 @@ class Problem:
         return team_dof(self.robots)
 
     @property
-    def rotation_weights(self) -> Float[np.ndarray, "robots"]:
+    def rotation_weights(self) -> Float[np.ndarray, " robots"]:
         """Cost of each robot's turn by one radian, in workspace units; 0 for robots without a heading."""
         return _rotation_weights(self.robots, self.rotation_weight)
 
 
-def _rotation_weights(robots: Sequence[Robot], weight: float | None) -> Float[np.ndarray, "robots"]:
+def _rotation_weights(robots: Sequence[Robot], weight: float | None) -> Float[np.ndarray, " robots"]:
     weights = [robot.circumscribed_radius if weight is None else weight for robot in robots]
     return np.array(weights) * [robot.dof == 3 for robot in robots]
 
@@ -115,7 +115,7 @@ def makespan(problem: Problem, path: ArrayLike) -> float:
     return float(row_times(problem, path)[-1])
 
 
-def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps"]:
+def row_times(problem: Problem, path: ArrayLike) -> Float[np.ndarray, " steps"]:
     """Return the time at which a path reaches each row, from 0 to the :func:`makespan`."""
     path = as_path(problem, path)
     weights = _rotation_weights(problem.robots, problem.rotation_weight or None)
@@ -156,7 +156,7 @@ def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
         position = workspace.settled(position)
     else:
 
-        def is_free(x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+        def is_free(x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
             rooms = [_room(workspace, robot, np.append(each, heading)) for each in x]
             return np.array([min(room[:2]) >= -workspace.tolerance for room in rooms])
 
@@ -205,7 +205,7 @@ def _require_free(problem: Problem, name: str) -> None:
             )
 
 
-def _room(workspace: Workspace, robot: Robot, q: Float[np.ndarray, "dof"]) -> tuple[float, float, int]:
+def _room(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> tuple[float, float, int]:
     """Return how far a robot is inside the bounds, its clearance of the obstacle that it overlaps most, and which."""
     core, radius, obstacles = footprint(robot, q), robot.rounding, np.array(workspace.obstacles, dtype=object)
     shapely.prepare(obstacles)

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 ArrayLike: TypeAlias = Any  # anything that numpy.asarray accepts; public functions check it
 Points: TypeAlias = Float[np.ndarray, "n dim"]
-Distances: TypeAlias = Float[np.ndarray, "n"]  # inf where the goal cannot be reached
+Distances: TypeAlias = Float[np.ndarray, " n"]  # inf where the goal cannot be reached
 JointConfigurations: TypeAlias = Float[np.ndarray, "n robots dof"]
 DistanceFn: TypeAlias = Callable[[Points], Distances]
 """A function from points ``(n, dim)`` to distances ``(n,)`` to a goal.
@@ -56,8 +56,8 @@ class Sources:
     """
 
     points: Float[np.ndarray, "sources dim"]
-    distances: Float[np.ndarray, "sources"]  # to the goal; inf where it cannot be reached
-    parents: Int[np.ndarray, "sources"]  # next source on the path; itself for a goal and if unreachable
+    distances: Float[np.ndarray, " sources"]  # to the goal; inf where it cannot be reached
+    parents: Int[np.ndarray, " sources"]  # next source on the path; itself for a goal and if unreachable
     goals: Int[np.ndarray, "goals"] | None = None  # index of each of several goals; the first one of equal goals
 
 
@@ -94,7 +94,7 @@ class NearestFn(CellwiseFn, Protocol):
 
     @property
     def goals(self) -> Float[np.ndarray, "goals 2"]: ...
-    def which(self, x: ArrayLike, /) -> Int[np.ndarray, "n"]: ...
+    def which(self, x: ArrayLike, /) -> Int[np.ndarray, " n"]: ...
 
 
 @runtime_checkable
@@ -129,10 +129,10 @@ class Symmetry:
     """An isometry ``x -> matrix @ x + offset``; coordinates that are angles are taken modulo a full turn."""
 
     matrix: Float[np.ndarray, "dim dim"]
-    offset: Float[np.ndarray, "dim"]
+    offset: Float[np.ndarray, " dim"]
 
     @classmethod
-    def about(cls, point: Float[np.ndarray, "dim"], matrix: Float[np.ndarray, "dim dim"]) -> "Symmetry":
+    def about(cls, point: Float[np.ndarray, " dim"], matrix: Float[np.ndarray, "dim dim"]) -> "Symmetry":
         return cls(matrix, point - matrix @ point)
 
 
@@ -153,7 +153,7 @@ class HeuristicFn(Protocol):
     configuration of its robot. A heuristic may also be a :class:`BoundingFn`.
     """
 
-    def __call__(self, q: Any, /) -> Float[np.ndarray, "n"]: ...
+    def __call__(self, q: Any, /) -> Float[np.ndarray, " n"]: ...
 
     def per_robot(self, q: Any, /) -> Float[np.ndarray, "n robots"]:
         """Return each robot's term of the sum, which depends only on the configuration of this robot."""

@@ -109,7 +109,7 @@ class _Encounter:
         # The bodies' cores must keep the sum of the radii by which both are rounded.
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
-    def clearances(self, when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         bodies, others = _bodies(self.robot, _at(self.path, when)), np.full(len(when), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, _at(self.other_path, when))
@@ -121,11 +121,11 @@ class _Encounter:
             distance[slight[self._are_deep(bodies[slight], others[slight])]] = -2 * self.tolerance
         return distance - self.reach
 
-    def _are_deep(self, bodies: Any, others: Any) -> Bool[np.ndarray, "n"]:
+    def _are_deep(self, bodies: Any, others: Any) -> Bool[np.ndarray, " n"]:
         # A thin wall across a body overlaps it by little area. But it meets the body eroded by the tolerance.
         return shapely.intersects(shapely.buffer(bodies, -self.tolerance, join_style="mitre"), others)
 
-    def swept(self, motion: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    def swept(self, motion: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         # Without turns, the robot sweeps the convex hull of both its ends.
         start, others = _corners(self.robot, self.path[motion]), np.full(len(motion), self.other)
         if self.other_path is not None:
@@ -146,17 +146,17 @@ class _Encounter:
         return velocity if self.other_path is None else velocity - np.diff(self.other_path[:, :2], axis=0)
 
     @cached_property
-    def rim_speeds(self) -> Float[np.ndarray, "motions"]:
+    def rim_speeds(self) -> Float[np.ndarray, " motions"]:
         speeds = _rim_speeds(self.robot, self.path)
         return speeds if self.other_path is None else speeds + _rim_speeds(self.other, self.other_path)
 
     @cached_property
-    def max_rates(self) -> Float[np.ndarray, "motions"]:
+    def max_rates(self) -> Float[np.ndarray, " motions"]:
         """Upper bound of the clearance's change per unit of time (one step of the path) in each motion."""
         return self.rim_speeds + np.linalg.norm(self.velocity, axis=1)
 
     @cached_property
-    def smallest(self) -> Float[np.ndarray, "motions"]:
+    def smallest(self) -> Float[np.ndarray, " motions"]:
         """Upper bound of the smallest clearance in each motion."""
         # If no motion collides, the minimum over all motions is accurate to `tolerance`.
         at_rows, turns = self.clearances(np.arange(len(self.path), dtype=float)), self.rim_speeds > 0
@@ -250,7 +250,7 @@ def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, 
     return sorted(found)
 
 
-def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n dof"]:
+def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n dof"]:
     motion = np.minimum(when.astype(int), len(path) - 2)
     change = np.diff(path, axis=0)
     if path.shape[1] > 2:
@@ -258,7 +258,7 @@ def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, "n"]) -> F
     return path[motion] + (when - motion)[:, None] * change[motion]
 
 
-def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, "motions"]:
+def _rim_speeds(robot: Robot, path: Float[np.ndarray, "steps dof"]) -> Float[np.ndarray, " motions"]:
     """Return the most that a robot's corners move by turning, in each motion."""
     if robot.dof == 2:
         return np.zeros(len(path) - 1)

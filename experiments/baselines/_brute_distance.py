@@ -50,7 +50,7 @@ class BruteDistance:
         )
         self._onward = dijkstra(csr_array(np.where(sees, lengths, 0.0)), indices=0)
 
-    def __call__(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    def __call__(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """Distances; ``inf`` in a wall and outside the square."""
         distance = np.full(len(x), np.inf)
         for begin in range(0, len(x), _AT_ONCE):
@@ -63,13 +63,13 @@ class BruteDistance:
         distance[self._covered(x) | ((x < 0) | (x > 1)).any(axis=1)] = np.inf
         return distance
 
-    def _covered(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    def _covered(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         covered = np.zeros(len(x), bool)
         for x0, y0, x1, y1 in self._walls:
             covered |= (x[:, 0] > x0) & (x[:, 0] < x1) & (x[:, 1] > y0) & (x[:, 1] < y1)
         return covered
 
-    def _is_clear(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    def _is_clear(self, a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Whether segments from ``a`` to ``b`` keep out of all boxes."""
         step = b - a
         step = np.where(step == 0, _NEARLY_PARALLEL, step)

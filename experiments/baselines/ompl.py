@@ -36,7 +36,7 @@ class Task:
     time_limit: float
     cost_target: float
     sizes: Float[np.ndarray, "robots 3"]
-    rotation_weights: Float[np.ndarray, "robots"]
+    rotation_weights: Float[np.ndarray, " robots"]
     starts: Float[np.ndarray, "robots 3"]
     goals: Float[np.ndarray, "robots 3"]
     walls: Float[np.ndarray, "walls 2 2"]

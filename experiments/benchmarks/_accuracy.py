@@ -139,7 +139,7 @@ class Oracle:
         self.exact = exact
         self.points, self.seconds = 0, 0.0
 
-    def __call__(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    def __call__(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         begun = time.perf_counter()
         distance = self.exact(x)
         self.seconds += time.perf_counter() - begun
@@ -209,7 +209,7 @@ def _plr(leaf: str, oracle: Oracle, workspace: Workspace, budget: int, seed: int
 
 def reachable_points(
     workspace: Workspace, exact: VisibilityGraph, n: int, seed: int
-) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, "points"]]:
+) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
     """Random free points from which the goal can be reached, and their distances."""
     x = workspace.sample_free(n, seed)
     distance = exact(x)
@@ -223,7 +223,7 @@ def _makers(
     oracle: Oracle,
     budget: int,
     x: Float[np.ndarray, "n 2"],
-    distance: Float[np.ndarray, "n"],
+    distance: Float[np.ndarray, " n"],
     num_steps: int,
     seed: int,
 ) -> dict[str, Callable[[], Rival]]:
@@ -249,7 +249,7 @@ def _timed(make: Callable[[], Rival], oracle: Oracle, given: int) -> Callable[[]
     return timed
 
 
-def summary(error: Float[np.ndarray, "n"]) -> dict[str, float | int | None]:
+def summary(error: Float[np.ndarray, " n"]) -> dict[str, float | int | None]:
     """Errors over the points that are answered, and how many are not (an answer that is NaN or infinite)."""
     answered = error[np.isfinite(error)]
     counts = {"points": len(error), "unanswered": len(error) - len(answered)}

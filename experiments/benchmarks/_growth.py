@@ -66,7 +66,7 @@ Curve = tuple[Sequence[int], Sequence[float]]
 
 
 def _cone_plr(dim: int, leaves: int, seed: int) -> PLR:
-    def cone(x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+    def cone(x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:
         return np.sqrt(sum(column * column for column in x.T))
 
     return construct(cone, (np.zeros(dim), np.ones(dim)), max_leaves=leaves, seed=seed)

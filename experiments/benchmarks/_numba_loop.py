@@ -14,7 +14,7 @@ from plr_jax.plr.tables import Tables
 _FRACTION_BITS = 23  # of a 32-bit float
 _POINTS_A_TASK = 2**14
 
-Loop = Callable[[Float[np.ndarray, "n dim"]], Float[np.ndarray, "n"]]
+Loop = Callable[[Float[np.ndarray, "n dim"]], Float[np.ndarray, " n"]]
 Kernel = Callable[..., None]
 """A compiled loop of the points, their values to be written, the blocks' words, the leaves of slots, the planes."""
 

@@ -256,7 +256,7 @@ def _calls(contenders: dict[str, Rival], x: Float[np.ndarray, "n dim"]) -> dict[
 
 
 @jax.jit
-def _add_coordinates(x: Float[Array, "n dim"]) -> Float[Array, "n"]:
+def _add_coordinates(x: Float[Array, "n dim"]) -> Float[Array, " n"]:
     return sum((x[:, axis] for axis in range(1, x.shape[1])), start=x[:, 0])
 
 
@@ -276,7 +276,7 @@ def _joint(num_points: int, turns: int, num_leaves: int, seed: int) -> dict[str,
     first = VisibilityGraph(workspace, problem.goals[0])
     second = first.with_goal(problem.starts[0])
 
-    def distance(q: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n"]:
+    def distance(q: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, " n"]:
         return np.hypot(first(q[:, :2]), second(q[:, 2:]))
 
     domain = (np.tile(workspace.bounds.lo, 2), np.tile(workspace.bounds.hi, 2))

@@ -30,7 +30,7 @@ class Rival(NamedTuple):
     answer: Callable[[Any], Any]
     on_device: bool = False
 
-    def on_host(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    def on_host(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         """Answers as float64 NumPy numbers, to points of any precision."""
         return np.asarray(self.answer(jnp.asarray(x, jnp.float32) if self.on_device else x), np.float64)
 
@@ -60,7 +60,7 @@ _LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 9, "dict_size": 2**20, "lc": 4, "lp
 class Grid(NamedTuple):
     """Values at the nodes of a regular grid, and the bytes that these take."""
 
-    axes: tuple[Float[np.ndarray, "rows"], Float[np.ndarray, "columns"]]
+    axes: tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " columns"]]
     values: Float[np.ndarray, "rows columns"]
     num_bytes: int
 
@@ -86,7 +86,7 @@ def coded_grid(
     exact: DistanceFn,
     num_bytes: int,
     x: Float[np.ndarray, "n 2"],
-    distance: Float[np.ndarray, "n"],
+    distance: Float[np.ndarray, " n"],
 ) -> Grid:
     """Code a grid in so many bytes: values are multiples of a step, predicted from their neighbors and compressed.
 
@@ -94,7 +94,7 @@ def coded_grid(
     ``x``, among numbers of nodes over the whole range, then among numbers near the best of these.
     """
 
-    def best(num_nodes: Float[np.ndarray, "numbers"]) -> Grid:
+    def best(num_nodes: Float[np.ndarray, " numbers"]) -> Grid:
         sizes = _BYTES_A_FLOAT * num_nodes.astype(int)
         grids = [_finest(filled_grid(workspace, exact, size), num_bytes) for size in sizes]
         return min(grids, key=lambda grid: np.abs(scipy_grid(grid).on_host(x) - distance).mean())
@@ -147,7 +147,7 @@ def scipy_grid(grid: Grid) -> Rival:
     """``scipy.ndimage.map_coordinates`` of first order; beyond the grid, the nearest point on its border answers."""
     lo, scale = grid.corner, 1 / grid.spacing
 
-    def answer(x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    def answer(x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         return ndimage.map_coordinates(grid.values, ((x - lo) * scale).T, order=1, mode="nearest")
 
     return Rival(grid.num_bytes, answer)
@@ -155,19 +155,17 @@ def scipy_grid(grid: Grid) -> Rival:
 
 def jax_grid(grid: Grid) -> Rival:
     """``jax.scipy.ndimage.map_coordinates`` of first order; the nodes are a constant of the compiled code."""
-    values, lo, scale = (
-        jnp.asarray(grid.values),
-        grid.corner.astype(np.float32),
-        (1 / grid.spacing).astype(np.float32),
-    )
+    values = jnp.asarray(grid.values)
+    lo = grid.corner.astype(np.float32)
+    scale = (1 / grid.spacing).astype(np.float32)
 
-    def answer(x: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    def answer(x: Float[Array, "n 2"]) -> Float[Array, " n"]:
         return jax.scipy.ndimage.map_coordinates(values, list(((x - lo) * scale).T), order=1, mode="nearest")
 
     return Rival(grid.num_bytes, jax.jit(answer), True)
 
 
-def _axes(bounds: Box, num_nodes: int) -> tuple[Float[np.ndarray, "rows"], Float[np.ndarray, "columns"]]:
+def _axes(bounds: Box, num_nodes: int) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " columns"]]:
     """Nodes spread in proportion to the sides of the map."""
     width, height = bounds.width
     rows = int(np.sqrt(num_nodes * width / height))
@@ -200,7 +198,7 @@ _WORTH_A_THREAD = 10_000  # points; waking another thread costs more than it sav
 
 
 def linear_trees(
-    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"], leaves: int, num_trees: int, seed: int
+    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, " n"], leaves: int, num_trees: int, seed: int
 ) -> Rival:
     """Trees with so many leaves each; bytes are counted as if packed, a fraction of the text that LightGBM saves."""
     trees = train_linear_trees(x, distance, leaves, num_trees, seed)
@@ -212,7 +210,7 @@ def linear_trees(
 
 
 def train_linear_trees(
-    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"], leaves: int, num_trees: int, seed: int
+    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, " n"], leaves: int, num_trees: int, seed: int
 ) -> Any:
     """LightGBM's booster: a stump, then boosted trees with so many leaves each.
 
@@ -243,7 +241,7 @@ def leaves_that_fit(num_bytes: int, num_trees: int) -> int:
 
 
 def best_linear_trees(
-    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, "n"], num_bytes: int, seed: int
+    x: Float[np.ndarray, "n 2"], distance: Float[np.ndarray, " n"], num_bytes: int, seed: int
 ) -> Rival:
     """One, two or four trees of so many packed bytes together, whichever are nearest to their own samples."""
     trees = [linear_trees(x, distance, leaves_that_fit(num_bytes, number), number, seed) for number in NUM_TREES]
@@ -257,12 +255,12 @@ _BATCH = 2_048
 _LEARNING_RATE = 1e-2
 NUM_STEPS = 40_000  # 4,000 leave two to five times the mean error
 
-Layers = list[tuple[Float[Array, "inputs outputs"], Float[Array, "outputs"]]]
+Layers = list[tuple[Float[Array, "inputs outputs"], Float[Array, " outputs"]]]
 
 
 def train_network(
     x: Float[np.ndarray, "n 2"],
-    distance: Float[np.ndarray, "n"],
+    distance: Float[np.ndarray, " n"],
     num_bytes: int,
     num_steps: int,
     seed: int,
@@ -321,7 +319,7 @@ def _apply(layers: Layers, x: Float[Array, "*batch 2"]) -> Float[Array, "*batch"
 
 
 @partial(jax.jit, static_argnames="num_steps")
-def _train(layers: Layers, x: Float[Array, "n 2"], distance: Float[Array, "n"], num_steps: int, seed: int) -> Layers:
+def _train(layers: Layers, x: Float[Array, "n 2"], distance: Float[Array, " n"], num_steps: int, seed: int) -> Layers:
     optimizer = optax.adam(optax.cosine_decay_schedule(_LEARNING_RATE, num_steps))
 
     def loss(layers: Layers, batch: Array) -> Array:

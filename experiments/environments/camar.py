@@ -18,7 +18,7 @@ class ShapedState(State):
     """CAMAR's state, the distance to each agent's goal, which is found once a level, and each agent's potential."""
 
     distance: GridDistance
-    potential: Float[Array, "agents"]
+    potential: Float[Array, " agents"]
 
 
 class ShapedCamar(GymnaxWrapper):

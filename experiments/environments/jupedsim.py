@@ -33,7 +33,7 @@ class Exits:
         nearest = NearestGoal([first, *map(first.with_goal, centers[1:])])
         self.cones = construct(nearest, area.bounds, leaf="cone", max_bytes=max_bytes)
 
-    def targets(self, x: Points) -> tuple[Int[np.ndarray, "n"], Points]:
+    def targets(self, x: Points) -> tuple[Int[np.ndarray, " n"], Points]:
         """Return the index of the nearest exit of each point, and the first corner on the path there, or the exit.
 
         Walls push agents back, so an agent may never arrive at a corner. Corners within ``RADIUS`` do not count.
@@ -47,7 +47,7 @@ class Exits:
 class Evacuation(NamedTuple):
     """Times in seconds at which agents left, in ascending order, and positions of agents that never did."""
 
-    seconds: Float[np.ndarray, "left"]
+    seconds: Float[np.ndarray, " left"]
     stuck: Points
 
 

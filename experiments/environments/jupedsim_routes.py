@@ -17,11 +17,11 @@ class Routes(NamedTuple):
     """Paths, how long they are over the exact distance, and how deep they are inside walls at most."""
 
     paths: list[Points]
-    over_exact: Float[np.ndarray, "n"]
-    depth: Float[np.ndarray, "n"]
+    over_exact: Float[np.ndarray, " n"]
+    depth: Float[np.ndarray, " n"]
 
     @classmethod
-    def of(cls, paths: list[Points], exact: Float[np.ndarray, "n"], area: Workspace) -> "Routes":
+    def of(cls, paths: list[Points], exact: Float[np.ndarray, " n"], area: Workspace) -> "Routes":
         """Measure paths, given the exact distances between their ends."""
         index = np.repeat(np.arange(len(paths)), [*map(len, paths)])
         lines = np.asarray(shapely.linestrings(np.concatenate(paths), indices=index))
@@ -51,7 +51,7 @@ def compare_routes(
     return {"JuPedSim": Routes.of(theirs, exact, area), "cones": Routes.of(ours, exact, area)}
 
 
-def _depths(area: Workspace, lines: np.ndarray) -> Float[np.ndarray, "n"]:
+def _depths(area: Workspace, lines: np.ndarray) -> Float[np.ndarray, " n"]:
     """Return the largest distance of each line's points to the walkable area, sampled every millimeter.
 
     Lines less than ``_SHALLOW`` outside count as inside.

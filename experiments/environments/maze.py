@@ -91,7 +91,7 @@ def potential(state: State) -> Float[Array, ""]:
     return -WEIGHT * state.distance[tuple(state.cell)]
 
 
-def observe(state: State) -> Float[Array, "features"]:
+def observe(state: State) -> Float[Array, " features"]:
     """Walls around, the vector to the goal, and the last move."""
     seen = 2 * _VIEW + 1
     walls = jax.lax.dynamic_slice(jnp.pad(~state.free, _VIEW, constant_values=True), state.cell, (seen, seen))

@@ -75,7 +75,7 @@ def _beside_cells(workspace: Workspace, plrs: Sequence[PLR], count: int, rng: np
     return points + _offsets(workspace, count, rng) * rng.choice([-1.0, 0.0, 1.0], (count, 2))
 
 
-def _evenly(sizes: list[int], count: int, rng: np.random.Generator) -> Int[np.ndarray, "count"]:
+def _evenly(sizes: list[int], count: int, rng: np.random.Generator) -> Int[np.ndarray, " count"]:
     """Random indices into lists one after the other, of each list equally many."""
     which = rng.integers(len(sizes), size=count)
     return np.cumsum([0, *sizes])[which] + (rng.random(count) * np.array(sizes)[which]).astype(int)
@@ -165,7 +165,7 @@ def part_of_goal(workspace: Workspace, goal: Float[np.ndarray, "2"]) -> shapely.
     return shapely.union_all(parts[shapely.distance(parts, shapely.points(goal)) <= workspace.tolerance])
 
 
-def _bounds(plr: PLR, x: Points, how: str) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+def _bounds(plr: PLR, x: Points, how: str) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     with jax.enable_x64(how == "double"):
         lower, upper = plr.bounds(x.astype(np.float32) if how == "single" else x)
         return np.asarray(lower, float), np.asarray(upper, float)
@@ -175,9 +175,9 @@ def _count(
     row: dict[str, Any],
     part: shapely.Geometry,
     x: Points,
-    distance: Float[np.ndarray, "n"],
-    lower: Float[np.ndarray, "n"],
-    upper: Float[np.ndarray, "n"],
+    distance: Float[np.ndarray, " n"],
+    lower: Float[np.ndarray, " n"],
+    upper: Float[np.ndarray, " n"],
     how: str,
 ) -> None:
     """Add to a row what points of the domain show that reach the goal: there a bound that is no number is broken."""

@@ -22,13 +22,15 @@ _FIRST_BOX, _SHRINKING = 0.1, 0.2  # of the sides of a leaf; of the box before
 Points = Float[np.ndarray, "n 2"]
 
 
-def widest_bounds(plr: PLR) -> Float[np.ndarray, "leaves"]:
+def widest_bounds(plr: PLR) -> Float[np.ndarray, " leaves"]:
     """The larger of the two bounds of each leaf of a PLR that has them."""
     assert plr.band is not None
     return np.abs(np.asarray(plr.band)).max(axis=0)[: plr.num_leaves].astype(float)
 
 
-def largest_found(plr: PLR, oracle: VisibilityGraph, x: Points, errors: Float[np.ndarray, "n"], smoke: bool) -> float:
+def largest_found(
+    plr: PLR, oracle: VisibilityGraph, x: Points, errors: Float[np.ndarray, " n"], smoke: bool
+) -> float:
     """The largest error at any of the points given, and at those that are looked for.
 
     Those lie in the leaves of the largest proven error, all over their free parts and beside the edges of these,
@@ -56,7 +58,7 @@ def dense_points(
     oracle: VisibilityGraph,
     lo: Float[np.ndarray, "leaves 2"],
     hi: Float[np.ndarray, "leaves 2"],
-    leaves: Int[np.ndarray, "some"],
+    leaves: Int[np.ndarray, " some"],
     count: int,
     rng: np.random.Generator,
 ) -> tuple[Points, Points]:
@@ -83,7 +85,7 @@ def points_of_triangles(triangles: Float[np.ndarray, "n 3 2"], count: int, rng: 
     return c[pick] + weight[:, 1:2] * a[pick] + weight[:, 2:] * b[pick]
 
 
-def _errors(plr: PLR, oracle: VisibilityGraph, x: Points) -> Float[np.ndarray, "n"]:
+def _errors(plr: PLR, oracle: VisibilityGraph, x: Points) -> Float[np.ndarray, " n"]:
     """Errors where the goal can be reached, 0 elsewhere and outside the domain."""
     distance = oracle(x)
     error = np.abs(np.asarray(plr(x), float) - np.where(np.isfinite(distance), distance, 0.0))

@@ -40,8 +40,8 @@ class Body(NamedTuple):
     """What moves, where to, and how costs are found on a grid."""
 
     space: ConfigurationSpace
-    goal: Float[np.ndarray, "dof"]
-    on_grid: Callable[[ConfigurationSpace, Float[np.ndarray, "dof"], Sizes], GridField]
+    goal: Float[np.ndarray, " dof"]
+    on_grid: Callable[[ConfigurationSpace, Float[np.ndarray, " dof"], Sizes], GridField]
 
 
 def rectangle() -> Body:

@@ -96,6 +96,6 @@ def _steps(sizes: Any) -> Float[np.ndarray, "3"]:
     return np.array([2 * HALF, HALF, 2 * np.pi]) / (sizes - np.array([1, 1, 0]))
 
 
-def _errors(answer: Float[np.ndarray, "n"], truth: Float[np.ndarray, "n"]) -> dict[str, float]:
+def _errors(answer: Float[np.ndarray, " n"], truth: Float[np.ndarray, " n"]) -> dict[str, float]:
     error = np.abs(answer - truth)
     return {"mean": float(error.mean()), "largest": float(error.max()), "mean_distance": float(truth.mean())}

@@ -78,7 +78,7 @@ def first_call(limit: dict[str, int]) -> dict[str, float]:
 
 
 def _solved(
-    found: Map, limit: dict[str, Any], x: Points, distance: Float[np.ndarray, "n"], seed: int
+    found: Map, limit: dict[str, Any], x: Points, distance: Float[np.ndarray, " n"], seed: int
 ) -> tuple[dict[str, Any], PLR]:
     workspace, goal = found
     solve_eikonal(PlaneSpace(workspace), goal, max_leaves=100)  # imports and compiles
@@ -118,7 +118,7 @@ def violations(
     return counts
 
 
-def rivals(found: Map, x: Points, distance: Float[np.ndarray, "n"], seed: int, smoke: bool) -> list[dict[str, Any]]:
+def rivals(found: Map, x: Points, distance: Float[np.ndarray, " n"], seed: int, smoke: bool) -> list[dict[str, Any]]:
     """Roadmaps and grids of several sizes."""
     workspace, goal = found
     rows = []

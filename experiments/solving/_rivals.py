@@ -51,15 +51,15 @@ class CountedSpace:
     def motion_cost(self) -> MotionCost:
         return self.space.motion_cost
 
-    def is_free(self, q: Any) -> Bool[np.ndarray, "n"]:
+    def is_free(self, q: Any) -> Bool[np.ndarray, " n"]:
         self.tests.add("configurations", q)
         return self.space.is_free(q)
 
-    def are_free(self, q0: Any, q1: Any) -> Bool[np.ndarray, "n"]:
+    def are_free(self, q0: Any, q1: Any) -> Bool[np.ndarray, " n"]:
         self.tests.add("motions", q0)
         return self.space.are_free(q0, q1)
 
-    def classify(self, lo: Any, hi: Any) -> Int8[np.ndarray, "n"]:
+    def classify(self, lo: Any, hi: Any) -> Int8[np.ndarray, " n"]:
         self.tests.add("boxes", lo)
         return self.space.classify(lo, hi)
 
@@ -68,7 +68,7 @@ class CountedSpace:
 class CountedSeeingSpace(CountedSpace):
     """The same of a space that sees boxes: each box that is looked into counts as one more."""
 
-    def sees_boxes(self, q: Any, lo: Any, hi: Any) -> Bool[np.ndarray, "n"]:
+    def sees_boxes(self, q: Any, lo: Any, hi: Any) -> Bool[np.ndarray, " n"]:
         assert isinstance(self.space, SeesBoxes)
         self.tests.add("boxes", lo)
         return self.space.sees_boxes(q, lo, hi)
@@ -90,7 +90,7 @@ Sizes = tuple[int, ...]
 Cells = Int[np.ndarray, "n"]
 
 
-def even_sizes(domain: Box, scale: Float[np.ndarray, "dim"], num_cells: int) -> Sizes:
+def even_sizes(domain: Box, scale: Float[np.ndarray, " dim"], num_cells: int) -> Sizes:
     """About so many cells whose sides cost the same, where a unit along each axis counts by a scale."""
     sides = domain.width * scale
     spacing = (np.prod(sides) / num_cells) ** (1 / domain.dim)
@@ -103,7 +103,7 @@ def centers(domain: Box, sizes: Sizes, cell: Cells) -> Float[np.ndarray, "n dim"
     return domain.lo + domain.width * (place + 0.5) / sizes
 
 
-def free_cells(space: FreeTest, sizes: Sizes) -> Bool[np.ndarray, "cells"]:
+def free_cells(space: FreeTest, sizes: Sizes) -> Bool[np.ndarray, " cells"]:
     """Which cells have a center that is free."""
     return np.concatenate([space.is_free(centers(space.domain, sizes, part)) for part in _parts(sizes)])
 
@@ -121,7 +121,7 @@ def all_neighbors(dim: int, reach: int) -> list[tuple[int, ...]]:
 
 
 def grid_search(
-    space: ConfigurationSpace, goal: Float[np.ndarray, "dim"], sizes: Sizes, offsets: Sequence[tuple[int, ...]]
+    space: ConfigurationSpace, goal: Float[np.ndarray, " dim"], sizes: Sizes, offsets: Sequence[tuple[int, ...]]
 ) -> GridField:
     """Cost-to-go along free motions between cells that are an offset apart, by Dijkstra's algorithm."""
     cells = np.flatnonzero(free_cells(space, sizes))
@@ -135,7 +135,7 @@ def grid_search(
     return GridField(values.reshape(sizes[::-1]), space.domain)
 
 
-Links = tuple[Cells, Cells, Float[np.ndarray, "n"]]
+Links = tuple[Cells, Cells, Float[np.ndarray, " n"]]
 
 
 def _links(
@@ -153,7 +153,7 @@ def _links(
         yield begin[free], end[free], space.motion_cost.lengths(q0[free], q1[free], domain)
 
 
-def _links_to_goal(space: ConfigurationSpace, goal: Float[np.ndarray, "dim"], sizes: Sizes, cells: Cells) -> Links:
+def _links_to_goal(space: ConfigurationSpace, goal: Float[np.ndarray, " dim"], sizes: Sizes, cells: Cells) -> Links:
     """Free motions from the cells around the goal to it, which has the number after theirs."""
     x = centers(space.domain, sizes, cells)
     steps = np.abs(space.domain.difference(x, goal[None])) / space.domain.width * sizes
@@ -166,9 +166,9 @@ def _links_to_goal(space: ConfigurationSpace, goal: Float[np.ndarray, "dim"], si
 
 def marched(
     space: ConfigurationSpace,
-    goal: Float[np.ndarray, "dim"],
+    goal: Float[np.ndarray, " dim"],
     sizes: Sizes,
-    factor: Callable[[Any], Float[np.ndarray, "n"]] | None = None,
+    factor: Callable[[Any], Float[np.ndarray, " n"]] | None = None,
 ) -> GridField:
     """Cost-to-go by fast marching of second order, where cost is Euclidean length times a factor, 1 if None.
 
@@ -199,7 +199,7 @@ def marched(
     return GridField(np.where(blocked, np.nan, time), domain)
 
 
-def _radius(space: ConfigurationSpace, goal: Float[np.ndarray, "dim"], sizes: Sizes, from_goal: np.ndarray) -> float:
+def _radius(space: ConfigurationSpace, goal: Float[np.ndarray, " dim"], sizes: Sizes, from_goal: np.ndarray) -> float:
     """Of a ball around the goal that holds a cell's center, and if possible no more than centers that it sees."""
     spacing = space.domain.width / sizes
     near = np.flatnonzero(from_goal.ravel() <= _RADIUS * spacing.max())
@@ -218,7 +218,7 @@ class SampledCosts(NamedTuple):
     """Cost-to-go of the samples of a roadmap, and what it took."""
 
     vertices: Float[np.ndarray, "v dof"]
-    costs: Float[np.ndarray, "v"]
+    costs: Float[np.ndarray, " v"]
     roadmap: Roadmap
     seconds: float
     tests: dict[str, Any]
@@ -229,7 +229,7 @@ class SampledCosts(NamedTuple):
         return _BYTES_A_FLOAT * (self.vertices.size + self.costs.size)
 
 
-def prm_star(space: ConfigurationSpace, goal: Float[np.ndarray, "dof"], num_samples: int, seed: int) -> SampledCosts:
+def prm_star(space: ConfigurationSpace, goal: Float[np.ndarray, " dof"], num_samples: int, seed: int) -> SampledCosts:
     """A roadmap of a space, its samples' costs those of the space, which need not be Euclidean lengths."""
     asked = counted(space)
     scale = space.motion_cost.scale

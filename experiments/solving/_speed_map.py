@@ -32,18 +32,18 @@ class FastBoxes:
     hi: Float[np.ndarray, "boxes dim"]
     factor: float
 
-    def __call__(self, q: Any) -> Float[np.ndarray, "n"]:
+    def __call__(self, q: Any) -> Float[np.ndarray, " n"]:
         inside = ((q[:, None] >= self.lo) & (q[:, None] <= self.hi)).all(axis=2).any(axis=1)
         return np.where(inside, self.factor, 1.0)
 
-    def bounds(self, lo: Any, hi: Any) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    def bounds(self, lo: Any, hi: Any) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Exact, as these boxes do not touch: a box meets one of them, or it does not; it is within one or not."""
         meets = ((lo[:, None] <= self.hi) & (hi[:, None] >= self.lo)).all(axis=2).any(axis=1)
         within = ((lo[:, None] >= self.lo) & (hi[:, None] <= self.hi)).all(axis=2).any(axis=1)
         return np.where(meets, self.factor, 1.0), np.where(within, self.factor, 1.0)
 
 
-def _waves(q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+def _waves(q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
     return 1 + _AMPLITUDE * np.sin(2 * np.pi * q[:, 0]) * np.sin(2 * np.pi * q[:, 1])
 
 
@@ -81,7 +81,7 @@ def measure(seed: int, smoke: bool) -> dict[str, Any]:
     return {"side": side, "points": len(x), "rows": rows}
 
 
-def _errors(plr: Any, x: Float[np.ndarray, "n 2"], truth: Float[np.ndarray, "n"]) -> dict[str, Any]:
+def _errors(plr: Any, x: Float[np.ndarray, "n 2"], truth: Float[np.ndarray, " n"]) -> dict[str, Any]:
     """Shares of the mean time; where the times of the grid are beyond the bounds, and by how much."""
     error = np.abs(np.asarray(plr(x), float) - truth) / truth.mean()
     lower, upper = (np.asarray(bound, float) for bound in plr.bounds(x))

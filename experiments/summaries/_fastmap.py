@@ -38,7 +38,7 @@ def fastmap(given: Given, points: Points, axes: int) -> Coordinates:
     rng = np.random.default_rng(given.seed)
     coordinates = np.empty((len(points), 0))
 
-    def left(of: int) -> Float[np.ndarray, "free"]:
+    def left(of: int) -> Float[np.ndarray, " free"]:
         """Squares of the distances from a point that the axes so far leave."""
         square = given.fields(points[[of]], points)[0] ** 2
         return np.maximum(square - ((coordinates - coordinates[of]) ** 2).sum(axis=1), 0)

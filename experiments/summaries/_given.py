@@ -44,7 +44,7 @@ class Pairs(NamedTuple):
 
     x: Points
     y: Points
-    distance: Float[np.ndarray, "n"]
+    distance: Float[np.ndarray, " n"]
 
     def first(self, count: int) -> "Pairs":
         """So many of them."""
@@ -84,9 +84,9 @@ class CompiledSummary:
     """A summary whose answers JAX compiles."""
 
     num_bytes: int
-    answer: Callable[[Any, Any], Float[Array, "n"]]
+    answer: Callable[[Any, Any], Float[Array, " n"]]
 
-    def __call__(self, x: Any, y: Any) -> Float[Array, "n"]:
+    def __call__(self, x: Any, y: Any) -> Float[Array, " n"]:
         """Distances of pairs, in single precision."""
         return self.answer(jnp.asarray(x, jnp.float32), jnp.asarray(y, jnp.float32))
 

@@ -24,7 +24,7 @@ _FEW = 5_000
 _DELTA = 1.0  # mean detours, below which an error counts by its square
 _WORK, _FEWEST_STEPS, _MOST_STEPS, _SMOKE_STEPS = 1_000_000_000, 3_000, 20_000, 20  # weights times steps
 
-Layers = list[tuple[Float[Array, "inputs outputs"], Float[Array, "outputs"]]]
+Layers = list[tuple[Float[Array, "inputs outputs"], Float[Array, " outputs"]]]
 
 
 def candidates(given: Given) -> Candidates:
@@ -59,7 +59,7 @@ def _initial(widths: list[tuple[int, int]], seed: int) -> Layers:
     ]
 
 
-def _features(x: Float[Array, "2"]) -> Float[Array, "inputs"]:
+def _features(x: Float[Array, "2"]) -> Float[Array, " inputs"]:
     angles = (x[:, None] * np.pi * 2.0 ** np.arange(_OCTAVES, dtype=np.float32)).ravel()
     return jnp.concatenate([2 * x - 1, jnp.sin(angles), jnp.cos(angles)])
 

@@ -37,7 +37,7 @@ class NodeGrid(NamedTuple):
     spacing: Float[np.ndarray, "2"]
     shape: tuple[int, int]
     free: Float[np.ndarray, "free 2"]
-    nearest: Int[np.ndarray, "nodes"]
+    nearest: Int[np.ndarray, " nodes"]
 
     @property
     def frame_bytes(self) -> int:
@@ -58,7 +58,7 @@ class NodeGrid(NamedTuple):
         node = i * self.shape[1] + j + np.array([0, 1, self.shape[1], self.shape[1] + 1])
         return node, jnp.stack([(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v])
 
-    def read(self, table: Float[Array, "nodes channels"], x: Float[Array, "2"]) -> Float[Array, "channels"]:
+    def read(self, table: Float[Array, "nodes channels"], x: Float[Array, "2"]) -> Float[Array, " channels"]:
         """Interpolated numbers at a point, of a table of all nodes."""
         node, weight = self.around(x)
         return weight @ table[node]
@@ -77,7 +77,7 @@ def grid_of(workspace: Workspace, num_nodes: int) -> NodeGrid:
     return NodeGrid(bounds.lo, spacing, (int(shape[0]), int(shape[1])), nodes[is_free], nearest)
 
 
-def _nearest(is_free: Bool[np.ndarray, "rows columns"], spacing: Float[np.ndarray, "2"]) -> Int[np.ndarray, "nodes"]:
+def _nearest(is_free: Bool[np.ndarray, "rows columns"], spacing: Float[np.ndarray, "2"]) -> Int[np.ndarray, " nodes"]:
     """For each node the nearest free one, by its place among the free ones."""
     _, at = cast(Any, distance_transform_edt(~is_free, spacing, return_indices=True))
     number = np.cumsum(is_free.ravel()) - 1

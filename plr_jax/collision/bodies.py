@@ -21,9 +21,9 @@ from plr_jax.robots.robot import Robot, shorter_turn
 _MAX_BISECTIONS = 12
 _CORNERS = 1 << 16  # corners of bodies at a time, between two checks of the clock; bounds the temporary memory
 _FEW = 24  # corners up to which the lowest one is searched exhaustively
-Column: TypeAlias = Float[np.ndarray, "n"]
+Column: TypeAlias = Float[np.ndarray, " n"]
 Columns: TypeAlias = tuple[Column, Column]
-Booleans: TypeAlias = Bool[np.ndarray, "n"]
+Booleans: TypeAlias = Bool[np.ndarray, " n"]
 Verdict: TypeAlias = tuple[Booleans, Booleans]  # motions that certainly stay apart, and that certainly do not
 Sides: TypeAlias = Float[np.ndarray, "sides n"]
 Corners: TypeAlias = Float[np.ndarray, "2 _ n"]

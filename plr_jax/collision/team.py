@@ -35,7 +35,7 @@ _CHUNK_PAIRS = 1 << 13  # pairs of motions tested exactly at a time
 OfA: TypeAlias = Float[np.ndarray, "*#batch dof_a"]
 OfB: TypeAlias = Float[np.ndarray, "*#batch dof_b"]
 Motions: TypeAlias = Float[np.ndarray, "m dof"]
-Rows: TypeAlias = Int[np.ndarray, "m"]
+Rows: TypeAlias = Int[np.ndarray, " m"]
 Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 
 
@@ -63,8 +63,8 @@ class TeamTrajectory:
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
     def robots_near(
-        self, i: int, around: Circles, motion: Int[np.ndarray, "n"], excluded: Sequence[int] = ()
-    ) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+        self, i: int, around: Circles, motion: Int[np.ndarray, " n"], excluded: Sequence[int] = ()
+    ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
         """Return pairs ``(k, j)``: robot ``i`` in the ``k``-th circle may meet robot ``j``'s motion ``motion[k]``."""
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
@@ -83,7 +83,7 @@ class TeamTrajectory:
         return np.divmod(np.concatenate(found), num_robots)
 
 
-def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, "m"]:
+def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, " m"]:
     """Return the indices ``i`` for which two robots may meet if their reference points stay in the i-th circles."""
     reach = around_a.radius + around_b.radius + robot_a.circumscribed_radius + robot_b.circumscribed_radius
     return np.flatnonzero((around_b.x - around_a.x) ** 2 + (around_b.y - around_a.y) ** 2 < reach * reach)
@@ -169,12 +169,12 @@ class JointMotionTest:
         return tuple(motion_test(self.workspace, robot, self.deadline) for robot in self.robots)
 
     @cached_property
-    def first_equal(self) -> Int[np.ndarray, "robots"]:
+    def first_equal(self) -> Int[np.ndarray, " robots"]:
         """For each robot, the lowest index of a robot that equals it."""
         first: dict[Robot, int] = {}
         return np.array([first.setdefault(robot, i) for i, robot in enumerate(self.robots)])
 
-    def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, "n"]:
+    def __call__(self, q0: JointConfigurations, q1: JointConfigurations) -> Bool[np.ndarray, " n"]:
         free = np.ones(len(q0), dtype=bool)
         for i, test in enumerate(self.wall_tests):
             free[free] = test(q0[free, i], q1[free, i], self.deadline)
@@ -187,7 +187,7 @@ class JointMotionTest:
 
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
-    ) -> Bool[np.ndarray, "m"]:
+    ) -> Bool[np.ndarray, " m"]:
         """Return whether motions of robot ``i`` hit robots ``other`` in motions ``motion`` of ``trajectory``."""
         # Motion ``k`` of a robot leads from row ``k`` of the trajectory to row ``k + 1``.
         others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]

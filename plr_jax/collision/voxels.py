@@ -108,13 +108,13 @@ def _blocked_voxels_within(
         yield box[some[row[blocked]]], voxel[:, blocked]
 
 
-def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, "n"]:
+def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: Numbers) -> Float[np.ndarray, " n"]:
     """Return the least squared distance between the i-th motion and the i-th voxel."""
     lo = np.stack([faces[k] for faces, k in zip(grid.faces, voxel, strict=True)])
     hi = np.stack([faces[k + 1] for faces, k in zip(grid.faces, voxel, strict=True)])
     change = q1 - q0
 
-    def excess(time: Float[np.ndarray, "n"]) -> Coordinates:
+    def excess(time: Float[np.ndarray, " n"]) -> Coordinates:
         x = q0 + time * change
         return np.maximum(x - hi, 0.0) - np.maximum(lo - x, 0.0)
 
@@ -169,7 +169,7 @@ class _Traversal:
             live = self._cross(rows, live)
 
     def _cross(
-        self, rows: Int[np.ndarray, "some"], live: Bool[np.ndarray, "some corners"]
+        self, rows: Int[np.ndarray, " some"], live: Bool[np.ndarray, "some corners"]
     ) -> Bool[np.ndarray, "..."]:
         # Return which of the voxels around the next point each motion can be in.
         step, layers = self.step[:, rows], self.layers[:, rows]
@@ -190,11 +190,11 @@ class _Traversal:
         self.at[:, rows] += np.where(crossed, step, 0)
         return np.take_along_axis(reached, self.corner | beyond, axis=1)
 
-    def _free_around(self, motions: Int[np.ndarray, "some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
+    def _free_around(self, motions: Int[np.ndarray, " some"], span: Numbers) -> Bool[np.ndarray, "some corners"]:
         at = self.strides @ self.at[:, motions]
         return self.grid.padded.ravel()[at[:, None] + (span.T * self.strides) @ self.bits.T]
 
-    def _crossed_next(self, rows: Int[np.ndarray, "some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
+    def _crossed_next(self, rows: Int[np.ndarray, " some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
         at, q0 = self.at[:, rows], self.q0[:, rows]
         further = at + (self.step[:, rows] > 0)
         face = np.stack([faces[k] for faces, k in zip(self.grid.faces, further, strict=True)])

@@ -112,7 +112,7 @@ class MotionTest:
             clear[owner[~pieces_clear]] = False
         return clear
 
-    def _locate(self, x: Column, y: Column) -> tuple[Int[np.ndarray, "n"], Column]:
+    def _locate(self, x: Column, y: Column) -> tuple[Int[np.ndarray, " n"], Column]:
         """Return the grid cell of each point (the nearest one for points outside), and the distance to its center."""
         lo, (columns, rows) = self.workspace.bounds.lo, self._shape
         column = np.clip((x - lo[0]) / self._cell, 0, columns - 1).astype(np.intp)
@@ -120,7 +120,7 @@ class MotionTest:
         dx, dy = x - lo[0] - (column + 0.5) * self._cell, y - lo[1] - (row + 0.5) * self._cell
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
-    def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
+    def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
         work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
@@ -133,7 +133,7 @@ class MotionTest:
                 clear[part] = self._test_edges(some, cell[part], deadline)
         return clear
 
-    def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, "n"], deadline: float) -> Booleans:
+    def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
         robot, tolerance = self.robot, self.workspace.tolerance
         index, owner = take_ragged(self._first, cell)
         edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)
@@ -187,7 +187,7 @@ def motion_test(workspace: Workspace, robot: Robot, deadline: float = math.inf) 
 
 def _cut_into_pieces(
     robot: Robot, q0: Configurations, q1: Configurations, longest: float
-) -> tuple[MovingBodies, Int[np.ndarray, "m"] | None]:
+) -> tuple[MovingBodies, Int[np.ndarray, " m"] | None]:
     """Cut motions into equal parts up to ``longest``; also return the motion of each part, or None without cuts."""
     whole = moving_bodies(robot, q0, q1)
     count = np.ceil(np.hypot(whole.dx, whole.dy) / longest).astype(np.intp)

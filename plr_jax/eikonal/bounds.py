@@ -43,7 +43,7 @@ _OFF, _NEAR = 0.1, 0.01
 # Relative margin for the length of a straight line in 32 bits; range of lengths whose squares 32 bits hold.
 _OF_LENGTHS, _TINIEST, _LARGEST = 2.0**-20, 1e-15, 1e15
 _STRAIGHT_BYTES = 0.4  # most bytes of goals for straight lines, as a share of the file
-Numbers: TypeAlias = Float[np.ndarray, "n"]
+Numbers: TypeAlias = Float[np.ndarray, " n"]
 AtCorners: TypeAlias = Float[np.ndarray, "n corners"]
 CellCorners: TypeAlias = Float[np.ndarray, "cells corners"]
 
@@ -69,10 +69,10 @@ class CostToGoField:
     """A proven lower bound of the cost-to-go on a mesh, a proven upper bound, and an estimate between them."""
 
     program: SlopeProgram  # of the lower bound
-    values: Float[np.ndarray, "dofs"]  # its solution, at most 0 at goals; before rescaling, slopes may be too large
+    values: Float[np.ndarray, " dofs"]  # its solution, at most 0 at goals; before rescaling, slopes may be too large
     paths: NodePaths  # paths to the goal, whose costs are upper bounds
-    nodal_estimate: Float[np.ndarray, "nodes"]  # at the corners of cells; inf where unknown
-    nodal_goal: Int[np.ndarray, "nodes"] | None  # the goal of the estimated path from each node, without a guide
+    nodal_estimate: Float[np.ndarray, " nodes"]  # at the corners of cells; inf where unknown
+    nodal_goal: Int[np.ndarray, " nodes"] | None  # the goal of the estimated path from each node, without a guide
     space: ConfigurationSpace
     reach: Reach | None  # of the estimate
     guide: GridEstimate | None  # an estimate interpolated on a grid, for up to three axes; of the other part
@@ -90,7 +90,7 @@ class CostToGoField:
         return (self.program.space.values @ self.values).reshape(len(self.mesh.state), -1)
 
     @cached_property
-    def _rescaling(self) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
+    def _rescaling(self) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
         return self.program.rescaling(self.values)
 
     @cached_property
@@ -230,7 +230,7 @@ class CostToGoField:
         return seen
 
     @cached_property
-    def _spare(self) -> Float[np.ndarray, "cells"]:
+    def _spare(self) -> Float[np.ndarray, " cells"]:
         # A margin for rounding: of values, and of points just outside a cell that count as inside.
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
         way = costs.motion.norm(beside[None]) * costs.upper
@@ -406,7 +406,7 @@ def _above_voxel_paths(
     cells: Cells,
     coefficients: Float[np.ndarray, "leaves corners"],
     across: Float[np.ndarray, "leaves dim"],
-) -> Float[np.ndarray, "leaves"]:
+) -> Float[np.ndarray, " leaves"]:
     # Upper bounds of the cost-to-go minus each leaf's function, by paths along centers of voxels, or inf.
     grid = space.grid
     above = np.full(len(cells), np.inf)

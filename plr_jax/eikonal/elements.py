@@ -30,13 +30,13 @@ class FunctionSpace:
     lattice: Float[np.ndarray, "nodes dim"]  # the nodes of a cell, from 0 to 1 along each axis
     values: csr_array  # maps dofs to values at all nodes, `cell * nodes_of_cell + node`; 0 in blocked cells
     points: Float[np.ndarray, "dofs dim"]  # fractions of the domain
-    node_of: Int[np.ndarray, "dofs"]  # a node of each degree of freedom, numbered like the rows of `values`
+    node_of: Int[np.ndarray, " dofs"]  # a node of each degree of freedom, numbered like the rows of `values`
 
-    def interpolation(self, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
+    def interpolation(self, cell: Int[np.ndarray, " n"], t: Float[np.ndarray, "n dim"]) -> csr_array:
         """Return the matrix from degrees of freedom to values at points of cells; ``t`` is from 0 to 1 in a cell."""
         return csr_array(_interpolation(self.degree, cell, t, len(self.mesh.state) * len(self.lattice)) @ self.values)
 
-    def gradients(self, scale: Float[np.ndarray, "dim"]) -> list[csr_array]:
+    def gradients(self, scale: Float[np.ndarray, " dim"]) -> list[csr_array]:
         # By axis, the matrix from degrees of freedom to Bernstein coefficients of the derivative, divided by `scale`.
         # Rows are `number * nodes_of_cell + control point` for the cells that are not blocked.
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
@@ -56,7 +56,7 @@ class FunctionSpace:
             operators.append(csr_array(local @ values))
         return operators
 
-    def basis_integrals(self) -> Float[np.ndarray, "dofs"]:
+    def basis_integrals(self) -> Float[np.ndarray, " dofs"]:
         mesh = self.mesh
         share = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * mesh.dim).ravel()
         weights = mesh.volumes[mesh.open_cells, None] * share
@@ -146,7 +146,7 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     return FunctionSpace(mesh, degree, lattice, csr_array(resolved[group][:, dofs]), points, node_of)
 
 
-def _interpolation(degree: int, cell: Int[np.ndarray, "n"], t: Float[np.ndarray, "n dim"], nodes: int) -> csr_array:
+def _interpolation(degree: int, cell: Int[np.ndarray, " n"], t: Float[np.ndarray, "n dim"], nodes: int) -> csr_array:
     weight = basis(degree, t)
     num, size = weight.shape
     columns = (cell[:, None] * size + np.arange(size)).ravel()

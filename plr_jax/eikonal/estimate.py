@@ -56,7 +56,7 @@ Shape = tuple[int, ...]
 CellStates = Int8[np.ndarray, "*shape"]
 Nodes = Float[np.ndarray, "*shape dim"]
 # Costs of motions at points: a factor of the norm, and perhaps two vectors: the larger scalar product is added.
-Rates = tuple[Float[np.ndarray, "places"], Float[np.ndarray, "2 places dim"] | None]
+Rates = tuple[Float[np.ndarray, " places"], Float[np.ndarray, "2 places dim"] | None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +69,11 @@ class GridEstimate:
     ratio: GridField  # the cost-to-go divided by a function with the same kinks at the goals: see `_divisors`
     cost: Costs  # the cost-to-go at each node; inf where no path leads to a goal
     known_goal: GoalIndex  # the goal to which the path of each node leads, -1 where unknown
-    unseen: Int[np.ndarray, "unseen"]  # indices of the goals that no node sees
+    unseen: Int[np.ndarray, " unseen"]  # indices of the goals that no node sees
     is_open: IsOpen  # nodes that paths may pass
     rest: Costs | None = None  # the cost-to-go beside each closed node, if nodes are groups of voxels
 
-    def __call__(self, x: Points) -> Float[np.ndarray, "n"]:
+    def __call__(self, x: Points) -> Float[np.ndarray, " n"]:
         ratio, is_open = self.ratio.interpolated(x)
         divisor = _divisors(self.space, self.goals, self.at_goals, x)
         cost = np.multiply(ratio, divisor, out=np.zeros(len(x)), where=divisor != 0)  # not inf * 0 at a goal
@@ -85,7 +85,7 @@ class GridEstimate:
         cost[beside[~self.space.is_free(x[beside])]] = np.inf
         return cost
 
-    def _nodes(self, x: Points) -> tuple[Int[np.ndarray, "n"], ...]:
+    def _nodes(self, x: Points) -> tuple[Int[np.ndarray, " n"], ...]:
         box, shape = self.ratio.bounds, np.array(self.cost.shape)
         place = ((box.wrapped(x) - box.lo) / box.width * shape).astype(np.intp)
         return tuple(np.clip(place, 0, shape - 1).T)
@@ -98,7 +98,7 @@ class GridEstimate:
         beside: Any = ndimage.maximum_filter(is_reached, 3, mode=mode)
         return reach_of_cells(beside, self.is_open & ~beside, self.ratio.bounds, domain)
 
-    def which(self, x: Points) -> Int[np.ndarray, "n"]:
+    def which(self, x: Points) -> Int[np.ndarray, " n"]:
         """Return the index of the goal to which each point's shortest path leads, or of some goal without a path."""
         goal = self.node_goal[self._nodes(x)]
         # A grid step from a goal, it is the goal in sight.
@@ -110,7 +110,7 @@ class GridEstimate:
         goal[close] = nearest[close, 0]
         return goal
 
-    def which_reached(self, x: Points) -> Int[np.ndarray, "n"]:
+    def which_reached(self, x: Points) -> Int[np.ndarray, " n"]:
         """Return the goals' indices like :meth:`which`, but -1 at points where the estimate is ``inf``."""
         return np.where(np.isfinite(self(x)), self.which(x), -1)
 
@@ -128,13 +128,13 @@ class GridEstimate:
 
 
 def _straight_costs(
-    space: ConfigurationSpace, rates: Rates, index: Int[np.ndarray, "n"], change: Points
-) -> Float[np.ndarray, "n"]:
+    space: ConfigurationSpace, rates: Rates, index: Int[np.ndarray, " n"], change: Points
+) -> Float[np.ndarray, " n"]:
     factor, pulls = rates
     return factor[index] * space.motion_cost.norm(change) + pulled(None if pulls is None else pulls[:, index], change)
 
 
-def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Points) -> Float[np.ndarray, "n"]:
+def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Points) -> Float[np.ndarray, " n"]:
     # The cost-to-go has a kink at each goal. Its quotient by the straight cost to the nearest goal has none.
     if _is_euclidean(space, goals, at_goals):
         return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]

@@ -45,7 +45,7 @@ def nearest_goals(
 def carried_goals(
     cost: Float[np.ndarray, "*shape"],
     known: GoalIndex,
-    side: Float[np.ndarray, "dim"],
+    side: Float[np.ndarray, " dim"],
     periodic: tuple[bool, ...],
     num_goals: int,
 ) -> GoalIndex:

@@ -21,11 +21,11 @@ _MOST_SLENDER = 2e5  # largest ratio of a cell's widths: beyond it, the equation
 _NO_BIT = 62  # a bit that is 0 in every slot: descents stop at leaves
 _LONG = 0.7  # a cell is halved along axes in which it is wider than this share of its largest width
 _LEAST_PERIODIC = 2  # least number of halvings of a periodic axis: no two cells may touch on both sides
-CellIndex: TypeAlias = Int[np.ndarray, "n"]
+CellIndex: TypeAlias = Int[np.ndarray, " n"]
 Fractions: TypeAlias = Float[np.ndarray, "n dim"]
 Corners: TypeAlias = tuple[Float[np.ndarray, "cells dim"], Float[np.ndarray, "cells dim"]]
-States: TypeAlias = Int8[np.ndarray, "cells"]
-Mask: TypeAlias = Bool[np.ndarray, "cells"]
+States: TypeAlias = Int8[np.ndarray, " cells"]
+Mask: TypeAlias = Bool[np.ndarray, " cells"]
 
 
 @dataclass(eq=False)
@@ -128,7 +128,7 @@ class Mesh:
         return np.flatnonzero(self.state != CellState.BLOCKED)
 
     @property
-    def is_open_face(self) -> Bool[np.ndarray, "faces"]:
+    def is_open_face(self) -> Bool[np.ndarray, " faces"]:
         is_open = self.state != CellState.BLOCKED
         return is_open[self.all_faces.lower] & is_open[self.all_faces.upper]
 
@@ -161,7 +161,7 @@ class Mesh:
         mesh.state = state
         return mesh
 
-    def refined(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
+    def refined(self, which: Int[np.ndarray, " some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
         """Return the mesh with cells ``which`` halved, in this order, as long as at most ``room`` cells are added."""
         parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
         while num < len(which) and room >= most:
@@ -177,7 +177,7 @@ class Mesh:
         state, is_flush = (np.concatenate(each) for each in zip(*known, strict=True))
         return _mesh(self.domain, self.cells[stays].append(*parts), state, is_flush)
 
-    def _parts(self, which: Int[np.ndarray, "some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
+    def _parts(self, which: Int[np.ndarray, " some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
         cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] != CellState.FREE
         # 1. Classify the parts of cells that are not free, halved along all axes.
         state = np.repeat(self.state[which, None], len(bits), axis=1)
@@ -289,7 +289,7 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
     return mesh
 
 
-def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, "edges"]:
+def _are_parted(is_open: Bool[np.ndarray, "edges sides"]) -> Bool[np.ndarray, " edges"]:
     # Whether the open ones among the places around an edge or corner are not all connected through faces.
     is_first = is_open & (np.cumsum(is_open, axis=1) == 1)
     return np.asarray((is_open & ~spread(is_first, is_open)).any(axis=1))

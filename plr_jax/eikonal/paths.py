@@ -30,10 +30,10 @@ _ROUNDING = 1e-10  # share by which upper bounds are increased, for rounding
 _EDGES_AT_ONCE = 1 << 18  # edges handled together, to bound the memory
 # Most nodes, the nearest ones, that are joined to goals whose cells are not free; least number for each goal.
 _NEAR_GOAL, _LEAST_NEAR_GOAL = 512, 32
-Nodes: TypeAlias = Int[np.ndarray, "_"]
-Costs: TypeAlias = Float[np.ndarray, "nodes"]
-Edges: TypeAlias = Int[np.ndarray, "_"]
-EdgeCosts: TypeAlias = Float[np.ndarray, "_"]
+Nodes: TypeAlias = Int[np.ndarray, " _"]
+Costs: TypeAlias = Float[np.ndarray, " nodes"]
+Edges: TypeAlias = Int[np.ndarray, " _"]
+EdgeCosts: TypeAlias = Float[np.ndarray, " _"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,10 +26,10 @@ from plr_jax.eikonal.mesh import CellIndex, Mesh, with_open_contacts
 from plr_jax.spaces import CellState, ConfigurationSpace, CostMap, DirectionalCost, MotionCost, cost_bounds, pulled
 
 Motions: TypeAlias = Float[np.ndarray, "n dim"]
-Numbers: TypeAlias = Float[np.ndarray, "n"]
+Numbers: TypeAlias = Float[np.ndarray, " n"]
 Vectors: TypeAlias = Float[np.ndarray, "dim controls"]
-PerControl: TypeAlias = Float[np.ndarray, "controls"]
-Dofs: TypeAlias = Float[np.ndarray, "dofs"]
+PerControl: TypeAlias = Float[np.ndarray, " controls"]
+Dofs: TypeAlias = Float[np.ndarray, " dofs"]
 ROUNDING = 1e-9  # relative margin for rounding of values and slopes
 _TINY = float(np.finfo(float).tiny)
 # Number of parts of a cell along each axis in which the factor of costs is bounded, by the number of axes.
@@ -49,11 +49,11 @@ class CellCosts:
 
     motion: MotionCost
     cost_map: CostMap | None
-    lower: Float[np.ndarray, "cells"]
-    upper: Float[np.ndarray, "cells"]
+    lower: Float[np.ndarray, " cells"]
+    upper: Float[np.ndarray, " cells"]
     slope: Float[np.ndarray, "cells dim"]  # change of the linear bounds across each cell
-    least: Float[np.ndarray, "cells"]  # the lower linear bound in the middle of the cell
-    most: Float[np.ndarray, "cells"]  # the upper linear bound in the middle of the cell
+    least: Float[np.ndarray, " cells"]  # the lower linear bound in the middle of the cell
+    most: Float[np.ndarray, " cells"]  # the upper linear bound in the middle of the cell
     pulls: Float[np.ndarray, "2 cells dim"] | None = None  # if costs depend on the direction
 
     @property
@@ -116,7 +116,7 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
 
 def rescaling_of(
     lowest: Numbers, highest: Numbers, factor: Numbers
-) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
+) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
     """Return breakpoints and values of a piecewise linear function ``g`` for which ``g(u)`` is nowhere too steep.
 
     In cell ``i``, the function ``u`` has values from ``lowest[i]`` to ``highest[i]``, and its slope is up to
@@ -198,7 +198,7 @@ class Iterate:
 
     values: Dofs  # of the degrees of freedom
     flow: Vectors  # at the control points of gradients
-    inflow: Float[np.ndarray, "goals"]  # flow into each goal
+    inflow: Float[np.ndarray, " goals"]  # flow into each goal
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +246,7 @@ class SlopeProgram:
         pulls = None if self.costs.pulls is None else np.moveaxis(self.costs.pulls[:, cell], 2, 1)
         return SlopeSets([axes for axes, _ in self.costs.motion.blocks], self._linear(self.costs.least), pulls)
 
-    def _linear(self, middle: Float[np.ndarray, "cells"]) -> PerControl:
+    def _linear(self, middle: Float[np.ndarray, " cells"]) -> PerControl:
         cell = self.space.mesh.open_cells
         return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
@@ -257,7 +257,7 @@ class SlopeProgram:
     def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
-    def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, "levels"], Float[np.ndarray, "levels"]]:
+    def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
         # See `rescaling_of`: it makes `u` a lower bound, rounding included.
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
@@ -370,7 +370,7 @@ class _Splitting:
 class _Poisson:
     """The linear system, a Poisson equation, of each iteration of :class:`_Splitting`, with its factored matrix."""
 
-    def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, "goals"]):
+    def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, " goals"]):
         # All flow enters a single goal. The solution is then unique up to a constant, and the first unknown is 0.
         weights = np.tile(penalty * program.volume, program.dim)
         self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
@@ -390,7 +390,7 @@ class _Poisson:
                 self.matrix, max_coarse=_COARSEST_GRID, improve_candidates=None
             ).aspreconditioner()
 
-    def solve(self, load: Dofs, field: Vectors, at_goals: Float[np.ndarray, "goals"], guess: Dofs) -> Dofs:
+    def solve(self, load: Dofs, field: Vectors, at_goals: Float[np.ndarray, " goals"], guess: Dofs) -> Dofs:
         right = (load + self.divergence @ field.ravel())[self._first :]
         if not self._first:
             right = right + self.from_goals @ at_goals

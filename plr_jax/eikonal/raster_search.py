@@ -53,7 +53,7 @@ def parts_of_cells(cost: Raster, side: Sides) -> Int[np.ndarray, "2"]:
 class PathTree:
     """Shortest paths from the centers of a raster's cells, or of parts of cells, to the nearest of given points."""
 
-    next_node: Int[np.ndarray, "nodes"]  # of corners, if any, of centers, and of sources; negative if there is none
+    next_node: Int[np.ndarray, " nodes"]  # of corners, if any, of centers, and of sources; negative if there is none
     shape: tuple[int, int]  # rows and columns of parts of cells
     side: Sides  # of a part
     ends: Points  # where paths reach the sources

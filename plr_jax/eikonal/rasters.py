@@ -238,7 +238,7 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, 
         raise ValueError("A mask of sources must be boolean, got numbers of the raster's shape: use sources != 0.")
     else:
 
-        def is_open(x: Points) -> Bool[np.ndarray, "n"]:
+        def is_open(x: Points) -> Bool[np.ndarray, " n"]:
             cells = cells_of(np.clip(x - box.lo, 0, box.width), side, cost.shape)
             return box.contains(x) & np.isfinite(cost[tuple(cells.T)])
 
@@ -246,7 +246,7 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, 
     if not len(points):
         raise ValueError("sources must have at least one source, got none.")
 
-    def first(wrong: Bool[np.ndarray, "k"]) -> str:
+    def first(wrong: Bool[np.ndarray, " k"]) -> str:
         number = int(np.argmax(wrong))
         return f"source {number} at {(points[number] + box.lo).tolist()}, one of {wrong.sum()}"
 

@@ -208,15 +208,15 @@ def solve_eikonal(
 
 
 def _row_of_goal(
-    row: Int[np.ndarray, "goals_plus_one"],
-    which: Callable[[Float[np.ndarray, "n dim"]], Int[np.ndarray, "n"]],
+    row: Int[np.ndarray, " goals_plus_one"],
+    which: Callable[[Float[np.ndarray, "n dim"]], Int[np.ndarray, " n"]],
     x: Float[np.ndarray, "n dim"],
-) -> Int[np.ndarray, "n"]:
+) -> Int[np.ndarray, " n"]:
     return row[which(x)]  # a function of its own, since lambdas cannot be pickled
 
 
 def _require_goals(
-    goal: Float[np.ndarray, "..."], is_fine: Bool[np.ndarray, "goals"], must: str, why: str = ""
+    goal: Float[np.ndarray, "..."], is_fine: Bool[np.ndarray, " goals"], must: str, why: str = ""
 ) -> None:
     if not is_fine.all():
         row = int(is_fine.argmin())
@@ -224,7 +224,7 @@ def _require_goals(
         raise ValueError(f"{must}, {np.atleast_2d(goal)[row].tolist()}{of} is not{why}.")
 
 
-def _error_by_norm(fit: CellFit) -> Float[np.ndarray, "cells"]:
+def _error_by_norm(fit: CellFit) -> Float[np.ndarray, " cells"]:
     """Return the geometric mean of each leaf's largest error and its L2 norm, for a small mean error of the PLR."""
     mean_square = row_products(np.square(fit.residual), fit.pattern.weight) / fit.pattern.weight.sum()
     norm = np.sqrt(np.ldexp(mean_square, -fit.cells.depth.sum(axis=1)))  # the volume is 2**-(sum of halvings)
@@ -242,7 +242,7 @@ def _require_costs(largest: float) -> None:
 def _reach_of_spaces(reached: ConfigurationSpace, cut_off: ConfigurationSpace) -> Reach:
     domain = reached.domain
 
-    def meets(space: ConfigurationSpace, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
+    def meets(space: ConfigurationSpace, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
         return space.classify(*(domain.at(np.clip(end, 0.0, 1.0)) for end in (lo, hi))) != CellState.BLOCKED
 
     tests = partial(meets, reached), partial(meets, cut_off)
@@ -321,7 +321,7 @@ class SlopeSolver:
         return self.program.space.mesh
 
     @property
-    def values(self) -> Float[np.ndarray, "dofs"]:
+    def values(self) -> Float[np.ndarray, " dofs"]:
         assert self.iterate is not None
         return self.program.below_goals(self.iterate.values)
 
@@ -389,7 +389,7 @@ class SlopeSolver:
         self._through[new] = np.where(is_free, CellState.FREE, CellState.BLOCKED)
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
 
-    def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, "some"], int]:
+    def _marked(self, parts: int, iterate: Iterate) -> tuple[Int[np.ndarray, " some"], int]:
         # Cells to refine, most urgent first, and how many new cells to allow, at most `parts` from each.
         mesh, num_cells, costs = self.mesh, len(self.mesh.state), self.program.costs.midway
         loss, at_goals = self.program.losses(iterate), self.program.losses_at_goals(iterate)
@@ -433,13 +433,13 @@ class SampledSpace(CheckedSpace):
     def _samples(self) -> Float[np.ndarray, "k dim"]:
         return (1 + sample_pattern(self.domain.dim, _NUM_SAMPLES, 0.0, self.seed).u) / 2
 
-    def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, "n"]:
+    def classify(self, lo: Float[np.ndarray, "n dof"], hi: Float[np.ndarray, "n dof"]) -> Int8[np.ndarray, " n"]:
         x = lo[:, None] + (hi - lo)[:, None] * self._samples
         free = self.is_free(x.reshape(-1, x.shape[2])).reshape(x.shape[:2])
         state = np.where(free.any(axis=1), CellState.MIXED, CellState.BLOCKED)
         return np.where(free.all(axis=1), CellState.FREE, state).astype(np.int8)
 
-    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
         q0, q1 = np.asarray(q0, np.float64), np.asarray(q1, np.float64)
         x = q0[:, None] + self.domain.difference(q1, q0)[:, None] * np.linspace(0, 1, _NUM_OF_MOTION)[:, None]
         free = self.is_free(x.reshape(-1, self.domain.dim)).reshape(x.shape[:2])

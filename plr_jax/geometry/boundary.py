@@ -30,7 +30,7 @@ _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter s
 _PREPARED = threading.local()
 Vertices: TypeAlias = Float[np.ndarray, "vertices 2"]
 Edges: TypeAlias = Int[np.ndarray, "edges 2"]
-Rows: TypeAlias = Int[np.ndarray, "m"]
+Rows: TypeAlias = Int[np.ndarray, " m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class Boundary:
     edges: Edges
     # *Sector* ``e`` is a range of directions into the region at the start of edge ``e``: from this edge
     # counterclockwise to the edge that arrives from vertex ``sector_end[e]``.
-    sector_end: Int[np.ndarray, "edges"]
+    sector_end: Int[np.ndarray, " edges"]
 
     @cached_property
     def segments(self) -> Float[np.ndarray, "edges 2 2"]:
@@ -52,7 +52,7 @@ class Boundary:
         return left_normal(self.segments[:, 1] - self.segments[:, 0])
 
     @cached_property
-    def offset(self) -> Float[np.ndarray, "edges"]:
+    def offset(self) -> Float[np.ndarray, " edges"]:
         return (self.normal * self.segments.sum(axis=1)).sum(axis=1) / 2
 
     @cached_property
@@ -77,7 +77,7 @@ class Boundary:
         along = shapely.line_locate_point(lines, points[point])
         return point, edge, shapely.get_coordinates(shapely.line_interpolate_point(lines, along))
 
-    def is_reflex(self) -> Bool[np.ndarray, "edges"]:
+    def is_reflex(self) -> Bool[np.ndarray, " edges"]:
         """Return whether the region's interior angle at the start of each edge is greater than pi."""
         corner = self.vertices[self.edges[:, 0]]
         to_start = self.vertices[self.edges[:, 1]] - corner
@@ -132,7 +132,7 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
 
 def match_boundary(
     vertices: Vertices, edges: Edges, old: Boundary
-) -> tuple[Int[np.ndarray, "old_vertices"], Int[np.ndarray, "old_edges"]]:
+) -> tuple[Int[np.ndarray, " old_vertices"], Int[np.ndarray, " old_edges"]]:
     """Return the index among ``vertices`` or ``edges`` of each vertex and edge of ``old``; -1 if it is gone."""
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
@@ -145,9 +145,9 @@ def vertices_near_edges(
     vertices: Vertices,
     edges: Edges,
     tolerance: float,
-    some_vertices: Int[np.ndarray, "some_vertices"],
-    some_edges: Int[np.ndarray, "some_edges"],
-) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]]:
+    some_vertices: Int[np.ndarray, " some_vertices"],
+    some_edges: Int[np.ndarray, " some_edges"],
+) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
     """Return pairs of ``some_vertices`` and ``some_edges`` within ``tolerance``, except an edge with its own ends."""
     segments = vertices[edges[some_edges]]
     some_vertices = some_vertices[boxes_near(vertices[some_vertices, None], segments, tolerance)]
@@ -163,7 +163,7 @@ def vertices_near_edges(
 
 def boxes_near(
     x: Float[np.ndarray, "n k 2"], others: Float[np.ndarray, "m l 2"], reach: float
-) -> Bool[np.ndarray, "n"]:
+) -> Bool[np.ndarray, " n"]:
     """Return whether the bounding box of the points ``x[i]`` is within ``reach`` of the box of all ``others``."""
     lo, hi = others.min(axis=(0, 1), initial=np.inf) - reach, others.max(axis=(0, 1), initial=-np.inf) + reach
     return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)

@@ -132,7 +132,7 @@ class Box:
         """Return the box translated by a vector ``(dim,)``."""
         return Box(self.lo + by, self.hi + by, self.periodic)
 
-    def contains(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def contains(self, x: ArrayLike) -> Bool[np.ndarray, " n"]:
         """Return whether points ``(n, dim)`` lie in the box: NaN never does, finite periodic coordinates do."""
         x = as_points("x", x, self.dim)
         inside = (self.lo <= x) & (x <= self.hi)
@@ -215,7 +215,7 @@ class Slice:
 
     domain: Box
     axes: tuple[int, int]
-    at: Float[np.ndarray, "dim"]
+    at: Float[np.ndarray, " dim"]
 
     @classmethod
     def of(cls, domain: Box, at: Mapping[int, float | int] | None) -> "Slice":

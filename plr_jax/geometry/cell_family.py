@@ -21,7 +21,7 @@ _PAIRS, _WALL_BOXES = 1 << 18, 1 << 11  # pairs of a sample and a corner, and bo
 _CANDIDATES = 1 << 14  # pairs of a piece and a source whose arrays stay in a core's cache
 _LEAST_SHARE = 1e-9  # free share of a box's area below which the box counts as an obstacle
 Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
-Indices: TypeAlias = Int[np.ndarray, "cells"]
+Indices: TypeAlias = Int[np.ndarray, " cells"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,13 +29,13 @@ class FamilySamples:
     """A sample point of each box that is not blocked, and the corners where paths from the sample may turn first."""
 
     x: Corners  # center of each box, or of its largest free convex piece if a wall meets it; NaN if nothing is free
-    weight: Float[np.ndarray, "boxes"]  # free share of each box's area; 0 without a sample
-    sampled: Int[np.ndarray, "sampled"]  # boxes that have a sample
+    weight: Float[np.ndarray, " boxes"]  # free share of each box's area; 0 without a sample
+    sampled: Int[np.ndarray, " sampled"]  # boxes that have a sample
     placed: Float[np.ndarray, "sampled 2"]  # samples of these boxes, rounded and moved out of walls
-    box: Int[np.ndarray, "seeing"]  # boxes whose samples see corners
-    first: Int[np.ndarray, "seeing"]  # the corners of box[i] begin at corner[first[i]]
-    corner: Int[np.ndarray, "pairs"]
-    length: Float[np.ndarray, "pairs"]  # distance from the sample to each of these corners
+    box: Int[np.ndarray, " seeing"]  # boxes whose samples see corners
+    first: Int[np.ndarray, " seeing"]  # the corners of box[i] begin at corner[first[i]]
+    corner: Int[np.ndarray, " pairs"]
+    length: Float[np.ndarray, " pairs"]  # distance from the sample to each of these corners
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilySamples":
@@ -80,8 +80,8 @@ class FamilySamples:
         return FamilySamples(x, weight, sampled, places.x, box, first, corner.astype(np.int32), length)
 
     def first_turns(
-        self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, "corners"]
-    ) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
+        self, goal: Float[np.ndarray, "2"], view: VisibilityTable, corner_distances: Float[np.ndarray, " corners"]
+    ) -> tuple[Float[np.ndarray, " boxes"], Int[np.ndarray, " boxes"]]:
         # ``vertex``: 1 + the index of the corner where the path turns first; 0: straight; -1: no path.
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         if len(self.first):
@@ -106,11 +106,11 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
 class FamilyCells:
     sight: Sight  # for any goal
     lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`
-    first_piece: Int[np.ndarray, "boxes_plus_one"]
+    first_piece: Int[np.ndarray, " boxes_plus_one"]
     pieces: Pieces  # the convex parts of the free space in each box
-    triangle: Int[np.ndarray, "pieces"]  # that contains each piece; -1 for a box that no wall reaches into
+    triangle: Int[np.ndarray, " pieces"]  # that contains each piece; -1 for a box that no wall reaches into
     center: Float[np.ndarray, "pieces 2"]  # a point inside each piece
-    first_part: Int[np.ndarray, "pieces_plus_one"]
+    first_part: Int[np.ndarray, " pieces_plus_one"]
     part: Int[np.ndarray, "parts"]  # the triangles part[first_part[i] : first_part[i + 1]] cover piece i
 
     @staticmethod

@@ -36,11 +36,11 @@ from plr_jax.geometry.visibility import VisibilityTable, triangles_within
 
 _CHUNK = 1 << 16  # pairs of a piece and a source tested at a time
 _OF_PIECES = "cell", "triangle", "center", "distance", "best"  # fields of `CellSources` with one row per piece
-OfPieces: TypeAlias = Bool[np.ndarray, "pieces"]
-Indices: TypeAlias = Int[np.ndarray, "pieces"]
-Rows: TypeAlias = Int[np.ndarray, "cells"]
+OfPieces: TypeAlias = Bool[np.ndarray, " pieces"]
+Indices: TypeAlias = Int[np.ndarray, " pieces"]
+Rows: TypeAlias = Int[np.ndarray, " cells"]
 Corners: TypeAlias = Float[np.ndarray, "cells 2"]
-Entries: TypeAlias = Int[np.ndarray, "entries"]
+Entries: TypeAlias = Int[np.ndarray, " entries"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +48,10 @@ class Shadows:
     """Segments across which visibility from viewpoints changes: on rays past corners, from the corner to a wall."""
 
     table: VisibilityTable
-    key: Float[np.ndarray, "shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
+    key: Float[np.ndarray, " shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
     unit: Float[np.ndarray, "shadows 2"]  # direction
-    start: Float[np.ndarray, "shadows"]  # distance from the viewpoint
-    end: Float[np.ndarray, "shadows"]
+    start: Float[np.ndarray, " shadows"]  # distance from the viewpoint
+    end: Float[np.ndarray, " shadows"]
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
@@ -139,8 +139,8 @@ class Sight:
     """The goals and corners to which shortest paths may go first, and data to test this for a convex piece."""
 
     sources: Sources
-    view: Int[np.ndarray, "sources"]  # index of each source in the visibility table
-    turn: Int[np.ndarray, "sources"]  # its index in turns, -1 for a goal
+    view: Int[np.ndarray, " sources"]  # index of each source in the visibility table
+    turn: Int[np.ndarray, " sources"]  # its index in turns, -1 for a goal
     shadows: Shadows
     turns: TurnPoints
     triangulation: Triangulation
@@ -177,11 +177,11 @@ class CellSources:
     pieces: Pieces
     triangle: Indices  # that contains each piece; -1 for a box that no wall reaches into
     center: Vectors  # a point inside each piece
-    distance: Float[np.ndarray, "pieces"]  # of each center to the goal, or an upper bound; inf if not computed
+    distance: Float[np.ndarray, " pieces"]  # of each center to the goal, or an upper bound; inf if not computed
     best: Indices  # source to which the shortest path from each center goes first, or one near it; 0 if not computed
-    piece: Int[np.ndarray, "pairs"]  # ascending
-    source: Int[np.ndarray, "pairs"]
-    by_all: Bool[np.ndarray, "pairs"]  # whether every point of the pair's piece is known to see its source
+    piece: Int[np.ndarray, " pairs"]  # ascending
+    source: Int[np.ndarray, " pairs"]
+    by_all: Bool[np.ndarray, " pairs"]  # whether every point of the pair's piece is known to see its source
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
@@ -208,35 +208,35 @@ class CellSources:
     def sources(self) -> Sources:
         return self.sight.sources
 
-    def hold(self, piece: Int[np.ndarray, "n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
+    def hold(self, piece: Int[np.ndarray, " n"], points: Float[np.ndarray, "n k 2"]) -> Bool[np.ndarray, "n k"]:
         return contain(self.pieces[:, piece], points, self.sight.triangulation.tolerance)
 
-    def see(self, source: Int[np.ndarray, "n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    def see(self, source: Int[np.ndarray, " n"], points: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         return self.sight.shadows.table.sees(self.sight.view[source], points)
 
-    def pieces_as_cells(self, rows: Int[np.ndarray, "some"]) -> Self:
+    def pieces_as_cells(self, rows: Int[np.ndarray, " some"]) -> Self:
         return replace(self.of_pieces(rows), num_cells=len(rows), cell=np.arange(len(rows)))
 
     @cached_property
-    def first_piece(self) -> Int[np.ndarray, "cells_plus_one"]:
+    def first_piece(self) -> Int[np.ndarray, " cells_plus_one"]:
         return np.searchsorted(self.cell, np.arange(self.num_cells + 1))
 
     @cached_property
-    def first_pair(self) -> Int[np.ndarray, "pieces_plus_one"]:
+    def first_pair(self) -> Int[np.ndarray, " pieces_plus_one"]:
         return np.searchsorted(self.piece, np.arange(len(self.cell) + 1))
 
-    def of_cells(self, cells: Int[np.ndarray, "some"]) -> Self:
+    def of_cells(self, cells: Int[np.ndarray, " some"]) -> Self:
         rows, cell = take_ragged(self.first_piece, cells)
         return replace(self.of_pieces(rows), num_cells=len(cells), cell=cell)
 
-    def of_pieces(self, rows: Int[np.ndarray, "some"]) -> Self:
+    def of_pieces(self, rows: Int[np.ndarray, " some"]) -> Self:
         if len(rows) == len(self.cell) and (rows == np.arange(len(rows))).all():
             return self
         pairs, piece = take_ragged(self.first_pair, rows)
         columns = {name: getattr(self, name)[rows] for name in _OF_PIECES}
         return replace(self.of_pairs(pairs), pieces=self.pieces[:, rows], piece=piece, **columns)
 
-    def of_pairs(self, pairs: Int[np.ndarray, "some"] | Bool[np.ndarray, "pairs"]) -> Self:
+    def of_pairs(self, pairs: Int[np.ndarray, " some"] | Bool[np.ndarray, " pairs"]) -> Self:
         return replace(self, piece=self.piece[pairs], source=self.source[pairs], by_all=self.by_all[pairs])
 
     def append(self, *others: Self) -> Self:
@@ -248,7 +248,7 @@ class CellSources:
             columns[name] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(getattr(each, name)) for each in several])
         return replace(self, num_cells=sum(each.num_cells for each in several), pieces=pieces, **columns)
 
-    def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, "cells"], lo: Corners, hi: Corners) -> Self:
+    def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, " cells"], lo: Corners, hi: Corners) -> Self:
         # Part ``i`` is the box ``lo[i]`` to ``hi[i]``, on one side of a cut of cell ``parent[i]`` across ``axis[i]``.
         rows, cell = take_ragged(self.first_piece, parent)
         along, upper = axis[cell], is_upper[cell]
@@ -309,7 +309,7 @@ class CellSources:
         keep |= (np.bincount(found.piece[keep], minlength=len(changed)) == 0)[found.piece]
         return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
-    def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, "pairs"]) -> Self:
+    def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, " pairs"]) -> Self:
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
         piece, source = self.piece[pairs], self.source[pairs]
@@ -362,7 +362,7 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     return Sight(sources, turns.vertex >> 1, turns.vertex, shadows, turns, triangulation, False)
 
 
-def corners_of_cells(found: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, "entries"]]:
+def corners_of_cells(found: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:
     """Return pairs (cell, corner where paths from it may turn first), and whether all of the cell sees the corner."""
     # The sources of the pieces are entries of ``turns_by_side``.
     count = np.int64(len(found.sight.turns.points) // 2)

@@ -24,7 +24,7 @@ from plr_jax.geometry.visibility import Viewpoints, VisibilityTable, visibility_
 from plr_jax.geometry.workspace import Workspace
 
 _TURN = 4.0  # a full turn as a pseudo-angle
-Indices: TypeAlias = Int[np.ndarray, "_"]
+Indices: TypeAlias = Int[np.ndarray, " _"]
 GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a goal, and corners that it may see
 
 
@@ -32,15 +32,15 @@ GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a
 class Change:
     old: Boundary
     new: Boundary
-    vertex: Int[np.ndarray, "old_vertices"]  # new index of each old vertex; -1 if it is gone
-    edge: Int[np.ndarray, "old_edges"]  # new index of each old edge; -1 if it is gone
+    vertex: Int[np.ndarray, " old_vertices"]  # new index of each old vertex; -1 if it is gone
+    edge: Int[np.ndarray, " old_edges"]  # new index of each old edge; -1 if it is gone
 
     @staticmethod
     def between(old: Boundary, new: Boundary) -> "Change":
         return Change(old, new, *match_boundary(new.vertices, new.edges, old))
 
     @cached_property
-    def is_new(self) -> Bool[np.ndarray, "new_edges"]:
+    def is_new(self) -> Bool[np.ndarray, " new_edges"]:
         is_new = np.ones(len(self.new.edges), bool)
         is_new[self.edge[self.edge >= 0]] = False
         return is_new
@@ -162,7 +162,7 @@ def changed_visibility(
     return CornerVisibility(corners, views, table, np.stack(np.divmod(keys, size), axis=1)), new
 
 
-def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, "views"]:
+def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, " views"]:
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True
@@ -173,8 +173,8 @@ def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, 
 
 
 def may_see_polygons(
-    table: VisibilityTable, view: Int[np.ndarray, "n"], hull: Float[np.ndarray, "*n k 2"]
-) -> Bool[np.ndarray, "n"]:
+    table: VisibilityTable, view: Int[np.ndarray, " n"], hull: Float[np.ndarray, "*n k 2"]
+) -> Bool[np.ndarray, " n"]:
     """Return whether viewpoint ``view[i]`` may see convex polygon ``hull[i]``; False only if closer walls hide it."""
     hull = np.broadcast_to(hull, (len(view), *hull.shape[-2:]))
     away = hull - table.points[view, None]

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 Pieces: TypeAlias = Float[np.ndarray, "2 pieces corners"]
-Numbers: TypeAlias = Float[np.ndarray, "pieces"]
+Numbers: TypeAlias = Float[np.ndarray, " pieces"]
 Vectors: TypeAlias = Float[np.ndarray, "pieces 2"]
 Extremes: TypeAlias = tuple[Numbers, Numbers]
 Values: TypeAlias = Float[np.ndarray, "pieces corners"]
 Corners: TypeAlias = Float[np.ndarray, "n 2"]
-Some: TypeAlias = Int[np.ndarray, "some"]
+Some: TypeAlias = Int[np.ndarray, " some"]
 _BOXES_AND_PIECES = 1 << 22  # pairs of a box and a piece that are compared at a time
 _CORNERS_OF_BOX = 4  # most pieces are boxes, which are processed apart from pieces with more corners
 _AT_ONCE = 1 << 11  # pieces processed at a time, so that their arrays stay in a core's cache

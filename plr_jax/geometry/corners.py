@@ -70,7 +70,7 @@ class CornerVisibility:
     edges: Int[np.ndarray, "edges 2"]  # of the visibility graph, without a goal
 
     @cached_property
-    def of_vertex(self) -> Int[np.ndarray, "vertices"]:
+    def of_vertex(self) -> Int[np.ndarray, " vertices"]:
         return corner_of_vertex(self.table.boundary, self.views)
 
 
@@ -83,7 +83,7 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
 
 
 def mutually_visible_pairs(
-    corners: ReflexCorners, view: Int[np.ndarray, "pairs"], seen: Int[np.ndarray, "pairs"]
+    corners: ReflexCorners, view: Int[np.ndarray, " pairs"], seen: Int[np.ndarray, " pairs"]
 ) -> Int[np.ndarray, "edges 2"]:
     """Return pairs of corners that see one another along a line tangent to the walls at one of them or both."""
     # Corner ``view[i]`` sees corner ``seen[i]``.
@@ -96,14 +96,14 @@ def mutually_visible_pairs(
     return np.stack(np.divmod(both, size), axis=1)
 
 
-def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, "vertices"]:
+def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, " vertices"]:
     """Return the index in ``views`` of the corner at each boundary vertex; -1 if paths cannot turn there."""
     corner = np.full(len(boundary.vertices), -1)
     corner[boundary.edges[views.edge, 0]] = views.owner
     return corner
 
 
-def _sorted_unique(keys: Int[np.ndarray, "n"]) -> Int[np.ndarray, "distinct"]:
+def _sorted_unique(keys: Int[np.ndarray, " n"]) -> Int[np.ndarray, " distinct"]:
     keys = np.sort(keys)  # faster than the hashing of ``np.unique`` if most keys are distinct
     return keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
 
@@ -116,9 +116,9 @@ class TurnPoints:
     that path and the nearer wall at the corner. A path from a point outside the cone could be shortened.
     """
 
-    vertex: Int[np.ndarray, "turns"]  # index of each corner in a list of goals, then corners
+    vertex: Int[np.ndarray, " turns"]  # index of each corner in a list of goals, then corners
     points: Float[np.ndarray, "turns 2"]
-    distance: Float[np.ndarray, "turns"]  # from each corner to the goal
+    distance: Float[np.ndarray, " turns"]  # from each corner to the goal
     normal: Float[np.ndarray, "2 turns 2"]  # inward normals of the two sides of each cone; 0 if it is the whole plane
     slack: float  # points up to this far outside a cone count as inside
 
@@ -148,8 +148,8 @@ class TurnPoints:
 
 def find_turn_points(
     vertices: ReflexCorners,
-    distances: Float[np.ndarray, "vertices"],
-    parents: Int[np.ndarray, "vertices"],
+    distances: Float[np.ndarray, " vertices"],
+    parents: Int[np.ndarray, " vertices"],
     num_goals: int = 1,
 ) -> TurnPoints:
     """Return the corners at which shortest paths may first turn; ``vertices`` are goals, then corners."""
@@ -178,8 +178,8 @@ class TurnRegions:
 
     turns: TurnPoints
     triangulation: Triangulation
-    first: Int[np.ndarray, "triangles_plus_one"]
-    turn: Int[np.ndarray, "entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
+    first: Int[np.ndarray, " triangles_plus_one"]
+    turn: Int[np.ndarray, " entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
@@ -211,7 +211,7 @@ def views_by_triangle(triangulation: Triangulation, visits: Int[np.ndarray, "2 v
 
 def triangles_at(
     triangulation: Triangulation, places: LocatedPoints
-) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points_plus_one"], Int[np.ndarray, "pairs"]]:
+) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, " points_plus_one"], Int[np.ndarray, " pairs"]]:
     # Points at vertices are left out. Those in the result have the triangles ``[first[i] : first[i + 1]]``.
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3

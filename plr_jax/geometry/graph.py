@@ -17,18 +17,20 @@ if TYPE_CHECKING:
 
 _CHUNK = 1 << 18  # lengths computed at a time
 # A visibility test of points and candidates for the first vertex of a path from each, both by index.
-Sees: TypeAlias = Callable[[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
-FirstVisible: TypeAlias = tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]  # candidates, -1 for none; path lengths
+Sees: TypeAlias = Callable[[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]], Bool[np.ndarray, " pairs"]]
+FirstVisible: TypeAlias = tuple[
+    Int[np.ndarray, " n"], Float[np.ndarray, " n"]
+]  # candidates, -1 for none; path lengths
 
 
 @dataclass(frozen=True, eq=False)
 class Graph:
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]  # each edge once
-    measure: Callable[[Points, Points], Float[np.ndarray, "e"]] | None = None  # lengths of edges; None: Euclidean
+    measure: Callable[[Points, Points], Float[np.ndarray, " e"]] | None = None  # lengths of edges; None: Euclidean
 
     @cached_property
-    def lengths(self) -> Float[np.ndarray, "e"]:
+    def lengths(self) -> Float[np.ndarray, " e"]:
         start, end = (self.vertices[ends] for ends in self.edges.T)
         return np.linalg.norm(end - start, axis=1) if self.measure is None else self.measure(start, end)
 
@@ -52,14 +54,14 @@ class Graph:
 
 
 def dijkstra(
-    graph: Graph, source: int | Int[np.ndarray, "sources"]
-) -> tuple[Float[np.ndarray, "v"], Int[np.ndarray, "v"]]:
+    graph: Graph, source: int | Int[np.ndarray, " sources"]
+) -> tuple[Float[np.ndarray, " v"], Int[np.ndarray, " v"]]:
     """Return each vertex's distance from the nearest source (``inf``: no path) and predecessor (negative: none)."""
     several = np.ndim(source) > 0
     return sparse_graphs.dijkstra(graph.adjacency, indices=source, return_predecessors=True, min_only=several)[:2]
 
 
-def path_to_root(graph: Graph, parents: Int[np.ndarray, "v"], start: Float[np.ndarray, "dim"], vertex: int) -> Points:
+def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.ndarray, " d"], vertex: int) -> Points:
     """Return the path from ``start`` straight to ``vertex``, then along ``parents`` to the root; no point repeats."""
     vertices = [vertex]
     while (parent := int(parents[vertices[-1]])) >= 0:
@@ -117,7 +119,7 @@ def first_visible_in_parts(
 
 
 def first_visible_ragged(
-    lengths: Float[np.ndarray, "pairs"], counts: Int[np.ndarray, "n"], sees: Sees
+    lengths: Float[np.ndarray, " pairs"], counts: Int[np.ndarray, " n"], sees: Sees
 ) -> FirstVisible:
     """Return, for each point, the index of the shortest visible path in ``lengths`` (-1: none), and its length.
 

@@ -29,7 +29,7 @@ _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
 _ALL_AROUND = np.ones((3, 3), dtype=bool)
 CLEARANCE = 0.25  # pixels that links without a common end keep from one another
-Indices: TypeAlias = Int[np.ndarray, "m"]
+Indices: TypeAlias = Int[np.ndarray, " m"]
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
 
 
@@ -38,8 +38,8 @@ class PixelRings:
     """Outlines of areas of free pixels, as closed rings of corners with the free pixels on the left."""
 
     points: Float[np.ndarray, "n 2"]  # corners of ring r: points[start[r] : start[r + 1]]
-    start: Int[np.ndarray, "rings_and_1"]
-    is_contact: Bool[np.ndarray, "n"]  # whether two rings meet at a corner, or one ring twice, between free pixels
+    start: Int[np.ndarray, " rings_and_1"]
+    is_contact: Bool[np.ndarray, " n"]  # whether two rings meet at a corner, or one ring twice, between free pixels
 
 
 def pixel_rings(free: Mask) -> PixelRings:
@@ -89,9 +89,9 @@ def pixel_rings(free: Mask) -> PixelRings:
 @dataclass(frozen=True, eq=False)
 class _Stations:
     points: Float[np.ndarray, "n 2"]  # corners and some middles of edges of outlines
-    ring: Int[np.ndarray, "n"]  # the outline of each point; its first corner is repeated as its last point
-    is_corner: Bool[np.ndarray, "n"]
-    end: Int[np.ndarray, "n"]  # the next point that a segment must not pass: a contact, or the last one of the ring
+    ring: Int[np.ndarray, " n"]  # the outline of each point; its first corner is repeated as its last point
+    is_corner: Bool[np.ndarray, " n"]
+    end: Int[np.ndarray, " n"]  # the next point that a segment must not pass: a contact, or the last one of the ring
 
 
 def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
@@ -120,7 +120,7 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
     return PixelRings(stations.points[index], np.append(0, np.cumsum(count)), is_contact[index])
 
 
-def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]]:
+def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"]]:
     # The second result says whether two outlines, or one twice, meet at a station.
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
     ring, place = ragged_indices(size)
@@ -155,7 +155,7 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, "n"]
     return _Stations(points[kept], ring_of[kept], is_corner[kept], number[end[kept]]), is_contact[kept]
 
 
-def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
+def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
     # The result is the farthest later station to which a link from each station may go.
     # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
     # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
@@ -186,13 +186,13 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, "n"]:
     return farthest
 
 
-def _links(stations: _Stations, is_kept: Bool[np.ndarray, "n"]) -> tuple[Indices, Indices]:
+def _links(stations: _Stations, is_kept: Bool[np.ndarray, " n"]) -> tuple[Indices, Indices]:
     kept = np.flatnonzero(is_kept)
     joined = stations.ring[kept[1:]] == stations.ring[kept[:-1]]
     return kept[:-1][joined], kept[1:][joined]
 
 
-def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: float | int) -> Bool[np.ndarray, "m"]:
+def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, " n"], tolerance: float | int) -> Bool[np.ndarray, " m"]:
     first, last = _links(stations, is_kept)
     num_corners = np.append(0, np.cumsum(stations.is_corner))
     is_inexact = num_corners[last] > num_corners[first + 1]
@@ -202,7 +202,7 @@ def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, "n"], tolerance: fl
     return is_inexact & near
 
 
-def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
+def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, " m"]:
     """Return which segments come within ``CLEARANCE`` pixels of another segment, elsewhere than at a common end."""
     lines: Any = shapely.linestrings(links)
     a, b = shapely.STRtree(lines).query(lines, predicate="dwithin", distance=CLEARANCE)
@@ -218,7 +218,7 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, "m"]:
     return np.isin(np.arange(len(links)), [a[is_bad], b[is_bad]])
 
 
-def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, "m"]:
+def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.ndarray, " m"]:
     """Return which segments enclose another outline, together with the part of their outline that they replace."""
     owner, place = ragged_indices(last - first + 1)
     between: Any = shapely.polygons(shapely.linearrings(stations.points[first[owner] + place], indices=owner))
@@ -318,7 +318,7 @@ def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> I
     return found[0]
 
 
-def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
+def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, " loops"]]:
     """Split rings where they touch themselves; return Shapely rings, and for each the index of its original."""
     order, ring = np.arange(len(rings.points)), np.repeat(np.arange(len(rings.start) - 1), np.diff(rings.start))
     loop = ring.copy()
@@ -336,7 +336,7 @@ def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, "loops"]]:
     return loops, ring_of
 
 
-def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, "n"]) -> list[list[int]]:
+def _loops_of(points: Float[np.ndarray, "n 2"], is_contact: Bool[np.ndarray, " n"]) -> list[list[int]]:
     """Split a ring at corners that it passes twice, where free pixels touch; return each loop's point indices."""
     loops, path, place = [], [], {}
     for i, (point, meets) in enumerate(zip(map(tuple, points.tolist()), is_contact.tolist(), strict=True)):

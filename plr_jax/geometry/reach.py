@@ -17,7 +17,7 @@ _GROWN = 2.0**-21  # share of the domain by which rounding may place points outs
 _SHRUNK = 1e-9  # share of the domain by which boxes are shrunk, so that they do not meet what only touches them
 _NUM_BOXES = 1024  # about so many equal boxes show which share of free space is cut off
 Fractions: TypeAlias = Float[np.ndarray, "boxes dim"]
-BoxTest: TypeAlias = Callable[[Fractions, Fractions], Bool[np.ndarray, "boxes"]]
+BoxTest: TypeAlias = Callable[[Fractions, Fractions], Bool[np.ndarray, " boxes"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +34,19 @@ class Reach:
     cut_off: BoxTest
     far: BoxTest
 
-    def is_cut_off(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
+    def is_cut_off(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
         """Return whether boxes hold cut-off points, and no point that reaches the goal, not even by rounding."""
         found = self.cut_off(lo + _SHRUNK, hi - _SHRUNK)
         found[found] = ~self.reached(lo[found] - _GROWN, hi[found] + _GROWN)
         return found
 
-    def is_border(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
+    def is_border(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
         """Return whether boxes hold points that reach the goal, and cut-off points far from all such points."""
         found = self.far(lo + _SHRUNK, hi - _SHRUNK) & (np.linalg.norm(hi - lo, axis=1) > FAR)
         found[found] = self.reached(lo[found] - _GROWN, hi[found] + _GROWN)
         return found
 
-    def holds_reached(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
+    def holds_reached(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
         """Return whether points inside of boxes reach the goal."""
         return self.reached(lo + _SHRUNK, hi - _SHRUNK)
 

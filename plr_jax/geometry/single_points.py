@@ -27,7 +27,7 @@ class Place(NamedTuple):
     triangle: int
     beyond: int  # the triangle across a side if the point lies on that side, else `triangle`
 
-    def take(self, first: Int[np.ndarray, "_"], entries: Int[np.ndarray, "_"]) -> Int[np.ndarray, "_"]:
+    def take(self, first: Int[np.ndarray, " _"], entries: Int[np.ndarray, " _"]) -> Int[np.ndarray, " _"]:
         """Join the lists of the triangles ``t`` that contain the point: ``entries[first[t] : first[t + 1]]``."""
         own = entries[first[self.triangle] : first[self.triangle + 1]]
         if self.beyond == self.triangle:

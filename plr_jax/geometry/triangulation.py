@@ -19,13 +19,13 @@ from plr_jax.geometry.boundary import Boundary, Edges, grid_at
 from plr_jax.geometry.vectors import cross_product, left_normal, orientation
 
 Triangles: TypeAlias = Int[np.ndarray, "triangles 3"]
-HalfEdges: TypeAlias = Int[np.ndarray, "half_edges"]
+HalfEdges: TypeAlias = Int[np.ndarray, " half_edges"]
 _FEW = 4  # up to so many points, searching all triangles is faster than building a locator
 _MOST_STEPS = 100  # limit of the walk from triangle to triangle; one or two steps are usual
 _STEPS_INSIDE = 0, 1, 2, 4  # grid spacings by which a point on a wall is moved inside until a triangle contains it
 _BITS = 46  # bits of integer coordinates: they resolve the grid to which a workspace rounds
 # ``(first, entries)``: the entries of triangle ``t`` are ``entries[first[t] : first[t + 1]]``.
-TriangleLists: TypeAlias = tuple[Int[np.ndarray, "triangles_plus_one"], Int[np.ndarray, "entries"]]
+TriangleLists: TypeAlias = tuple[Int[np.ndarray, " triangles_plus_one"], Int[np.ndarray, " entries"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +35,11 @@ class Locator:
     lo: Float[np.ndarray, "2"]
     width: Float[np.ndarray, "2"]
     shape: tuple[int, int]
-    first: Int[np.ndarray, "cells_plus_one"]
-    triangle: Int[np.ndarray, "entries"]
+    first: Int[np.ndarray, " cells_plus_one"]
+    triangle: Int[np.ndarray, " entries"]
     lines: Float[np.ndarray, "triangles 3 3"]  # inward unit normal of each side, and distance of its line from 0
 
-    def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    def find(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Return each point's triangle, or a nearby one (-1: none), and its signed distance to the nearest side."""
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
@@ -61,10 +61,10 @@ class Locator:
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
     x: Float[np.ndarray, "n 2"]  # rounded to the grid
-    triangle: Int[np.ndarray, "n"]  # that contains each point
+    triangle: Int[np.ndarray, " n"]  # that contains each point
     on_side: Bool[np.ndarray, "n 3"]  # whether the point lies on each side of its triangle
 
-    def __getitem__(self, rows: Int[np.ndarray, "some"] | Bool[np.ndarray, "n"] | slice) -> "LocatedPoints":
+    def __getitem__(self, rows: Int[np.ndarray, " some"] | Bool[np.ndarray, " n"] | slice) -> "LocatedPoints":
         return LocatedPoints(self.x[rows], self.triangle[rows], self.on_side[rows])
 
 
@@ -79,7 +79,7 @@ class Triangulation:
     wall: HalfEdges  # the edge of the boundary along each half-edge, -1 inside the region
 
     @cached_property
-    def of_wall(self) -> Int[np.ndarray, "edges"]:
+    def of_wall(self) -> Int[np.ndarray, " edges"]:
         half_edges = np.empty(len(self.boundary.edges), np.int32)
         is_wall = np.flatnonzero(self.wall >= 0)
         half_edges[self.wall[is_wall]] = is_wall
@@ -113,8 +113,8 @@ class Triangulation:
         return self.grid * np.rint(x / self.grid)
 
     def locate(
-        self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, "n"] | None = None
-    ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
+        self, x: Float[np.ndarray, "n 2"], triangle: Int[np.ndarray, " n"] | None = None
+    ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
         """Return each point's triangle and the point's side of its edges (inside: 1); ``triangle``: a first guess."""
         # Points are multiples of ``grid``. A point outside the region gets a nearby triangle, and a sign of -1. Walks
         # through the triangles begin at ``triangle``, if given.
@@ -169,7 +169,7 @@ class Triangulation:
 
     def are_joined(
         self, a: LocatedPoints, b: LocatedPoints, tolerance: float, squeeze: bool
-    ) -> Bool[np.ndarray, "n"]:
+    ) -> Bool[np.ndarray, " n"]:
         """Return whether a free path within ``tolerance`` of the segment from ``a`` to ``b`` joins the two points."""
         # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts:
         # without ``squeeze``, only around contacts at which the segment begins or ends.
@@ -204,12 +204,12 @@ class Triangulation:
         return self.boundary.vertices[self.origin].reshape(-1, 3, 2)
 
 
-def next_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+def next_half_edge(half_edge: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     """Return the next half-edge, counterclockwise, of the same triangle."""
     return half_edge + np.where(half_edge % 3 == 2, -2, 1).astype(half_edge.dtype)
 
 
-def previous_half_edge(half_edge: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+def previous_half_edge(half_edge: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     return half_edge + np.where(half_edge % 3 == 0, 2, -1).astype(half_edge.dtype)
 
 
@@ -244,7 +244,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     return Triangulation(boundary, tolerance, *_inside(boundary.edges, triangles, len(vertices)))
 
 
-def _keys(edges: Int[np.ndarray, "n 2"], num_vertices: int) -> Int[np.ndarray, "n"]:
+def _keys(edges: Int[np.ndarray, "n 2"], num_vertices: int) -> Int[np.ndarray, " n"]:
     return edges[:, 0].astype(np.int64) * num_vertices + edges[:, 1]
 
 

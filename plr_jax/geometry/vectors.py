@@ -30,7 +30,7 @@ def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Batch:
     return result
 
 
-def _product_error(a: Float[np.ndarray, "n"], b: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+def _product_error(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     high_a, high_b = (_SPLIT * each - (_SPLIT * each - each) for each in (a, b))
     low_a, low_b = a - high_a, b - high_b
     return low_a * low_b - (((a * b - high_a * high_b) - low_a * high_b) - high_a * low_b)

@@ -26,8 +26,8 @@ _BLUR = 1e-14  # rounding error of a pseudo-angle, with a margin
 _NARROW = 1e-3  # radians: a gap between sectors must be wider to hold a cut
 Vectors: TypeAlias = Float[np.ndarray, "views 2"]
 Rays: TypeAlias = Float[np.ndarray, "2 n"]
-Indices: TypeAlias = Int[np.ndarray, "n"]
-Numbers: TypeAlias = Float[np.ndarray, "n"]
+Indices: TypeAlias = Int[np.ndarray, " n"]
+Numbers: TypeAlias = Float[np.ndarray, " n"]
 Points: TypeAlias = Float[np.ndarray, "n 2"]
 Seen: TypeAlias = Int[np.ndarray, "2 pairs"]  # pairs (viewpoint, vertex)
 Visits: TypeAlias = Int[np.ndarray, "2 visits"]  # pairs (viewpoint, triangle)
@@ -38,10 +38,10 @@ class Viewpoints:
     """Points that look in all directions or, on walls, only into *sectors*, directions between two walls."""
 
     points: Vectors
-    owner: Int[np.ndarray, "sectors"]  # the point to which each sector belongs: at the start of its edge, or inside
-    edge: Int[np.ndarray, "sectors"]  # the boundary edge at the right of each sector
+    owner: Int[np.ndarray, " sectors"]  # the point to which each sector belongs: at the start of its edge, or inside
+    edge: Int[np.ndarray, " sectors"]  # the boundary edge at the right of each sector
 
-    def __getitem__(self, rows: slice | Int[np.ndarray, "some"]) -> "Viewpoints":
+    def __getitem__(self, rows: slice | Int[np.ndarray, " some"]) -> "Viewpoints":
         place = np.full(len(self.points), -1)
         place[rows] = np.arange(len(place[rows]))
         kept = place[self.owner] >= 0
@@ -54,10 +54,10 @@ class Viewpoints:
     def closes(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
         return boundary.vertices[self.closing(boundary)] - self.points[self.owner]
 
-    def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, "sectors"]:
+    def at_vertex(self, boundary: Boundary) -> Bool[np.ndarray, " sectors"]:
         return (boundary.vertices[boundary.edges[self.edge, 0]] == self.points[self.owner]).all(axis=1)
 
-    def closing(self, boundary: Boundary) -> Int[np.ndarray, "sectors"]:
+    def closing(self, boundary: Boundary) -> Int[np.ndarray, " sectors"]:
         """Return the vertex at the far end of each sector's left wall (sector: directions between two walls)."""
         return np.where(self.at_vertex(boundary), boundary.sector_end[self.edge], boundary.edges[self.edge, 0])
 
@@ -89,7 +89,7 @@ class _Cones:
         of = self.view[rows], self.half_edge[rows], self.vertex[rows]
         return _Cones(*of, self.right[:, rows], self.left[:, rows])
 
-    def take(self, rows: Int[np.ndarray, "some"]) -> "_Cones":
+    def take(self, rows: Int[np.ndarray, " some"]) -> "_Cones":
         of = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)  # faster than indexing
         return _Cones(*of, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
 
@@ -116,7 +116,7 @@ def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vec
     return np.concatenate(visited, axis=1)
 
 
-def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, "n"]:
+def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, " n"]:
     return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
 
 
@@ -181,17 +181,17 @@ class VisibilityTable:
     tolerance: float  # of the workspace; vertices, viewpoints and query points lie on its grid
     points: Vectors
     cut: Vectors  # unit vector, away from all visible vertices, from which pseudo-angles in [0, 4] are measured
-    first: Int[np.ndarray, "views+1"]  # intervals first[v] to first[v + 1] are those of viewpoint v
-    key: Float[np.ndarray, "intervals"]  # 4 v plus the pseudo-angle at which an interval starts, ascending
-    edge: Int[np.ndarray, "intervals"]  # nearest boundary edge; -1 where the viewpoint does not look
-    vertex: Int[np.ndarray, "intervals"]  # in the direction at which an interval starts; -1 at the cut
+    first: Int[np.ndarray, " views+1"]  # intervals first[v] to first[v + 1] are those of viewpoint v
+    key: Float[np.ndarray, " intervals"]  # 4 v plus the pseudo-angle at which an interval starts, ascending
+    edge: Int[np.ndarray, " intervals"]  # nearest boundary edge; -1 where the viewpoint does not look
+    vertex: Int[np.ndarray, " intervals"]  # in the direction at which an interval starts; -1 at the cut
 
     @property
     def blur(self) -> float:
         """Upper bound of the rounding errors in ``key``, whose numbers stand for directions."""
         return _BLUR + np.spacing(8.0 * len(self.points))
 
-    def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, "n"]:
+    def sees(self, v: Indices, x: Points) -> Bool[np.ndarray, " n"]:
         """Return whether viewpoint ``v[i]`` sees ``x[i]``; corners that touch the line on both sides block it."""
         grid = grid_at(self.tolerance)
         x = grid * np.rint(x / grid)
@@ -222,7 +222,7 @@ class VisibilityTable:
         side[near] = orientation(*(start - self.points[v[near]]).T, *(x[near] - self.points[v[near]]).T)
         return side
 
-    def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, "n"]:
+    def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]

@@ -81,8 +81,8 @@ class VoxelGrid:
         return np.stack(below), np.stack(above)
 
     def numbers_along(
-        self, axis: int, x: Float[np.ndarray, "n"]
-    ) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+        self, axis: int, x: Float[np.ndarray, " n"]
+    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
         faces = self.faces[axis]
         guess = np.clip((x - faces[1]) / self.sides[axis] + 1, 0, len(faces) - 2).astype(np.int64)
         guess -= x < faces[guess]
@@ -93,7 +93,7 @@ class VoxelGrid:
     def _blocked(self) -> "Sums":
         return Sums.of(~self.padded)
 
-    def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
+    def num_blocked(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
         """Count blocked voxels in ranges from ``first`` to ``last`` along every axis; 0 if ``last < first``."""
         return self._blocked.within(first, last)
 
@@ -115,7 +115,7 @@ class VoxelGrid:
                 moved[axis] += inward * none
         return first, last
 
-    def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, "n"]:
+    def touches_contact(self, lo: Coordinates, hi: Coordinates) -> Bool[np.ndarray, " n"]:
         """Return whether closed boxes meet an edge or corner where free voxels touch, but no faces join them."""
         (below_lo, above_lo), (below_hi, above_hi) = self.numbers(lo), self.numbers(hi)
         touches = np.zeros(lo.shape[1], bool)
@@ -149,7 +149,7 @@ class Sums:
     """A summed-area table of a boolean array (Crow, SIGGRAPH 1984), which counts the true entries of any range."""
 
     table: Int[np.ndarray, "..."]
-    strides: Int[np.ndarray, "dim"]
+    strides: Int[np.ndarray, " dim"]
 
     @classmethod
     def of(cls, array: Bool[np.ndarray, "..."]) -> "Sums":
@@ -158,7 +158,7 @@ class Sums:
             np.cumsum(table, axis=axis, out=table)
         return cls(table.ravel(), np.array(table.strides) // table.itemsize)
 
-    def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, "n"]:
+    def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
         begin = first * self.strides[:, None]
         end = np.maximum(last + 1, first) * self.strides[:, None]
         total = np.zeros(first.shape[1], self.table.dtype)
@@ -183,7 +183,7 @@ def spread(live: Bool[np.ndarray, "n corners"], free: Bool[np.ndarray, "n corner
     return live.reshape(flat)
 
 
-def disconnected_sets(num_axes: int) -> Bool[np.ndarray, "sets"]:
+def disconnected_sets(num_axes: int) -> Bool[np.ndarray, " sets"]:
     """Return, for each set of the ``2**num_axes`` voxels around a point, whether faces fail to connect the set."""
     num = 2**num_axes  # bit i of a set's index says whether voxel i belongs to the set
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
@@ -211,7 +211,7 @@ def reach_of_cells(
     def counting(cells: Bool[np.ndarray, "..."]) -> BoxTest:
         sums = Sums.of(np.ascontiguousarray(cells))
 
-        def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, "boxes"]:
+        def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
             first, last = ((domain.lo + end * domain.width - bounds.lo) / bounds.width * shape for end in (lo, hi))
             ends = (np.clip(end + more, 0, reached.shape).astype(int) for end in (np.floor(first), np.ceil(last)))
             return sums.within(next(ends).T, next(ends).T - 1) > 0

@@ -205,18 +205,15 @@ class Workspace:
     def settled(self, x: ArrayLike, domain: Box | None = None) -> ArrayLike:
         """Move 32-bit points ``(..., 2)`` that only rounding has put outside free space onto its walls; keep others.
 
-        The rule is that of :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. A point
-        of the domain that is not free moves to the nearest free point if that is at most one step of 32 bits away, and
-        any point so near to a contact of obstacles moves there.
+        The rule is that of :meth:`Box.settled`, for the domain (by default the bounds) and for the obstacles. In the
+        domain, a point that is not free moves to the nearest free point if that is at most one step of 32 bits away,
+        and any point so near to a contact of obstacles moves there.
         """
         domain = self.bounds if domain is None else domain
         settled = domain.settled(x)
-        if settled is x:
-            return x
-        points = settled.reshape(-1, 2)
-        inside = np.flatnonzero(domain.contains(points))
-        if not len(inside):
+        if settled is x or not len(inside := np.flatnonzero(domain.contains(settled.reshape(-1, 2)))):
             return settled
+        points = settled.reshape(-1, 2)
         step = np.hypot(*np.spacing(np.asarray(x).reshape(-1, 2)[inside]).T).astype(np.float64)
         away = np.flatnonzero(~shapely.intersects_xy(self.free_space, *points[inside].T))
         row, _, foot = self.boundary.feet(points[inside[away]], float(step.max()))
@@ -227,7 +224,7 @@ class Workspace:
         points[inside[row]] = self.boundary.vertices[self.boundary.contacts[contact]]
         return settled
 
-    def is_free(self, x: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def is_free(self, x: ArrayLike) -> Bool[np.ndarray, " n"]:
         """Return whether points ``(n, 2)`` lie in closed free space, to ``tolerance``.
 
         Points not finite or outside the bounds are not free; 32-bit points outside only by rounding are free.
@@ -235,11 +232,11 @@ class Workspace:
         x = as_points("x", self.settled(x), 2)
         return self.bounds.contains(x) & self.is_free_to_tolerance(x)
 
-    def is_free_to_tolerance(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    def is_free_to_tolerance(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Return whether points lie within ``tolerance`` of free space, even if just outside the bounds."""
         return shapely.intersects_xy(self._grown(self.tolerance), x[:, 0], x[:, 1])
 
-    def reachable(self, x: ArrayLike, goal: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def reachable(self, x: ArrayLike, goal: ArrayLike) -> Bool[np.ndarray, " n"]:
         """Return whether free paths lead from points ``(n, 2)`` to a goal ``(2,)``, to ``tolerance``.
 
         The answer is exact: it compares the connected parts of free space that contain the points and the goal. It is
@@ -267,7 +264,7 @@ class Workspace:
         near = shapely.buffer(shapely.intersection(reached, around), FAR)
         return Reach(*map(_meeting, (reached, cut_off, shapely.difference(cut_off, near))))
 
-    def clearance(self, x: ArrayLike) -> Float[np.ndarray, "n"]:
+    def clearance(self, x: ArrayLike) -> Float[np.ndarray, " n"]:
         """Return the signed distance, in workspace units, of points ``(n, 2)`` to the boundary of free space.
 
         The distance is positive in free space, 0 on walls, and negative in obstacles and outside the bounds. It is
@@ -285,7 +282,7 @@ class Workspace:
         result[finite] = np.where(free, distance, -distance)
         return result
 
-    def is_visible(self, a: ArrayLike, b: ArrayLike, tolerance: int | float | None = None) -> Bool[np.ndarray, "n"]:
+    def is_visible(self, a: ArrayLike, b: ArrayLike, tolerance: int | float | None = None) -> Bool[np.ndarray, " n"]:
         """Return whether whole segments from ``a`` to ``b``, both ``(n, 2)``, lie in closed free space.
 
         A segment may slide along walls and pass through corners, but not cross a wall, however thin. It may cross a
@@ -392,13 +389,13 @@ class Workspace:
 
 def joined_parts(
     parts: Any, points: Float[np.ndarray, "n 2"], tolerance: float, may_squeeze: bool
-) -> Bool[np.ndarray, "parts"]:
+) -> Bool[np.ndarray, " parts"]:
     """Return which polygons hold one of the points, or touch such polygons if paths may squeeze through contacts."""
     places, group = np.asarray(shapely.points(points)), part_groups(parts, may_squeeze)
     return np.isin(group, group[shapely.STRtree(parts).query(places, predicate="dwithin", distance=tolerance)[1]])
 
 
-def part_groups(parts: Any, may_squeeze: bool) -> Int[np.ndarray, "parts"]:
+def part_groups(parts: Any, may_squeeze: bool) -> Int[np.ndarray, " parts"]:
     """Number polygons equally that touch one another if paths may squeeze through contacts, else all differently."""
     if not may_squeeze:
         return np.arange(len(parts))

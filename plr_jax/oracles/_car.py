@@ -18,7 +18,7 @@ from jaxtyping import Float
 from plr_jax._arrays import as_finite, as_finite_point, as_points, set_fields
 from plr_jax._types import ArrayLike, Distances, Symmetry
 
-Batch: TypeAlias = Float[np.ndarray, "n"]
+Batch: TypeAlias = Float[np.ndarray, " n"]
 Vectors: TypeAlias = tuple[Batch, Batch]
 Pose: TypeAlias = Float[np.ndarray, "3"]
 _AT_ONCE = 4096  # poses processed at a time, so that their arrays stay in the cache

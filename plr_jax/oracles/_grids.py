@@ -29,7 +29,7 @@ _ROUNDING = 1e-9  # relative margin by which a bucket is narrower than the short
 class _CellGraph(ABC):
     """The free cells of a grid, with steps between neighbors; cell indices include a border of blocked cells."""
 
-    goal: Float[np.ndarray, "dim"] | None
+    goal: Float[np.ndarray, " dim"] | None
     dim: ClassVar[int]
     """Number of coordinates of a point."""
     bounds: Box
@@ -68,14 +68,14 @@ class _CellGraph(ABC):
             raise ValueError(f"The goal must be in a free cell, got {goal.tolist()}.")
         set_fields(self, goal=goal)
 
-    def _are_in_free_cells(self, x: Points) -> Bool[np.ndarray, "n"]:
+    def _are_in_free_cells(self, x: Points) -> Bool[np.ndarray, " n"]:
         return self._padded.ravel()[self._cells_at(x)]
 
-    def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, "n"]:
+    def _cells_of(self, name: str, x: ArrayLike) -> Int[np.ndarray, " n"]:
         return self._cells_at(as_points(name, self.bounds.settled(x, self._are_in_free_cells), self.dim))
 
     @abstractmethod
-    def _cells_at(self, x: Points) -> Int[np.ndarray, "n"]:
+    def _cells_at(self, x: Points) -> Int[np.ndarray, " n"]:
         """Return the index of the cell that contains each point, 0 (a blocked cell) for a point outside the grid."""
 
 
@@ -153,7 +153,7 @@ class GridGraph(_CellGraph):
         between = np.concatenate(begins), np.concatenate(ends)
         return csr_array((np.concatenate(lengths), between), shape=2 * (free.size,))
 
-    def _search(self, roots: Int[np.ndarray, "k"]) -> Float[np.ndarray, "k cells"]:
+    def _search(self, roots: Int[np.ndarray, " k"]) -> Float[np.ndarray, "k cells"]:
         distances = csgraph.dijkstra(self._steps, directed=False, indices=roots, unweighted=self.connectivity == 4)
         distances[:, ~self._padded.ravel()] = np.inf  # also of blocked cells from themselves
         return distances
@@ -167,7 +167,7 @@ class GridGraph(_CellGraph):
         """The box that the cells fill."""
         return Box(np.zeros(2), self.free.shape[::-1])
 
-    def _cells_at(self, x: Points) -> Int[np.ndarray, "n"]:
+    def _cells_at(self, x: Points) -> Int[np.ndarray, " n"]:
         rows, columns = self.free.shape
         inside = np.logical_and.reduce((x >= 0) & (x < (columns, rows)), axis=1)
         column, row = np.floor(np.where(inside[:, None], x, -1)).astype(np.intp).T
@@ -217,7 +217,7 @@ class VoxelGraph(_CellGraph):
         """Distance of every voxel to the goal, with a layer of ``inf`` around the grid."""
         return self._to_goal.reshape(self.grid.padded.shape)
 
-    def _cells_at(self, x: Points) -> Int[np.ndarray, "n"]:
+    def _cells_at(self, x: Points) -> Int[np.ndarray, " n"]:
         inside = self.bounds.contains(x)
         x = np.where(inside[:, None], x, self.bounds.lo)
         below, above = self.grid.numbers(x.T)
@@ -229,7 +229,7 @@ class VoxelGraph(_CellGraph):
         return self.grid.padded
 
     @cached_property
-    def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, "voxels"]]:
+    def _steps(self) -> tuple[Int[np.ndarray, "steps 3"], UInt32[np.ndarray, " voxels"]]:
         # Changes of a voxel's three indices, one per step; and for each voxel a bit per step, set if it is free.
         steps = np.array(list(product((-1, 0, 1), repeat=3)))
         num_axes = np.count_nonzero(steps, axis=1)
@@ -341,7 +341,7 @@ class GridField:
             distances[begin + inside[is_known]] = values[is_known]
         return distances
 
-    def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, "n"]]:
+    def interpolated(self, x: Points) -> tuple[Distances, Bool[np.ndarray, " n"]]:
         """Return distances at points in the box, and whether each point's cell has a value.
 
         If no cell around a point has a value, its distance is ``inf``.

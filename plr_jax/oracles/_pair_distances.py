@@ -22,7 +22,7 @@ from plr_jax.geometry.visibility import triangles_within
 from plr_jax.geometry.workspace import Workspace
 
 Points: TypeAlias = Float[np.ndarray, "n 2"]
-Entries: TypeAlias = Float[np.ndarray, "entries"]
+Entries: TypeAlias = Float[np.ndarray, " entries"]
 _CANDIDATES = 1 << 21  # pairs of a point and a corner in memory at a time
 _WAYS = 1 << 18  # paths through two corners in memory at a time
 _DISTANCES = 1 << 24  # distances between corners in memory at a time, and in the cache
@@ -34,20 +34,20 @@ _SLACK = 1e-9  # relative rounding error of lengths, with a margin
 class _CornerLists:
     """For each point, the corners at which paths from it may turn first, and their distances from it."""
 
-    first: Int[np.ndarray, "points_plus_one"]
-    corner: Int[np.ndarray, "entries"]
+    first: Int[np.ndarray, " points_plus_one"]
+    corner: Int[np.ndarray, " entries"]
     distance: Entries
 
     @cached_property
-    def point(self) -> Int[np.ndarray, "entries"]:
+    def point(self) -> Int[np.ndarray, " entries"]:
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
-    def take(self, points: Int[np.ndarray, "some"]) -> "_CornerLists":
+    def take(self, points: Int[np.ndarray, " some"]) -> "_CornerLists":
         entry, _ = take_ragged(self.first, points)
         first = np.append(0, np.cumsum(np.diff(self.first)[points]))
         return _CornerLists(first, self.corner[entry], self.distance[entry])
 
-    def filter(self, kept: Bool[np.ndarray, "entries"]) -> "_CornerLists":
+    def filter(self, kept: Bool[np.ndarray, " entries"]) -> "_CornerLists":
         return _CornerLists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.distance[kept])
 
 
@@ -74,7 +74,7 @@ class PairDistances:
         start, end = edges.T
         return Graph(corners.points, edges[corners.is_tangent(start, end) & corners.is_tangent(end, start)])
 
-    def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, "corners"]]:
+    def _corner_distances(self, corners: list[int]) -> list[Float[np.ndarray, " corners"]]:
         # Rows of up to `_at_once` corners are cached.
         rows = self.__dict__.setdefault("_rows", {})
         if missing := [corner for corner in corners if corner not in rows]:
@@ -89,7 +89,7 @@ class PairDistances:
         return max(1, _DISTANCES // max(1, len(self._graph.vertices)))
 
     @cached_property
-    def _lists_of_triangles(self) -> tuple[Int[np.ndarray, "runs_plus_one"], Int[np.ndarray, "entries"]]:
+    def _lists_of_triangles(self) -> tuple[Int[np.ndarray, " runs_plus_one"], Int[np.ndarray, " entries"]]:
         # Lists of the corners where paths from each triangle may turn first; the last list is all corners.
         triangulation, corners, views = self.workspace.triangulation, self.visibility.corners, self.visibility.views
         opens, closes = corners.walls
@@ -160,7 +160,7 @@ class PairDistances:
                 shortest = min(shortest, float(to_first[i] + least))
         return shortest
 
-    def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, "some"], Float[np.ndarray, "some"]]:
+    def _turns_at(self, x: list[float], place: Place) -> tuple[Int[np.ndarray, " some"], Float[np.ndarray, " some"]]:
         corner = place.take(*self._lists_of_triangles)
         dx, dy = (self.visibility.corners.points[corner] - x).T
         return corner, np.sqrt(dx * dx + dy * dy)
@@ -218,7 +218,7 @@ class PairDistances:
         distance = np.linalg.norm(points[point] - self.visibility.corners.points[corner], axis=1)
         return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(kept).take(number)
 
-    def _candidates(self, x: Points) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "runs"]]:
+    def _candidates(self, x: Points) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " runs"]]:
         # Return the number of corners that may see each point, and which `_lists_of_triangles` hold them.
         begins, mesh = self._lists_of_triangles[0], self.workspace.triangulation
         held, first, triangle = triangles_at(mesh, mesh.place(x))
@@ -230,7 +230,7 @@ class PairDistances:
         return np.bincount(point, np.diff(begins)[runs], len(x)).astype(int), runs
 
 
-def _run_minima(values: Entries, first: Int[np.ndarray, "runs_plus_one"]) -> Float[np.ndarray, "runs"]:
+def _run_minima(values: Entries, first: Int[np.ndarray, " runs_plus_one"]) -> Float[np.ndarray, " runs"]:
     """Return the minimum of ``values[first[i] : first[i + 1]]`` for each ``i``, ``inf`` if that is empty."""
     result, some = np.full(len(first) - 1, np.inf), np.diff(first) > 0
     if some.any():

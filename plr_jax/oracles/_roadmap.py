@@ -36,13 +36,13 @@ class Metric:
     """The Euclidean length of weighted differences of configurations, the short way around periodic axes."""
 
     domain: Box
-    weights: Float[np.ndarray, "dim"]
+    weights: Float[np.ndarray, " dim"]
 
     @property
-    def widths(self) -> Float[np.ndarray, "dim"]:
+    def widths(self) -> Float[np.ndarray, " dim"]:
         return self.weights * self.domain.width
 
-    def lengths(self, a: Float[np.ndarray, "#n dim"], b: Points) -> Float[np.ndarray, "n"]:
+    def lengths(self, a: Float[np.ndarray, "#n dim"], b: Points) -> Float[np.ndarray, " n"]:
         return np.linalg.norm(self.weights * self.domain.difference(b, a), axis=1)
 
     def tree(self, vertices: Points) -> KDTree:
@@ -56,8 +56,8 @@ class Metric:
         return np.where(self.domain.periodic, around, self.weights * x)
 
 
-IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, "n"]]
-IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, "n"]]
+IsFree: TypeAlias = Callable[[Points], Bool[np.ndarray, " n"]]
+IsVisible: TypeAlias = Callable[[Points, Points], Bool[np.ndarray, " n"]]
 _BATCH = 2**18  # configurations tested at a time: a few tens of megabytes
 _EDGES_A_STEP = 2**15  # edges tested between two updates of the progress bar
 _MIN_FREE_FRACTION = 1e-4
@@ -100,7 +100,7 @@ def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsV
     return pairs[visible].astype(np.int32)
 
 
-def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
+def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, " n"]:
     # The test is called only for configurations in the domain; others are not free.
     inside = domain.contains(x)
     if inside.any():
@@ -108,7 +108,7 @@ def _is_free(domain: Box, is_free: IsFree, x: Points) -> Bool[np.ndarray, "n"]:
     return inside
 
 
-def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Bool[np.ndarray, "n"]:
+def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Bool[np.ndarray, " n"]:
     if len(a) == 0:
         return np.zeros(0, dtype=bool)
     return as_booleans("is_visible", is_visible(a, domain.image_near(b, a)), len(a))
@@ -116,7 +116,7 @@ def _is_visible(domain: Box, is_visible: IsVisible, a: Points, b: Points) -> Boo
 
 def _is_visible_sampled(
     metric: Metric, is_free: IsFree, resolution: float, a: Points, b: Points
-) -> Bool[np.ndarray, "n"]:
+) -> Bool[np.ndarray, " n"]:
     """Return whether straight motions between free points are free, tested at points ``resolution`` apart."""
     b = metric.domain.image_near(b, a)
     change, num_steps = b - a, np.ceil(metric.lengths(a, b) / resolution).astype(np.int64)
@@ -169,9 +169,9 @@ class Roadmap:
     is_visible: IsVisible
     radius: float
     graph: Graph
-    distances: Float[np.ndarray, "vertices"]
+    distances: Float[np.ndarray, " vertices"]
     _metric: Metric
-    _parents: Int[np.ndarray, "vertices"]
+    _parents: Int[np.ndarray, " vertices"]
     _tree: KDTree
     _workspace: Workspace | None = None
 
@@ -294,7 +294,7 @@ class Roadmap:
             return self._workspace.settled(x)
         return self.domain.settled(x, self.is_free)
 
-    def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, "n"]]:
+    def _first_vertices(self, x: Points) -> tuple[Distances, Int[np.ndarray, " n"]]:
         # The vertex is -1 if the point is not free or sees none.
         answer, first = np.full(len(x), np.inf), np.full(len(x), -1)
         pending, inner, outer = np.flatnonzero(self.is_free(x)), -1.0, self.radius
@@ -305,7 +305,7 @@ class Roadmap:
             inner, outer = outer, 2 * outer
         return answer, first
 
-    def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, "n"]]:
+    def _connect(self, x: Points, inner: float, outer: float) -> tuple[Distances, Int[np.ndarray, " n"]]:
         # Only vertices between two radii count; -1 if the point sees none of these.
         places, vertices = self._metric.tree_coordinates(x), self.graph.vertices
         distances = np.append(self.distances, np.inf)
@@ -331,7 +331,7 @@ class Roadmap:
         return distance, first
 
 
-def _free_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, "dim"]:
+def _free_goal(domain: Box, is_free: IsFree, goal: ArrayLike) -> Float[np.ndarray, " dim"]:
     goal = domain.wrapped(as_finite_point("The goal", domain.settled(goal, is_free), domain.dim))
     if not domain.contains(goal[None])[0]:
         raise ValueError(f"The goal {goal.tolist()} is outside the domain {domain}; move it inside.")

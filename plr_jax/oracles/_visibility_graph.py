@@ -51,8 +51,8 @@ class VisibilityGraph:
 
     workspace: Workspace
     goal: Float[np.ndarray, "2"]
-    distances: Float[np.ndarray, "vertices"]
-    _parents: Int[np.ndarray, "vertices"]
+    distances: Float[np.ndarray, " vertices"]
+    _parents: Int[np.ndarray, " vertices"]
     _goal_table: VisibilityTable
     _turns: TurnPoints
     _goal_edges: Int[np.ndarray, "edges 2"]
@@ -159,7 +159,7 @@ class VisibilityGraph:
         """Return a free sample point in each box, and the corners that it sees, for oracles of any goal."""
         return FamilySamples.of(self.family, self.workspace.triangulation, lo, hi)
 
-    def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, "boxes"], Int[np.ndarray, "boxes"]]:
+    def first_turns(self, samples: FamilySamples) -> tuple[Float[np.ndarray, " boxes"], Int[np.ndarray, " boxes"]]:
         """Return each sample's distance to the goal, and the index in ``sources`` of the first vertex of its path.
 
         :meth:`shared_samples` makes the samples, one a box. Without a sample or a path, these are ``inf`` and -1.
@@ -236,7 +236,7 @@ class VisibilityGraph:
     def _points(self, name: str, x: ArrayLike) -> Float[np.ndarray, "n 2"]:
         return as_points(name, self.workspace.settled(x), 2)
 
-    def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
+    def _first_turns(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, " n"]]:
         """Return distances to the goal, and the vertex of ``graph`` to which each shortest path goes first."""
         if len(x) > FEW:
             return self._first_turns_of_batch(x)
@@ -264,7 +264,7 @@ class VisibilityGraph:
                 return float(length[i]), vertex
         return math.inf, 0
 
-    def _first_turns_of_batch(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, "n"]]:
+    def _first_turns_of_batch(self, x: Float[np.ndarray, "n 2"]) -> tuple[Distances, Int[np.ndarray, " n"]]:
         distance, turn = np.full(len(x), np.inf), np.zeros(len(x), int)
         free = np.flatnonzero(self.workspace.is_free_to_tolerance(x))
         mesh, sees = self.workspace.triangulation, self.family.table.sees
@@ -309,7 +309,7 @@ def _turn_regions(oracle: VisibilityGraph, turns: TurnPoints, num_goals: int) ->
     return TurnRegions(turns, triangulation, *views_by_triangle(triangulation, visits))
 
 
-def _sources(graph: Graph, distances: Distances, parents: Int[np.ndarray, "vertices"]) -> Sources:
+def _sources(graph: Graph, distances: Distances, parents: Int[np.ndarray, " vertices"]) -> Sources:
     # A vertex without a next one is its own parent.
     parents = np.where(parents < 0, np.arange(len(parents)), parents)
     return Sources(graph.vertices, distances, parents)

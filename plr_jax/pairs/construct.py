@@ -60,7 +60,7 @@ def outline_of(
     return Outline(origin, step, points[index], first, may_squeeze=False), index
 
 
-def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, "rings_plus_one"]]:
+def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " rings_plus_one"]]:
     order, first, is_done = [], [0], np.zeros(len(following), bool)
     for point in range(len(following)):
         while not is_done[point]:
@@ -108,11 +108,11 @@ class Lists:
     """Cells of the domain, and for each the corners of obstacles at which shortest paths from it may turn first."""
 
     cells: Cells
-    cell: Int[np.ndarray, "entries"]  # ascending
-    corner: Int[np.ndarray, "entries"]
-    by_all: Bool[np.ndarray, "entries"]  # whether all of the cell is known to see the corner
+    cell: Int[np.ndarray, " entries"]  # ascending
+    corner: Int[np.ndarray, " entries"]
+    by_all: Bool[np.ndarray, " entries"]  # whether all of the cell is known to see the corner
 
-    def of_cells(self, rows: Int[np.ndarray, "some"]) -> "Lists":
+    def of_cells(self, rows: Int[np.ndarray, " some"]) -> "Lists":
         first = np.searchsorted(self.cell, np.arange(len(self.cells) + 1))
         entries, cell = take_ragged(first, rows)
         return Lists(self.cells[rows], cell, self.corner[entries], self.by_all[entries])
@@ -129,9 +129,9 @@ class Lists:
 @dataclass(frozen=True, eq=False)
 class _ListTree:
     lists: Lists
-    key: Float[np.ndarray, "nodes"]  # priority of halving the node, at most that of its parent
-    is_leaf: Bool[np.ndarray, "nodes"]
-    parent: Int[np.ndarray, "nodes"]  # -1 for the root
+    key: Float[np.ndarray, " nodes"]  # priority of halving the node, at most that of its parent
+    is_leaf: Bool[np.ndarray, " nodes"]
+    parent: Int[np.ndarray, " nodes"]  # -1 for the root
     visible: CellSources  # free convex pieces of each leaf, and the corners that each piece may see
 
     def __len__(self) -> int:
@@ -171,7 +171,7 @@ def grow_lists(
     return tree.leaves_above(keys[low])
 
 
-def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limits: Limits) -> _ListTree:
+def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
     leaves = np.flatnonzero(tree.is_leaf)
     cells = tree.lists.cells[nodes]
     axis = cells.longest_axis(domain)
@@ -192,7 +192,7 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, "nodes"], domain: Box, limit
     )
 
 
-def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, "cells"]]:
+def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, " cells"]]:
     lists = Lists(cells, *corners_of_cells(visible))
     area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
     doubtful = np.bincount(lists.cell, ~lists.by_all, len(cells))
@@ -227,7 +227,7 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     order = np.argsort(of_corner, kind="stable")
     first = np.searchsorted(of_corner[order], np.arange(len(visibility.corners.points) + 1))
 
-    def in_file(corners: Int[np.ndarray, "n"]) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    def in_file(corners: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
         # The file has two points for a corner at a sharp tip. The second result is each index's row in `corners`.
         rows, row = take_ragged(first, corners)
         return order[rows], row
@@ -271,8 +271,8 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 
 
 def corners_in_outline(
-    outline: Outline, vertex: PointIndices, corner_of_vertex: Int[np.ndarray, "vertices"], squeezes: bool
-) -> tuple[Int[np.ndarray, "corners"], Int[np.ndarray, "corners"]]:
+    outline: Outline, vertex: PointIndices, corner_of_vertex: Int[np.ndarray, " vertices"], squeezes: bool
+) -> tuple[Int[np.ndarray, " corners"], Int[np.ndarray, " corners"]]:
     # `vertex` is the boundary vertex at each point of the outline, -1 for none.
     of_point = np.append(corner_of_vertex, -1)[vertex]
     candidates = np.flatnonzero(of_point >= 0)

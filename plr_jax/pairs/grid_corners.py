@@ -69,7 +69,7 @@ def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
 
 def taut_corners(
     free: Grid, connectivity: int
-) -> tuple[Int[np.ndarray, "cells_plus_one"], Int32[np.ndarray, "pairs"]]:
+) -> tuple[Int[np.ndarray, " cells_plus_one"], Int32[np.ndarray, " pairs"]]:
     """Return, as a CSR matrix, the obstacle corners where a shortest path from each cell of a grid may bend first."""
     from scipy.sparse import csr_array
 
@@ -119,8 +119,8 @@ _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 class _Sector:
     free: Grid
     blocked: dict[tuple[int, int], Grid]
-    row: Int[np.ndarray, "corners"]
-    column: Int[np.ndarray, "corners"]
+    row: Int[np.ndarray, " corners"]
+    column: Int[np.ndarray, " corners"]
     origin: int  # number in the grid of the view's first cell
     row_step: int
     column_step: int
@@ -216,10 +216,10 @@ def looked_up(table: Any, index: Any) -> Any:
 
 @pytree
 class CornerTable:
-    center: Integer[Array, "corners"]  # index of a center near each corner
+    center: Integer[Array, " corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
     # For each corner and all up to it, row by row: the distance minus that between the centers near both corners.
-    differences: Integer[Array, "triangle"]
+    differences: Integer[Array, " triangle"]
 
     def between(self, a: Any, b: Any) -> Any:
         xp: Any = np if isinstance(a, np.ndarray) else jnp
@@ -237,16 +237,16 @@ class CornerLabels:
     gives the tree: a corner's parent is, of its neighbors when it is eliminated, the one eliminated next.
     """
 
-    first: Int32[Array, "corners_plus_one"]  # index of each corner's first entry
-    ancestor: Int32[Array, "ancestors"]
-    length: Int32[Array, "ancestors"]
+    first: Int32[Array, " corners_plus_one"]  # index of each corner's first entry
+    ancestor: Int32[Array, " ancestors"]
+    length: Int32[Array, " ancestors"]
 
     def between(self, a: Any, b: Any) -> Any:
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         common = xp.minimum(*(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b)))
 
-        def at(table: Int32[Array, "ancestors"], place: Any) -> list[Any]:
+        def at(table: Int32[Array, " ancestors"], place: Any) -> list[Any]:
             last = len(table) - 1
             return [looked_up(table, xp.minimum(begin + place, last)) for begin in begins]
 

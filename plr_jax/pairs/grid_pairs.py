@@ -82,7 +82,7 @@ class DistanceToCell:
 
     tables: GridTables
     goal: Int[Array, "2"]  # row and column of the cell
-    from_goal: Int32[Array, "corners"]  # lengths of shortest paths to the corners of obstacles, in units
+    from_goal: Int32[Array, " corners"]  # lengths of shortest paths to the corners of obstacles, in units
 
     @property
     def dim(self) -> int:

@@ -49,8 +49,8 @@ _Sums = Int[np.ndarray, "rows_plus_one columns_plus_one"]
 class IllegalSteps:
     """Tables of a grid: which cells are free, and prefix sums by which :func:`sees` tests pairs of cells."""
 
-    sums: Integer[Array, "sums"]  # flattened tables, each with a row and a column of zeros in front
-    free: UInt32[Array, "words"]  # one bit for each cell in row-major order, lowest bit of a word first
+    sums: Integer[Array, " sums"]  # flattened tables, each with a row and a column of zeros in front
+    free: UInt32[Array, " words"]  # one bit for each cell in row-major order, lowest bit of a word first
     shape: tuple[int, int] = field(metadata={"static": True})
     connectivity: int = field(metadata={"static": True})
 
@@ -123,7 +123,7 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
     return is_free(sight, p) & (between(last, column + aside, last_column) == until_first)
 
 
-def _narrow(numbers: Int[np.ndarray, "n"]) -> Integer[np.ndarray, "n"]:
+def _narrow(numbers: Int[np.ndarray, " n"]) -> Integer[np.ndarray, " n"]:
     return numbers.astype(np.min_scalar_type(numbers.max(initial=0)))
 
 
@@ -136,11 +136,11 @@ class GridTables:
     """Arrays of a grid: free cells, corners where shortest paths from each cell may turn first, corner distances."""
 
     sight: IllegalSteps
-    group_block: Int32[Array, "groups"]  # first block of corners of each group of 16 cells, in row-major order
-    cell_block: Integer[Array, "cells_plus_one"]  # first block of each cell, relative to that of its group
+    group_block: Int32[Array, " groups"]  # first block of corners of each group of 16 cells, in row-major order
+    cell_block: Integer[Array, " cells_plus_one"]  # first block of each cell, relative to that of its group
     blocks: Integer[Array, "blocks 4"]  # corners of cells; a cell's last corner fills up its last block
-    row: Int32[Array, "corners"]
-    column: Int32[Array, "corners"]
+    row: Int32[Array, " corners"]
+    column: Int32[Array, " corners"]
     distances: CornerTable | CornerLabels
 
     @property
@@ -230,7 +230,7 @@ def evaluate_few(
 
 @jax.jit
 def evaluate_to(
-    tables: GridTables, from_goal: Int32[Array, "corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
+    tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
     p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
@@ -244,7 +244,7 @@ def evaluate_to(
 
 
 @jax.jit
-def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, "corners"]:
+def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, " corners"]:
     """Return the lengths of shortest paths from a cell (row, column) to all obstacle corners, as integers.
 
     A straight step has the length ``STRAIGHT[connectivity]``.
@@ -280,7 +280,7 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     first, then = (lax.population_count(blocks).astype(jnp.int32) for blocks in left)
     chunks = _sorted_chunks(first * then)
 
-    def of_chunk(chunk: Int32[Array, "size"]) -> Int32[Array, "size"]:
+    def of_chunk(chunk: Int32[Array, " size"]) -> Int32[Array, " size"]:
         ends = _Left(p[chunk], left[0][chunk]), _Left(q[chunk], left[1][chunk])
         return _least_of_those_left(tables, *ends, length[chunk])
 

@@ -25,7 +25,7 @@ Rim = Int32[Array, "rim n"]
 _RimFlags = Bool[Array, "rim n"]
 _RimCells = Int32[Array, "rim n 2"]
 _Row, _FreeRow = Int32[Array, "width n"], Bool[Array, "width n"]
-_Known = tuple[Int32[Array, "n"], Int32[Array, "n"]]
+_Known = tuple[Int32[Array, " n"], Int32[Array, " n"]]
 
 
 @partial(jax.jit, static_argnames="radius")
@@ -64,7 +64,7 @@ def _lengths_of_rim(
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
     def nearest_known(lengths: Rim, known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
-        def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, "n"], Bool[Array, "n"]]):
+        def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, " n"], Bool[Array, " n"]]):
             place, length, is_known = cell
             nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
             return nearest, nearest

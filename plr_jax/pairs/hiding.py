@@ -44,7 +44,7 @@ EntryPoints = Float[np.ndarray, "entries 2"]
 PairIndices = Int[np.ndarray, "pairs"]
 Corners = Float[np.ndarray, "corners 2"]
 Walls = Float[np.ndarray, "walls 4"]
-NearPairs = tuple[Int[np.ndarray, "near"], Int[np.ndarray, "near"]]  # list entries, and a wall near each
+NearPairs = tuple[Int[np.ndarray, " near"], Int[np.ndarray, " near"]]  # list entries, and a wall near each
 
 
 @pytree
@@ -200,7 +200,7 @@ def _near_pairs(
     walls: Walls,
     wall: PairIndices,
     margin: float,
-) -> Int[np.ndarray, "near"]:
+) -> Int[np.ndarray, " near"]:
     # A hull is that of a box and a corner. A wall is near if no axis separates both by more than the margin.
     lo, hi, corner = hulls
     a, b = walls[:, :2], walls[:, 2:]

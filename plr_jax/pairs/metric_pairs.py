@@ -94,7 +94,7 @@ def construct_metric_pairs(
         raise ValueError(f"distance_fn must be a function of x and y, got {shortened(distance_fn)}.")
     both = Box(np.tile(domain.lo, 2), np.tile(domain.hi, 2), 2 * tuple(domain.periodic))
 
-    def in_order(pairs: Float[np.ndarray, "n both"]) -> Float[np.ndarray, "n"]:
+    def in_order(pairs: Float[np.ndarray, "n both"]) -> Float[np.ndarray, " n"]:
         x, y = np.split(pairs, 2, axis=1)
         later = np.asarray(_comes_later(x, y))
         result = np.full(len(pairs), np.inf)

@@ -72,8 +72,8 @@ def _sources(stored: PairsFileData, to_corners: ToCorners, goal: Point) -> Sourc
 
 
 def _best_sources(
-    stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, "cells"]
-) -> tuple[Int[np.ndarray, "cells"], Float[np.ndarray, "cells"]]:
+    stored: PairsFileData, pairs: PairFn, sources: Sources, cells: Cells, owner: Int[np.ndarray, " cells"]
+) -> tuple[Int[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
     # The source of a cell, -1 for none, is the apex of the cone that has the least mean error there.
     x = cells.points(_SAMPLES, stored.domain)
     distance = np.full(x.shape[:2], np.inf)
@@ -91,7 +91,7 @@ def _best_sources(
     return np.where(reaches, source[best], -1), np.where(reaches, error[best], 0.0)
 
 
-def _joined(tree: Tree, source: Int[np.ndarray, "leaves"]) -> tuple[Cells, Int[np.ndarray, "kept"]]:
+def _joined(tree: Tree, source: Int[np.ndarray, " leaves"]) -> tuple[Cells, Int[np.ndarray, " kept"]]:
     """Merge halves of a cell whose cones have the same apex, ``source``; return the leaves and their apexes."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source

@@ -44,7 +44,7 @@ class PairPLR(FileBacked):
     of bytes, padded with zeros to a power of two; the last four bytes are the size without padding.
     """
 
-    file: UInt8[Array, "padded"] | UInt8[np.ndarray, "padded"]
+    file: UInt8[Array, " padded"] | UInt8[np.ndarray, " padded"]
     _known_stored: PairsFileData | None = field(default=None, repr=False)
 
     @cached_property
@@ -289,7 +289,7 @@ def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tupl
     length = jnp.where(jnp.isfinite(ways.length), ways.length, ways.least).astype(x.dtype)
     is_straight = (ways.from_x == single[1]).all(axis=1) & (ways.from_y == single[0]).all(axis=1)
 
-    def legs(x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    def legs(x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, " n"]:
         from_x, from_y = (p.astype(x.dtype) for p in (ways.from_x, ways.from_y))
         return jnp.where(is_straight, _norm(x - y), _norm(x - from_x) + _norm(y - from_y))
 
@@ -349,7 +349,7 @@ def _clamped(
 
 def _checked(
     tables: PairTables, *points: Array
-) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, "n"]]:
+) -> tuple[list[Float[Array, "n 2"]], tuple[int, ...], Float[Array, " n"]]:
     # Answers are `inf` outside the domain, NaN for NaN, and 0 if not yet known.
     batches = jnp.broadcast_arrays(*(p.astype(_floats_of(*points)) for p in points))
     shape, rows = batches[0].shape[:-1], [p.reshape(-1, 2) for p in batches]
@@ -372,6 +372,6 @@ def _ends(tables: PairTables, x: Float[Array, "*batch 2"]) -> Float[Array, "*bat
     return jnp.broadcast_to(ends.astype(x.dtype), x.shape)
 
 
-def _norm(v: Float[Array, "n 2"]) -> Float[Array, "n"]:
+def _norm(v: Float[Array, "n 2"]) -> Float[Array, " n"]:
     square = (v * v).sum(axis=1)
     return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)

@@ -56,7 +56,7 @@ def crossings(p: Any, q: Any, wall: Any) -> tuple[Any, Any]:
 
 def are_crossed(
     p: _Points, q: _Points, walls: Float[np.ndarray, "4 walls"], both_ways: bool = False
-) -> Bool[np.ndarray, "n"]:
+) -> Bool[np.ndarray, " n"]:
     """Return whether each segment from ``p`` to ``q`` crosses any wall or, if ``both_ways``, one in and one out."""
     crossed = np.zeros(len(p), bool)
     for some in parts(np.full(len(p), walls.shape[1]), _AT_ONCE):
@@ -118,10 +118,10 @@ class Scene:
     def wall_ends(self) -> Float[np.ndarray, "4 walls"]:
         return np.ascontiguousarray(self.walls.T, np.float32)
 
-    def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, "n"]:
+    def hides(self, p: _Points, q: _Points) -> Bool[np.ndarray, " n"]:
         return are_crossed(p, q, self.wall_ends, both_ways=not self.is_certain)
 
-    def encloses(self, p: _Points) -> Bool[np.ndarray, "n"]:
+    def encloses(self, p: _Points) -> Bool[np.ndarray, " n"]:
         inside = np.zeros(len(p), bool)
         for some in parts(np.full(len(p), len(self.walls)), _AT_ONCE):
             up, down = winding(p[some].T[:, :, None], self.wall_ends)
@@ -196,10 +196,10 @@ class NumpyPairs:
             p, way = self._clamped(p)
             return self.distances_to(p, goal, to_corners, "inf") + way
 
-        def lengths(p: Any, goal: Any, to_corners: Any) -> Float[np.ndarray, "some"]:
+        def lengths(p: Any, goal: Any, to_corners: Any) -> Float[np.ndarray, " some"]:
             single, goal = p.astype(np.float32), goal.astype(np.float32)
 
-            def paths(hidden: Int[np.ndarray, "hidden"]) -> tuple[Any, Any, Any]:
+            def paths(hidden: Int[np.ndarray, " hidden"]) -> tuple[Any, Any, Any]:
                 listed, turns, legs = self._legs(self._seen, single[hidden])
                 return turns, goal[hidden, None], (legs + to_corners[hidden[:, None], listed])[:, :, None]
 
@@ -239,7 +239,7 @@ class NumpyPairs:
         p, q = np.where(swaps, q, p), np.where(swaps, p, q)
         single_p, single_q = p.astype(np.float32), q.astype(np.float32)
 
-        def paths(hidden: Int[np.ndarray, "hidden"]) -> tuple[Any, Any, Any]:
+        def paths(hidden: Int[np.ndarray, " hidden"]) -> tuple[Any, Any, Any]:
             (of_p, turns_p, legs_p), (of_q, turns_q, legs_q) = (
                 self._legs(around, each[hidden]) for each in (single_p, single_q)
             )

@@ -29,7 +29,7 @@ class Outline:
     origin: Float[np.ndarray, "2"]  # position of the lattice point (0, 0)
     step: float
     points: Int[np.ndarray, "points 2"]  # in lattice steps; wall ``i`` leads from point ``i`` to the next of its ring
-    first: Int[np.ndarray, "rings_plus_one"]  # index of the first point of each ring
+    first: Int[np.ndarray, " rings_plus_one"]  # index of the first point of each ring
     may_squeeze: bool  # whether a path may pass contacts, points where obstacles touch
     # Walls that may leave their obstacle when they move back. Lower bounds ignore these walls.
     thin: Int[np.ndarray, "thin"] = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -39,32 +39,32 @@ class Outline:
         return self.origin + self.step * self.points
 
     @cached_property
-    def following(self) -> Int[np.ndarray, "points"]:
+    def following(self) -> Int[np.ndarray, " points"]:
         following = np.arange(1, len(self.points) + 1)
         following[self.first[1:] - 1] = self.first[:-1]
         return following
 
     @property
-    def is_thin(self) -> Bool[np.ndarray, "points"]:
+    def is_thin(self) -> Bool[np.ndarray, " points"]:
         return np.isin(np.arange(len(self.points)), self.thin)
 
     @cached_property
-    def is_contact(self) -> Bool[np.ndarray, "points"]:
+    def is_contact(self) -> Bool[np.ndarray, " points"]:
         """Mask of the outline points where obstacles touch and no path may pass between them."""
         return self.is_shared & (not self.may_squeeze)
 
     @cached_property
-    def is_shared(self) -> Bool[np.ndarray, "points"]:
+    def is_shared(self) -> Bool[np.ndarray, " points"]:
         """Mask of the outline points where more than one wall begins, because obstacles touch."""
         _, index = np.unique(self.points, axis=0, return_inverse=True)
         return np.bincount(index.ravel(), self._has_length)[index.ravel()] > 1
 
     @cached_property
-    def _has_length(self) -> Bool[np.ndarray, "walls"]:
+    def _has_length(self) -> Bool[np.ndarray, " walls"]:
         return (self.points[self.following] != self.points).any(axis=1)
 
     @cached_property
-    def following_past_contacts(self) -> Int[np.ndarray, "points"]:
+    def following_past_contacts(self) -> Int[np.ndarray, " points"]:
         # The next point around the same obstacle. Obstacles that touch where no path may pass count as two.
         following, at = self.following.copy(), np.flatnonzero(self.is_contact & self._has_length)
         before = np.argsort(following)[at]
@@ -77,7 +77,7 @@ class Outline:
         return following
 
     def _beside(
-        self, following: Int[np.ndarray, "points"]
+        self, following: Int[np.ndarray, " points"]
     ) -> tuple[Int[np.ndarray, "points 2"], Int[np.ndarray, "points 2"]]:
         # Walls that arrive and leave are vectors; walls without length are skipped.
         leaving, comes_from = self.points[following] - self.points, np.argsort(following)
@@ -88,12 +88,12 @@ class Outline:
         return arriving, leaving
 
     @cached_property
-    def is_reflex(self) -> Bool[np.ndarray, "points"]:
+    def is_reflex(self) -> Bool[np.ndarray, " points"]:
         """Mask of the outline points at which an obstacle sticks out into free space."""
         arriving, leaving = (walls.T.astype(float) for walls in self._beside(self.following))
         return orientation(*arriving, *leaving) < 0
 
-    def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, "n"]:
+    def contains(self, x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         import shapely  # loading a file does not need it
 
         shapely.prepare(self.region)
@@ -153,7 +153,7 @@ class Outline:
     def moved_points(self, distance: float) -> Float[np.ndarray, "points 2"]:
         return self.positions - distance * self._moves(distance)
 
-    def ends_sight(self, distance: float) -> Bool[np.ndarray, "points"]:
+    def ends_sight(self, distance: float) -> Bool[np.ndarray, " points"]:
         # Points that stay if walls move into obstacles block sight, as do contacts.
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
@@ -242,11 +242,11 @@ _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 class PairsFileData:
     domain: Box
     outline: Outline
-    corner: Int[np.ndarray, "corners"]  # outline points that are corners, ascending
+    corner: Int[np.ndarray, " corners"]  # outline points that are corners, ascending
     edges: Int[np.ndarray, "edges 2"]  # pairs of corners that a shortest path may join straight, the smaller first
     tree: Tree
-    leaf: Int[np.ndarray, "entries"]  # ascending
-    listed: Int[np.ndarray, "entries"]  # a corner where shortest paths from the leaf may turn first, ascending
+    leaf: Int[np.ndarray, " entries"]  # ascending
+    listed: Int[np.ndarray, " entries"]  # a corner where shortest paths from the leaf may turn first, ascending
     rounding: float  # largest error of a distance due to rounding points to the lattice
     label: str = ""
 
@@ -347,7 +347,7 @@ def _read_rounding(body: BitReader) -> float:
 
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
-) -> tuple[Int[np.ndarray, "entries"], Int[np.ndarray, "entries"]]:
+) -> tuple[Int[np.ndarray, " entries"], Int[np.ndarray, " entries"]]:
     # Return the leaf and the corner of each entry of a list.
     corner, listed_so_far = np.flatnonzero(~body.read_set(count)), 0
     nodes, node, parts = np.zeros(1, np.int64), np.zeros(len(corner), np.int64), []

@@ -20,15 +20,15 @@ FINEST = 2.0**-24  # finest lattice step, in domain widths: the resolution of 32
 _NEEDLE = 100  # distances that the tip of a thick obstacle may move back; queries may not resolve sharper tips
 
 
-def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, "thin"]:
+def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, " thin"]:
     """Return the indices of walls of thin obstacles: moved into the obstacle, these walls come near free space."""
     walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
 
 def with_thin_parts(
-    outline: Outline, vertex: Int[np.ndarray, "points"], free_space: Any, width: float
-) -> tuple[Outline, Int[np.ndarray, "found_points"]]:
+    outline: Outline, vertex: Int[np.ndarray, " points"], free_space: Any, width: float
+) -> tuple[Outline, Int[np.ndarray, " found_points"]]:
     """Mark the walls of thin obstacles in an outline, after cutting walls whose obstacle is thin only in part.
 
     ``vertex`` is the boundary vertex at each point of the outline. Return it for the new outline, too: -1 at cuts.

@@ -99,7 +99,7 @@ class Solution:
     stats: Stats
     samples: Float[np.ndarray, "nodes robots dof"]
     motions_factor: float = math.inf
-    times: Float[np.ndarray, "steps"] | None = None
+    times: Float[np.ndarray, " steps"] | None = None
 
     @property
     def factor(self) -> float:

@@ -30,7 +30,7 @@ _STORED_SHARE = 16  # 1 / 16 of the beam width is stored as successors
 _WIDTH_GROWTH = 8  # factor of the beam width when a node's stored successors are used up
 _MAX_WIDTH = 1 << 16  # bounds the memory of a beam
 _PRODUCTS = 1 << 20  # joint children scored at once, which bounds the temporary memory
-Table: TypeAlias = Float[np.ndarray, "_"]  # the estimate at each node of a robot's lattice
+Table: TypeAlias = Float[np.ndarray, " _"]  # the estimate at each node of a robot's lattice
 
 
 class Successors(NamedTuple):
@@ -40,7 +40,7 @@ class Successors(NamedTuple):
     primitive: UInt8[np.ndarray, "n m robots"]
     num_scored: int  # children scored, including those in which only the first robots have moved
     num_valid: int  # collision-free children in which every robot has moved, over all nodes
-    is_complete: Bool[np.ndarray, "n"]  # whether surely no collision-free child is missing
+    is_complete: Bool[np.ndarray, " n"]  # whether surely no collision-free child is missing
 
 
 def best_successors(
@@ -93,8 +93,8 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math
 
 @dataclass
 class SuccessorList:
-    score: Float[np.ndarray, "m"]  # cost-to-come plus weighted heuristic
-    cost: Float[np.ndarray, "m"]  # cost-to-come
+    score: Float[np.ndarray, " m"]  # cost-to-come plus weighted heuristic
+    cost: Float[np.ndarray, " m"]  # cost-to-come
     state: State
     width: int  # the beam width of the search that found them
     is_complete: bool  # whether the node surely has no other successors

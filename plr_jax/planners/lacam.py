@@ -20,8 +20,8 @@ from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice
 
 Bits: TypeAlias = int  # a set of primitives: bit p for primitive p
-JointNode: TypeAlias = Int[np.ndarray, "robots"]  # the lattice node of each robot
-Robots: TypeAlias = Int[np.ndarray, "m"]
+JointNode: TypeAlias = Int[np.ndarray, " robots"]  # the lattice node of each robot
+Robots: TypeAlias = Int[np.ndarray, " m"]
 Neighbors: TypeAlias = list[list[tuple[int, list[Bits]]]]
 _MOST = 1 << 21  # pairs of motions tested at once, between two checks of the clock
 _FEW_PAIRS = 64  # up to so many pairs, testing is as fast as a lookup
@@ -44,7 +44,7 @@ class Moves(NamedTuple):
 class TeamMoves:
     """A function that finds the team's :class:`Moves` from a joint configuration, or raises ``TimeoutError``."""
 
-    def __init__(self, joint: JointLattice, terms: Sequence[Float[np.ndarray, "_"]]):
+    def __init__(self, joint: JointLattice, terms: Sequence[Float[np.ndarray, " _"]]):
         self.kinds, self.terms, self.num_robots = joint.kinds, terms, len(joint.lattices)  # terms by robot and node
         self.tolerance, self.deadline = joint.problem.workspace.tolerance, joint.test.deadline
         self.of_kind = [np.stack([terms[i] for i in kind.members.tolist()]) for kind in joint.kinds]
@@ -108,7 +108,7 @@ class TeamMoves:
                 neighbors[robot].append((other, ours))
                 neighbors[other].append((robot, known[key_back]))
 
-    def estimates(self, state: JointNode) -> Float[np.ndarray, "robots"]:
+    def estimates(self, state: JointNode) -> Float[np.ndarray, " robots"]:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
@@ -203,7 +203,7 @@ class PIBT:
 class Node:
     state: JointNode
     parent: "Node | None"
-    priority: Float[np.ndarray, "robots"]  # steps since the start, or since the goal was left, plus a share below 1
+    priority: Float[np.ndarray, " robots"]  # steps since the start, or since the goal was left, plus a share below 1
     order: list[int]  # robots by priority, the highest first
     constraints: deque[tuple[tuple[int, int], ...]]  # of the steps that are still to be tried from here
 
@@ -272,7 +272,7 @@ class LaCAM:
         key = state.astype(np.int32).tobytes()
         node = self.nodes.get(key)
         if node is None:
-            arrived: Bool[np.ndarray, robots] = state == self.goal
+            arrived: Bool[np.ndarray, " robots"] = state == self.goal
             before = self.rest_priority if parent is None else parent.priority + 1
             priority = np.where(arrived, self.rest_priority, before)
             order = np.argsort(-priority, kind="stable").tolist()

@@ -35,7 +35,7 @@ _WIDEST_TURN = np.pi / 4
 _ROUNDING = 1e-9
 _MOST_KEPT = 1 << 18  # motions of a kind of robot up to which they are cached
 _CHUNK = 1 << 12  # cells at a time, between two checks of the clock
-Cells: TypeAlias = Int[np.ndarray, "n"]
+Cells: TypeAlias = Int[np.ndarray, " n"]
 Neighbors: TypeAlias = tuple[Int[np.ndarray, "n primitives"], Bool[np.ndarray, "n primitives"]]
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
 State: TypeAlias = Int[np.ndarray, "_ robots"]  # joint states: for each robot, a node of its lattice
@@ -65,11 +65,11 @@ class Kind:
     """
 
     robot: Robot
-    members: Int[np.ndarray, "robots"]  # indices in the team
+    members: Int[np.ndarray, " robots"]  # indices in the team
     q: Float[np.ndarray, "nodes dof"]
     child: Int[np.ndarray, "nodes primitives"]
     cost: Float[np.ndarray, "nodes primitives"]
-    side: Float[np.ndarray, "dof"]  # side lengths of a cell
+    side: Float[np.ndarray, " dof"]  # side lengths of a cell
     offset: Float[np.ndarray, "primitives dof"]  # displacement of each primitive between cell centers
     terminals: Terminals
 
@@ -88,7 +88,7 @@ class Kind:
         # The farthest that a motion takes the body from the motion's begin.
         self.reach = self.robot.circumscribed_radius + float(np.hypot(x, y).max())
 
-    def motions(self, node: Int[np.ndarray, "n"], row: int | slice = slice(None)) -> Leads:
+    def motions(self, node: Int[np.ndarray, " n"], row: int | slice = slice(None)) -> Leads:
         """Return the end node and cost of each primitive from nodes of robot ``members[row]``."""
         # By default, ``node`` has a node per robot. Motions into starts and goals replace motions into their cells.
         child, cost = self.child[node], self.cost[node]
@@ -119,22 +119,22 @@ class Kind:
         return into
 
     @cached_property
-    def _edges_and_sorted_keys(self) -> tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]:
+    def _edges_and_sorted_keys(self) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
         key = self.begin[:-1] * len(self.q) + self.end[:-1]
         order = np.lexsort((self.edge_cost[:-1], key))
         return order, key[order]
 
-    def edges_along(self, nodes: Int[np.ndarray, "steps"]) -> Int[np.ndarray, "motions"]:
+    def edges_along(self, nodes: Int[np.ndarray, " steps"]) -> Int[np.ndarray, "motions"]:
         order, key = self._edges_and_sorted_keys
         return order[np.searchsorted(key, nodes[:-1] * len(self.q) + nodes[1:])]
 
     @cached_property
-    def _cheapest_shared_edges(self) -> Int[np.ndarray, "m"]:
+    def _cheapest_shared_edges(self) -> Int[np.ndarray, " m"]:
         order, key = self._edges_and_sorted_keys
         edge = np.sort(order[np.append(True, key[1:] != key[:-1])])
         return edge[(edge < self.num_shared) & (self.begin[edge] != self.end[edge])]
 
-    def costs_to_go(self, rows: Int[np.ndarray, "n"]) -> Float[np.ndarray, "n nodes"]:
+    def costs_to_go(self, rows: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n nodes"]:
         # Search backward from an extra node per goal. Paths may pass the representative of the start's cell.
         num_nodes, goals, searches = len(self.q), self.terminals.node[rows, 1], np.arange(len(rows))
         search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])
@@ -147,7 +147,7 @@ class Kind:
         costs[searches, goals] = 0.0
         return costs
 
-    def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, "nodes"]:
+    def costs_to_come(self, row: int | np.integer) -> Float[np.ndarray, " nodes"]:
         edge = self._cheapest_shared_edges
         graph = csr_array((self.edge_cost[edge], (self.begin[edge], self.end[edge])), shape=(len(self.q),) * 2)
         return sparse_graphs.dijkstra(graph, indices=self.terminals.node[row, 0])
@@ -182,7 +182,7 @@ class JointLattice:
     test: JointMotionTest
 
     @cached_property
-    def costs_to_go(self) -> list[Float[np.ndarray, "_"]]:
+    def costs_to_go(self) -> list[Float[np.ndarray, " _"]]:
         """For each robot, the least cost from each node of its lattice to its goal, without the other robots."""
         costs = {}
         for kind in self.kinds:
@@ -194,7 +194,7 @@ class JointLattice:
         return [costs[i] for i in range(len(self.lattices))]
 
     @property
-    def least_costs(self) -> Float[np.ndarray, "robots"]:
+    def least_costs(self) -> Float[np.ndarray, " robots"]:
         """For each robot, the least cost on its lattice from start to goal, without the other robots."""
         return np.array([costs[each.start] for costs, each in zip(self.costs_to_go, self.lattices, strict=True)])
 
@@ -204,14 +204,14 @@ class JointLattice:
             q[:, i, : lattice.q.shape[1]] = lattice.q[state[:, i]]
         return q
 
-    def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> tuple[State, Float[np.ndarray, "n"]]:
+    def move(self, state: State, primitive: UInt8[np.ndarray, "n robots"]) -> tuple[State, Float[np.ndarray, " n"]]:
         columns = list(zip(self.lattices, state.T, primitive.T, strict=True))
         child = np.stack([lattice.child[s, p] for lattice, s, p in columns], axis=1)
         return child, np.sum([lattice.cost[s, p] for lattice, s, p in columns], axis=0)
 
     def collisions(
         self, i: int, j: int, state: State
-    ) -> tuple[Int[np.ndarray, "m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
+    ) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, "m primitives_i primitives_j"]]:
         """Return the rows of ``state`` in which two robots are near, and which of their primitives collide there."""
         a, b = self.lattices[i], self.lattices[j]
         qa, qb, reach = a.q[state[:, i]], b.q[state[:, j]], a.kind.reach + b.kind.reach
@@ -225,19 +225,19 @@ class JointLattice:
 class CellGrid(NamedTuple):
     """A grid of cells over a robot's configuration space: a free configuration per cell, and motions between them."""
 
-    lo: Float[np.ndarray, "dof"]
+    lo: Float[np.ndarray, " dof"]
     shape: tuple[int, ...]
-    side: Float[np.ndarray, "dof"]
+    side: Float[np.ndarray, " dof"]
     offsets: Int[np.ndarray, "primitives dof"]  # displacement of each primitive, in cells
     test: MotionTest
     rotation_weight: float
     q: Float[np.ndarray, "cells dof"]  # the representatives
-    free: Bool[np.ndarray, "cells"]  # whether the cell has a representative
+    free: Bool[np.ndarray, " cells"]  # whether the cell has a representative
     child: Int[np.ndarray, "cells primitives"]
     cost: Float[np.ndarray, "cells primitives"]
 
     def with_terminals(
-        self, robot: Robot, members: Int[np.ndarray, "robots"], starts: Configurations, goals: Configurations
+        self, robot: Robot, members: Int[np.ndarray, " robots"], starts: Configurations, goals: Configurations
     ) -> Kind:
         """Add starts and goals of robots ``members`` of a team as nodes, and return the motions of these robots."""
         num_robots, ends = len(starts), np.concatenate([starts, goals])
@@ -300,8 +300,8 @@ class CellGrid(NamedTuple):
     def costs(
         self,
         possible: Bool[np.ndarray, "n primitives"],
-        begin: Float[np.ndarray, "n #primitives dof"],
-        end: Float[np.ndarray, "n #primitives dof"],
+        begin: Float[np.ndarray, " n #primitives dof"],
+        end: Float[np.ndarray, " n #primitives dof"],
         deadline: float = math.inf,
     ) -> Float[np.ndarray, "n primitives"]:
         """Return the costs of straight motions, ``inf`` for motions that are not ``possible`` or hit an obstacle."""
@@ -311,7 +311,7 @@ class CellGrid(NamedTuple):
         cost[possible] = np.where(free, straight_costs(begin, end, self.rotation_weight), np.inf)
         return cost
 
-    def connect(self, cells: Int[np.ndarray, "n"], deadline: float = math.inf) -> None:
+    def connect(self, cells: Int[np.ndarray, " n"], deadline: float = math.inf) -> None:
         child, leads = self.neighbors(cells, self.offsets)
         at_contact = self.test.is_at_contact(self.q)  # only a start or goal can be, and no motion may pass through it
         leads &= (self.free & ~at_contact)[cells, None] & ~at_contact[child]
@@ -364,7 +364,7 @@ def _build_cell_grid(workspace: Workspace, robot: Robot, weight: float, step: fl
     size = max(1, _CHUNK // per_position) * per_position  # whole positions
     chunks = [slice(begin, min(begin + size, len(q))) for begin in range(0, len(q), size)]
 
-    def stands_free(at: Configurations) -> Bool[np.ndarray, "n"]:
+    def stands_free(at: Configurations) -> Bool[np.ndarray, " n"]:
         return test(at, at, deadline) & ~test.is_at_contact(at)
 
     # 1. Choose representatives: a sample if the center is blocked and the robot might fit into the cell.

@@ -22,7 +22,7 @@ _EDGE_BYTES, _NODE_BYTES = 2, 8  # memory per step of an edge, and of a node whi
 _ROUNDING = 1e-9
 _GAIN = 1e-2  # rounds of replanning stop if one saves a smaller share of the cost
 _NEIGHBORHOOD = 5  # robots in a neighborhood
-Edges: TypeAlias = Int[np.ndarray, "_"]
+Edges: TypeAlias = Int[np.ndarray, " _"]
 
 
 class ReservationTable:

@@ -52,7 +52,7 @@ class CornerRoadmap:
         straight[first[free], last[free]] = np.hypot(*(self.q[last] - self.q[first])[free].T)
         self.cost, self._previous = shortest_path(straight, directed=False, return_predecessors=True)
 
-    def is_free(self, begin: Points, end: Points) -> Bool[np.ndarray, "n"]:
+    def is_free(self, begin: Points, end: Points) -> Bool[np.ndarray, " n"]:
         """Return whether straight motions between free positions hit no wall; touching is allowed."""
         (x, y), (dx, dy) = begin.T, (end - begin).T
         # A motion hits a circle if it passes its center and comes too near.
@@ -89,7 +89,7 @@ _cached_roadmap = lru_cache(maxsize=16)(CornerRoadmap)
 
 
 def _positions_at(
-    at: Points, normal: Points, turn: Float[np.ndarray, "n"], radius: float
+    at: Points, normal: Points, turn: Float[np.ndarray, " n"], radius: float
 ) -> Float[np.ndarray, "corners 2"]:
     """Return the positions at which a disc's center turns around each corner: one, or two if the corner is sharp."""
     count = np.where(turn > _SHARP_TURN, 2, 1)
@@ -108,9 +108,9 @@ class Routes(NamedTuple):
     start: complex
     goal: complex
     straight: float  # cost of the straight motion from start to goal
-    out: Float[np.ndarray, "corners"]  # cost of the straight motion from the start to each corner
-    home: Float[np.ndarray, "corners"]  # cost of the straight motion from each corner to the goal
-    to_go: Float[np.ndarray, "corners"]  # cost of the shortest route from each corner to the goal
+    out: Float[np.ndarray, " corners"]  # cost of the straight motion from the start to each corner
+    home: Float[np.ndarray, " corners"]  # cost of the straight motion from each corner to the goal
+    to_go: Float[np.ndarray, " corners"]  # cost of the shortest route from each corner to the goal
 
     def shortest(self) -> Route | None:
         if self.straight < np.inf:

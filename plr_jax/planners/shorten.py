@@ -66,7 +66,7 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
 
 def _with_shortcuts(
     problem: Problem, trajectory: TeamTrajectory, i: int, test: JointMotionTest, begin: Rows, end: Rows
-) -> tuple[list[int], Bool[np.ndarray, "robots"]]:
+) -> tuple[list[int], Bool[np.ndarray, " robots"]]:
     # Each shortcut leads from a row in ``begin`` to a row in ``end``. Return the rows that the best ones do not skip,
     # and the robots that block some.
     # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
@@ -234,7 +234,7 @@ def _least_cost_through(cost: Costs) -> Costs:
     return so_far[:, 0, :, None] + cost + so_far[::-1, 1, None]
 
 
-def _cheapest(cost: Costs) -> Int[np.ndarray, "steps"]:
+def _cheapest(cost: Costs) -> Int[np.ndarray, " steps"]:
     # Paths begin and end at configuration 0, as in ``_least_cost_through``.
     size, rows = cost.shape[1], np.arange(cost.shape[1])
     so_far = np.full(size, np.inf)

@@ -25,7 +25,7 @@ _ROOM = 4  # distance from walls, in radii, at which a resting robot leaves room
 _AHEAD = 32  # most waypoints that a straight motion skips
 _ROUNDING = 1e-9
 Rows = Int[np.ndarray, "m"]
-Meetings = tuple[Int[np.ndarray, "meetings"], Int[np.ndarray, "meetings"]]
+Meetings = tuple[Int[np.ndarray, " meetings"], Int[np.ndarray, " meetings"]]
 Configurations = Float[np.ndarray, "m dof"]
 Motion = Float[np.ndarray, "rows dof"]
 Configuration = Float[np.ndarray, "dof"]
@@ -65,7 +65,7 @@ class Timetable:
 
     def are_free(
         self, i: int, begin: Configurations, end: Configurations, row: Rows, count: Rows
-    ) -> Bool[np.ndarray, "m"]:
+    ) -> Bool[np.ndarray, " m"]:
         """Return whether robot ``i`` meets nobody on straight motions of ``count`` time steps from ``row`` on."""
         owner, step = ragged_indices(count)
         share = count[owner, None]
@@ -82,7 +82,7 @@ class Timetable:
         piece, other = self._meetings(i, first, last, row)
         return row[piece], other
 
-    def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, "rows"]:
+    def next_free_rows(self, i: int, q: Configuration) -> Float[np.ndarray, " rows"]:
         """Return, for each row, the first row, not earlier, from which ``q`` is free for ``patience`` rows."""
         # The row is inf if there is none. Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))

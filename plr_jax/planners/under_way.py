@@ -187,11 +187,11 @@ class LifelongRun:
 
     problem: Problem
     path: JointPath
-    times: Float[np.ndarray, "rows"]
-    robots: Int[np.ndarray, "goals"]
+    times: Float[np.ndarray, " rows"]
+    robots: Int[np.ndarray, " goals"]
     goals: Float[np.ndarray, "goals dof"]
-    rows: Int[np.ndarray, "goals"]
-    seconds: Float[np.ndarray, "replans"]
+    rows: Int[np.ndarray, " goals"]
+    seconds: Float[np.ndarray, " replans"]
     num_from_nothing: int
     status: Status
 
@@ -254,7 +254,7 @@ class _LifelongTeam:
             self.requested_goals[i, : robot.dof] = problem.goals[i, : robot.dof]
         self.step = options.step or first_step(problem)
         self.length = self.step / ROWS_PER_STEP
-        self.served: list[tuple[int, int, Float[np.ndarray, dof]]] = []  # robot, row and goal
+        self.served: list[tuple[int, int, Float[np.ndarray, " dof"]]] = []  # robot, row and goal
         self._done, self._num_rows, self._seconds = [problem.starts[None]], 0, []
         self._since = np.zeros(len(problem.robots))  # row at which each robot got its goal
         self._hurried = np.full(len(problem.robots), -_WINDOW)  # row of each robot's last replan for lateness

@@ -29,14 +29,14 @@ class Timeline:
     Headings grow beyond pi instead of jumping by a turn.
     """
 
-    times: Float[np.ndarray, "steps"]
+    times: Float[np.ndarray, " steps"]
     configurations: Float[np.ndarray, "steps robots dof"]
 
     @property
     def duration(self) -> float:
         return float(self.times[-1])
 
-    def at(self, times: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n robots dof"]:
+    def at(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n robots dof"]:
         row, after, share = motions_under_way(self.times, times)
         share = share[:, None, None]
         return (1 - share) * self.configurations[row] + share * self.configurations[after]
@@ -118,11 +118,11 @@ def front_sides(robot: Robot, bounds: Box) -> Float[np.ndarray, "points 2"]:
     return corners[(first + np.arange(ahead.sum() + 1)) % len(corners)]
 
 
-def outline(robot: Robot, q: Float[np.ndarray, "dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
+def outline(robot: Robot, q: Float[np.ndarray, " dof"], bounds: Box) -> Float[np.ndarray, "corners 2"]:
     return placed(robot, body_outline(robot, bounds), q)
 
 
-def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, "dof"]) -> tuple[Polygon, Line2D | None]:
+def add_body(ax: Axes, problem: Problem, i: int, q: Float[np.ndarray, " dof"]) -> tuple[Polygon, Line2D | None]:
     robot, color = problem.robots[i], color_of(i)
     corners = outline(robot, q, problem.workspace.bounds)
     body = Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.6, zorder=BODY)

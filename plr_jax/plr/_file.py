@@ -29,10 +29,10 @@ class DecodedFile:
     certificate: Certificate | None = None
     straight: StraightBound | None = None  # a lower bound of the distance, and of the PLR's answers
     folding: Folding | None = None  # mirror symmetries that map all points of the PLR's domain to ``domain``
-    cut_off: Bool[np.ndarray, "leaves"] | None = None  # leaves that answer ``inf``; None: no leaf does for certain
+    cut_off: Bool[np.ndarray, " leaves"] | None = None  # leaves that answer ``inf``; None: no leaf does for certain
 
 
-def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, "leaves"] | None:
+def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, " leaves"] | None:
     return None if reach is None else reach.is_cut_off(*tree.leaves.fractions)
 
 
@@ -127,7 +127,7 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
 
 def planes_of_leaves(
     contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
-) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+) -> tuple[Float[np.ndarray, " leaves"], Float[np.ndarray, "leaves dim"]]:
     """Return the constant term and the gradient of each leaf's plane, for curved leaves of their mean plane."""
     is_inf = np.isinf(coefficients[:, 0])
     lo, hi = contents.tree.leaves.boxes(contents.domain)

@@ -76,7 +76,7 @@ class PLR(FileBacked):
             return jax.device_put(padded(bounds.T, padded_size(bounds.shape[1])).T)
 
     @cached_property
-    def goals(self) -> Int[Array, "rows"] | None:
+    def goals(self) -> Int[Array, " rows"] | None:
         """Index of the nearest goal for each leaf, if the file stores it; or None."""
         if (goals := goal_of_leaves(self.leaf, self._contents.stored)) is None:
             return None
@@ -264,7 +264,7 @@ class PLR(FileBacked):
         tables, placements = zip(*(plr._tables_and_placement for plr in plrs), strict=True)
         return TableStack(tables, (None,) * len(plrs), placements)
 
-    def values_in_leaves(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n"]:
+    def values_in_leaves(self, leaf: Int[np.ndarray, " n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:
         """Evaluate the function of a given leaf at each point, also outside that leaf, in double precision.
 
         Along periodic axes, points are first moved by whole periods to near the leaf's center.
@@ -329,7 +329,7 @@ class PLR(FileBacked):
         return self._boxes[:2]
 
     @property
-    def leaf_of_box(self) -> Int[np.ndarray, "boxes"]:
+    def leaf_of_box(self) -> Int[np.ndarray, " boxes"]:
         """Index of the leaf to which each box in :attr:`leaf_boxes` belongs."""
         return self._boxes[2]
 
@@ -340,7 +340,7 @@ class PLR(FileBacked):
         return (lo, hi, np.arange(len(lo))) if folding is None else folding.boxes(lo, hi)
 
     @property
-    def unreachable(self) -> Bool[np.ndarray, "leaves"]:
+    def unreachable(self) -> Bool[np.ndarray, " leaves"]:
         """Whether each leaf is stored as unreachable; such a leaf continues a neighbor's plane or answers ``inf``."""
         is_inf, cut_off = np.isinf(self.leaf.coefficients(self.cells, self.stored)[:, 0]), self._contents.cut_off
         return is_inf if cut_off is None else is_inf | cut_off
@@ -356,7 +356,7 @@ class PLR(FileBacked):
         return self._planes[1]
 
     @property
-    def intercept(self) -> Float[np.ndarray, "leaves"]:
+    def intercept(self) -> Float[np.ndarray, " leaves"]:
         """Constant term of each leaf's plane ``slope @ x + intercept``; ``inf`` for leaves that answer ``inf``."""
         return self._planes[0]
 
@@ -376,7 +376,7 @@ class PLR(FileBacked):
         return filled_coefficients(self._contents)
 
     @cached_property
-    def _planes(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+    def _planes(self) -> tuple[Float[np.ndarray, " leaves"], Float[np.ndarray, "leaves dim"]]:
         return planes_of_leaves(self._contents, self._coefficients)
 
 

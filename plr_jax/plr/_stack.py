@@ -58,7 +58,7 @@ def trie_levels(bits: _PerAxis) -> list[_PerAxis]:
     return ends
 
 
-def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]], levels: Sequence[_PerAxis]) -> Trie:
+def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."]], levels: list[_PerAxis]) -> Trie:
     # Masks and shifts that turn the fraction bits between two levels into an index into a page.
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
@@ -86,8 +86,8 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "_"]]
 
 
 def _pages(
-    cells: Cells, row: Int[np.ndarray, "leaves"], levels: Sequence[_PerAxis], next_start: int
-) -> Iterator[UInt32[np.ndarray, "entries"]]:
+    cells: Cells, row: Int[np.ndarray, " leaves"], levels: Sequence[_PerAxis], next_start: int
+) -> Iterator[UInt32[np.ndarray, " entries"]]:
     # Yield the entries of one PLR level by level; ``next_start`` is the first entry of the second level.
     page = np.zeros(1, np.int64)  # numbers of the cells of the level above that have a page in this level
     for number, (begin, end) in enumerate(pairwise(levels)):
@@ -109,8 +109,8 @@ def _pages(
 
 
 def _page_entries(
-    place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, "pages"], begin: _PerAxis, end: _PerAxis
-) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, " pages"], begin: _PerAxis, end: _PerAxis
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
@@ -121,7 +121,7 @@ class _SameShapeGroup:
 
     frame: Tables  # without leaves; each array is one that all PLRs share, or has those of all PLRs, flattened
     trie: Trie
-    leaf_parameters: Float[AnyArray, "count rows"] | Float[AnyArray, "numbers"]  # only distinct rows
+    leaf_parameters: Float[AnyArray, "count rows"] | Float[AnyArray, " numbers"]  # only distinct rows
     band: Any  # proven bounds of each row, ``(2, rows)``, as ``PLR.band``; None if a PLR has none
     shapes: tuple[tuple[int, ...] | None, ...] = field(metadata={"static": True})  # of an array; None if all share it
     first_bits: int = field(metadata={"static": True})  # index bits of the first level of the trie
@@ -183,8 +183,8 @@ class PLRStack:
     """
 
     groups: tuple[_SameShapeGroup, ...]
-    group: UInt32[AnyArray, "plrs"]
-    place: UInt32[AnyArray, "plrs"]  # index of each PLR in its group
+    group: UInt32[AnyArray, " plrs"]
+    place: UInt32[AnyArray, " plrs"]  # index of each PLR in its group
     corners: Float[AnyArray, "plrs 3 dim"] | None  # origin of each PLR's tables, a sum of floats; None for zeros
     dim: int = field(metadata={"static": True})
     unresolved: tuple[str, ...] = field(metadata={"static": True})  # float types too coarse for some domain

@@ -48,13 +48,13 @@ class Traces:
     """
 
     paths: Float[np.ndarray, "n steps dim"]
-    counts: Int[np.ndarray, "n"]
-    lengths: Float[np.ndarray, "n"]
-    status: Int[np.ndarray, "n"]
+    counts: Int[np.ndarray, " n"]
+    lengths: Float[np.ndarray, " n"]
+    status: Int[np.ndarray, " n"]
     are_tested: bool
 
     @property
-    def arrived(self) -> Bool[np.ndarray, "n"]:
+    def arrived(self) -> Bool[np.ndarray, " n"]:
         """Whether each path ends at the goal and, if walls were tested, crosses none."""
         return self.status == TraceStatus.ARRIVED
 

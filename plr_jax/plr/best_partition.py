@@ -36,14 +36,14 @@ class BoxLevel:
     """The boxes found so far that result from the domain by a given number of halvings."""
 
     boxes: Any  # boxes in the plane with the errors that they would have as leaves, such as ConeBoxes
-    key: UInt64[np.ndarray, "boxes"]  # hash of each box
+    key: UInt64[np.ndarray, " boxes"]  # hash of each box
     child: Int[np.ndarray, "2 2 boxes"]  # halves in the next level by axis, half and box, or UNKNOWN
 
     @staticmethod
-    def of(boxes: Any, key: UInt64[np.ndarray, "boxes"]) -> "BoxLevel":
+    def of(boxes: Any, key: UInt64[np.ndarray, " boxes"]) -> "BoxLevel":
         return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
-    def costs(self, share: float) -> Float[np.ndarray, "boxes"]:
+    def costs(self, share: float) -> Float[np.ndarray, " boxes"]:
         """Return each box's cost as a leaf: the integral of its error plus ``share`` times its largest error."""
         return self.boxes.integral + share * self.boxes.peak
 
@@ -55,7 +55,7 @@ class BoxLevel:
         most = np.where(is_peaked, _MAX_ASPECT_BITS_OF_PEAKS, MAX_ASPECT_BITS)
         return shallow & (depth - depth.min(axis=0) < most) & (self.child[:, 0] == UNKNOWN)
 
-    def append(self, boxes: Any, key: UInt64[np.ndarray, "new"]) -> None:
+    def append(self, boxes: Any, key: UInt64[np.ndarray, " new"]) -> None:
         self.boxes = self.boxes.append(boxes)
         self.key = np.concatenate([self.key, key])
         self.child = np.concatenate([self.child, np.full((2, 2, len(key)), UNKNOWN)], axis=2)
@@ -64,8 +64,8 @@ class BoxLevel:
 class TreeCosts(NamedTuple):
     """The least cost of the trees into which each box may be split: the leaves' errors and a price per leaf."""
 
-    best: Float[np.ndarray, "boxes"]  # of each box's best tree of computed boxes, possibly the box alone
-    least: Float[np.ndarray, "boxes"]  # none of the box's trees is expected to cost less
+    best: Float[np.ndarray, " boxes"]  # of each box's best tree of computed boxes, possibly the box alone
+    least: Float[np.ndarray, " boxes"]  # none of the box's trees is expected to cost less
 
     @staticmethod
     def of(level: BoxLevel, below: "TreeCosts | None", price: float, share: float, limits: Limits) -> "TreeCosts":
@@ -81,7 +81,7 @@ class TreeCosts(NamedTuple):
         return TreeCosts(best, least)
 
 
-def cost_if_halved(peak: Float[np.ndarray, "boxes"], price: float) -> Float[np.ndarray, "boxes"]:
+def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.ndarray, " boxes"]:
     # Each further leaf divides the peak by _MOST_DROP at best; the integral of the error may vanish.
     lowest = _MOST_DROP / (_MOST_DROP - 1)  # a peak of fewer prices is not worth another leaf
     more = np.ceil(np.log(np.maximum(peak / price / lowest, _MOST_DROP)) / np.log(_MOST_DROP))
@@ -122,7 +122,7 @@ def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits) -
 
 
 def _add_halves(
-    levels: list[BoxLevel], depth: int, parent: Int[np.ndarray, "new"], axis: Int[np.ndarray, "new"]
+    levels: list[BoxLevel], depth: int, parent: Int[np.ndarray, " new"], axis: Int[np.ndarray, " new"]
 ) -> None:
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1
@@ -153,7 +153,7 @@ _BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # estimated bits of one more leaf, and
 # Most prices to try between two trees; the share of the limits to aim at, and the share at which the search stops.
 _ATTEMPTS, _AIM, _FULL = 12, 0.9985, 0.997
 _LAST = 1e-4  # factor of the price once no box is left to halve; not 0, so that the smaller of equal trees is chosen
-Leaves: TypeAlias = list[Int[np.ndarray, "_"]]
+Leaves: TypeAlias = list[Int[np.ndarray, " _"]]
 """For each level, the indices of the boxes that are leaves of a tree."""
 
 
@@ -162,8 +162,8 @@ class PricedTree:
     """The tree with the least sum of its leaves' errors and a ``price`` per leaf, stored level by level."""
 
     leaves: Leaves
-    axes: list[Int[np.ndarray, "_"]]  # split axis of each node; -1 for a leaf
-    order: Int[np.ndarray, "leaves"]  # permutation of the leaves into the order of the tree's traversal
+    axes: list[Int[np.ndarray, " _"]]  # split axis of each node; -1 for a leaf
+    order: Int[np.ndarray, " leaves"]  # permutation of the leaves into the order of the tree's traversal
     price: float
     num_bytes: int = 0
     is_final: bool = False  # whether the search for a larger tree is over
@@ -177,7 +177,7 @@ def peak_share(num_leaves: float, is_proven: bool) -> float:
 
 
 class SelectedBoxes(NamedTuple):
-    box: Int[np.ndarray, "own"]  # boxes of a level that a tree may contain
+    box: Int[np.ndarray, " own"]  # boxes of a level that a tree may contain
     child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
 
 
@@ -307,7 +307,7 @@ class PriceSearch:
 
 def best_axes(
     levels: list[BoxLevel], own: list[SelectedBoxes], price: float, share: float
-) -> list[Int[np.ndarray, "own"]]:
+) -> list[Int[np.ndarray, " own"]]:
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
         total, choice = level.costs(share)[box] + price, np.full(len(box), -1)

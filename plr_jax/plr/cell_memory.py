@@ -56,7 +56,7 @@ class CellMemory:
                 visible = visible.parts(parent, axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
         return self._recall(tree.leaves)
 
-    def _knows(self, cells: Cells) -> Bool[np.ndarray, "cells"]:
+    def _knows(self, cells: Cells) -> Bool[np.ndarray, " cells"]:
         hashes = cells.hashes()
         at = np.minimum(np.searchsorted(self._hashes, hashes), len(self._hashes) - 1)
         return self._hashes[at] == hashes

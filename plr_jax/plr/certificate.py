@@ -14,12 +14,12 @@ from plr_jax._types import CellSources
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 
-Bounds: TypeAlias = tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]
+Bounds: TypeAlias = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 ConeBoundsFn: TypeAlias = Callable[..., Bounds]
 """Function of pieces, apexes, offsets, rows: bounds of ``offset + |x - apex|`` minus the leaf function of a row."""
 
 
-def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, "n"], cones_above: ConeBoundsFn) -> Bounds:
+def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_above: ConeBoundsFn) -> Bounds:
     """Return lower and upper bounds of (distance to the goal - leaf function) over convex pieces of free space.
 
     ``visible`` has the *sources* of each piece: corners (or the goal) to which shortest paths from the piece go
@@ -51,10 +51,10 @@ class LeafFunctions:
     hi: Float[np.ndarray, "leaves dim"]
     coefficients: Float[np.ndarray, "leaves terms"]
 
-    def values(self, leaf: Int[np.ndarray, "n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    def values(self, leaf: Int[np.ndarray, " n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         return self.model.values(self.lo[leaf], self.hi[leaf], self.coefficients[leaf], x)
 
-    def bounds_of_pieces(self, visible: CellSources, leaf: Int[np.ndarray, "n"]) -> Bounds:
+    def bounds_of_pieces(self, visible: CellSources, leaf: Int[np.ndarray, " n"]) -> Bounds:
         def cones_above(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
             functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
@@ -62,7 +62,7 @@ class LeafFunctions:
 
         return bounds_of_pieces(visible, np.arange(len(leaf)), cones_above)
 
-    def largest_errors(self, visible: CellSources) -> Float[np.ndarray, "leaves"]:
+    def largest_errors(self, visible: CellSources) -> Float[np.ndarray, " leaves"]:
         lower, upper = self.bounds_of_pieces(visible, visible.cell)
         errors = np.zeros(visible.num_cells)
         np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
@@ -71,7 +71,7 @@ class LeafFunctions:
 
 # Most rounds in which pieces of a leaf are halved, and most pieces in a round; more would only tighten bounds.
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
-Errors: TypeAlias = Float[np.ndarray, "leaves"]
+Errors: TypeAlias = Float[np.ndarray, " leaves"]
 SufficientFn: TypeAlias = Callable[[Errors, Errors, bool], tuple[Errors, Errors]]
 """Function ``sufficient(least, most, anew)`` that returns lower and upper bounds of errors that are tight enough.
 
@@ -102,7 +102,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
     aside: list[tuple[Any, ...]] = []
     rounds, below, above = np.zeros(num_leaves, np.int64), np.zeros(0), np.zeros(0)
 
-    def open_pieces(anew: bool) -> Bool[np.ndarray, "pieces"]:
+    def open_pieces(anew: bool) -> Bool[np.ndarray, " pieces"]:
         low, high = sufficient(least - slack, most + slack, anew)
         low, high = np.minimum(low + slack, least - slack), np.maximum(high - slack, most + slack)
         return ((below < low[leaf]) | (above > high[leaf])) & (rounds[leaf] < _MOST_ROUNDS)
@@ -173,7 +173,7 @@ _BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # bounds of a class, and its set
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
 
 
-def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], volume: Errors, max_bits: int) -> Codes:
+def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], volume: Errors, max_bits: int) -> Codes:
     """Group leaves into classes that share error bounds, so that these take at most ``max_bits`` bits in a file.
 
     ``codes`` encodes each leaf's own lower and upper bound; ``bound_of_code[i]`` is the bound that code ``i`` means.
@@ -184,7 +184,7 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], vol
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     number = len(rank)
 
-    def of_ranges(of_rank: Shaped[np.ndarray, "ranks"], fold: np.ufunc) -> Shaped[np.ndarray, "ranks ranks"]:
+    def of_ranges(of_rank: Shaped[np.ndarray, " ranks"], fold: np.ufunc) -> Shaped[np.ndarray, "ranks ranks"]:
         return fold.accumulate(np.triu(np.broadcast_to(of_rank, (number, number))), axis=1)
 
     highest = np.zeros((2, number), codes.dtype)
@@ -221,7 +221,7 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, "codes"], vol
 
 
 def requantize_bounds(
-    codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, "codes"], max_bits: int
+    codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, " codes"], max_bits: int
 ) -> Codes | None:
     # Widen each leaf's bounds to the narrowest pair in ``classes`` that contains them.
     classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
@@ -254,7 +254,7 @@ def distinct_classes(codes: Codes) -> Integer[np.ndarray, "2 classes"]:
     return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
 
 
-def _class_keys(codes: Codes) -> Int[np.ndarray, "leaves"]:
+def _class_keys(codes: Codes) -> Int[np.ndarray, " leaves"]:
     lower, upper = codes.astype(np.int64)
     return (lower << _CODE_BITS) + upper
 
@@ -313,7 +313,7 @@ class StraightBound:
 
     goals: Float[np.ndarray, "goals dim"]  # relative to the domain's lower corner
     groups: Float[np.ndarray, "groups dim"]  # 1 if an axis is in a group, else 0
-    rates: Float[np.ndarray, "groups"]
+    rates: Float[np.ndarray, " groups"]
     margin: float
     is_simple: bool  # one goal, one group, and no periodic axes: stored as release 0.2 does
 
@@ -322,7 +322,7 @@ class StraightBound:
         return [np.asarray(each, np.float32) for each in (self.goals, self.groups, self.rates, self.margin)]
 
     @property
-    def numbers(self) -> Float[np.ndarray, "_"]:
+    def numbers(self) -> Float[np.ndarray, " _"]:
         header = [] if self.is_simple else [-len(self.goals), *self.groups.argmax(axis=0)]
         return np.concatenate([header, self.goals.ravel(), self.rates, [self.margin]])
 
@@ -466,7 +466,7 @@ def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.nd
     return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
 
 
-def _encode_bounds(bound: Float[np.ndarray, "leaves"], scale: float) -> UInt8[np.ndarray, "leaves"]:
+def _encode_bounds(bound: Float[np.ndarray, " leaves"], scale: float) -> UInt8[np.ndarray, " leaves"]:
     with np.errstate(divide="ignore"):
         code = np.ceil(_MOST + _CODES_A_DOUBLING * np.log2(bound / scale))
     code = np.clip(code, 0, _MOST).astype(np.uint8)

@@ -61,26 +61,26 @@ class BitWriter:
 
     def __init__(self) -> None:
         self.num_bits = 0
-        self._written: list[tuple[Int[np.ndarray, _], Int[np.ndarray, _] | int]] = []
+        self._written: list[tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"] | int]] = []
 
-    def write(self, values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -> "BitWriter":
+    def write(self, values: Int[np.ndarray, " n"], widths: Int[np.ndarray, " n"] | int) -> "BitWriter":
         self.num_bits += len(values) * widths if isinstance(widths, int) else int(widths.sum())
         self._written.append((values, widths))
         return self
 
-    def write_unary(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
+    def write_unary(self, values: Int[np.ndarray, " n"]) -> "BitWriter":
         widths = np.stack([values, np.ones_like(values)], axis=1).ravel()
         return self.write(np.arange(len(widths)) % 2, widths)
 
-    def write_floats(self, values: Float[np.ndarray, "n"]) -> "BitWriter":
+    def write_floats(self, values: Float[np.ndarray, " n"]) -> "BitWriter":
         return self.write(bits_of_floats(values), 32)
 
-    def write_set(self, member: Bool[np.ndarray, "n"]) -> "BitWriter":
+    def write_set(self, member: Bool[np.ndarray, " n"]) -> "BitWriter":
         """Append the members of a subset of ``range(n)``: their number, then the gaps between them."""
         gaps = np.diff(np.flatnonzero(member), prepend=-1) - 1
         return self.write(np.array([len(gaps)]), _COUNT_BITS).write_coded(gaps)
 
-    def write_coded(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
+    def write_coded(self, values: Int[np.ndarray, " n"]) -> "BitWriter":
         """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
 
         First comes an order ``k`` that all values share, in 5 bits. Each value then has ``k + e`` bits: first the
@@ -99,7 +99,7 @@ class BitWriter:
         self.write(np.array([order]), _ORDER_BITS).write_unary(extra)
         return self.write((values + (1 << order)) & ((1 << (order + extra)) - 1), order + extra)
 
-    def write_signed(self, values: Int[np.ndarray, "n"]) -> "BitWriter":
+    def write_signed(self, values: Int[np.ndarray, " n"]) -> "BitWriter":
         """Append signed integers as Exp-Golomb codes of ``2 * v - 1`` for positive ``v``, else of ``-2 * v``."""
         return self.write_coded(2 * np.abs(values) - (values > 0))
 
@@ -108,7 +108,7 @@ class BitWriter:
         return np.packbits(np.concatenate(bits), bitorder="little").tobytes()
 
 
-def _bits_of(values: Int[np.ndarray, "n"], widths: Int[np.ndarray, "n"] | int) -> UInt8[np.ndarray, "bits"]:
+def _bits_of(values: Int[np.ndarray, " n"], widths: Int[np.ndarray, " n"] | int) -> UInt8[np.ndarray, " bits"]:
     if isinstance(widths, int):
         bits = (values[:, None] >> np.arange(widths)) & 1
     else:
@@ -124,32 +124,32 @@ class BitReader:
         self._bits = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little")
         self._at = 0
 
-    def read(self, widths: Int[np.ndarray, "n"]) -> Int[np.ndarray, "n"]:
+    def read(self, widths: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
         bits = self._take(int(widths.sum()))
         field, within = ragged_indices(widths)
         values = np.zeros(len(widths), np.int64)
         np.add.at(values, field, bits << within)
         return values
 
-    def read_fixed_width(self, num_values: int, width: int) -> Int[np.ndarray, "n"]:
+    def read_fixed_width(self, num_values: int, width: int) -> Int[np.ndarray, " n"]:
         return self._take(num_values * width).reshape(num_values, width) @ (np.int64(1) << np.arange(width))
 
-    def read_unary(self, num_values: int) -> Int[np.ndarray, "n"]:
+    def read_unary(self, num_values: int) -> Int[np.ndarray, " n"]:
         ends = np.flatnonzero(self._bits[self._at :])[:num_values]
         if len(ends) < num_values:
             raise ValueError("the data end too early")
         self._at += int(ends[-1]) + 1 if num_values else 0
         return np.diff(ends, prepend=-1) - 1
 
-    def read_floats(self, num_values: int) -> Float[np.ndarray, "n"]:
+    def read_floats(self, num_values: int) -> Float[np.ndarray, " n"]:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
-    def read_set(self, size: int) -> Bool[np.ndarray, "n"]:
+    def read_set(self, size: int) -> Bool[np.ndarray, " n"]:
         member = np.zeros(size, bool)
         member[self.read_members(size)] = True
         return member
 
-    def read_members(self, size: int) -> Int[np.ndarray, "members"]:
+    def read_members(self, size: int) -> Int[np.ndarray, " members"]:
         """Read a subset of ``range(size)`` as a sorted array of its members, in memory independent of ``size``."""
         num_members = int(self.read_fixed_width(1, _COUNT_BITS)[0])
         if num_members > size:
@@ -159,7 +159,7 @@ class BitReader:
             raise ValueError(f"it names a member beyond the last of {size}")
         return index
 
-    def read_coded(self, num_values: int) -> Int[np.ndarray, "n"]:
+    def read_coded(self, num_values: int) -> Int[np.ndarray, " n"]:
         if not num_values:
             return np.zeros(0, np.int64)
         order = int(self.read_fixed_width(1, _ORDER_BITS)[0])
@@ -171,11 +171,11 @@ class BitReader:
             raise ValueError("it holds a number that is too large")
         return values
 
-    def read_signed(self, num_values: int) -> Int[np.ndarray, "n"]:
+    def read_signed(self, num_values: int) -> Int[np.ndarray, " n"]:
         code = self.read_coded(num_values)
         return np.where(code % 2, (code + 1) // 2, -(code // 2))
 
-    def _take(self, num_bits: int) -> Int[np.ndarray, "bits"]:
+    def _take(self, num_bits: int) -> Int[np.ndarray, " bits"]:
         bits = self._bits[self._at : self._at + num_bits]
         if len(bits) < num_bits:
             raise ValueError("the data end too early")
@@ -196,7 +196,7 @@ def floats_of_bits(bits: Int[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         return bits.astype(np.uint32).view(np.float32).astype(np.float64)
 
 
-def _extra_bits(values: Int[np.ndarray, "n"], order: int) -> Int[np.ndarray, "n"]:
+def _extra_bits(values: Int[np.ndarray, " n"], order: int) -> Int[np.ndarray, " n"]:
     return (np.frexp((values + (1 << order)).astype(float))[1] - 1 - order).astype(np.int64)
 
 

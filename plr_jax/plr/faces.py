@@ -12,9 +12,9 @@ from plr_jax.plr.tree import Cells, Rows, Tree, corner_bits, tree_of
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Indices: TypeAlias = Int[np.ndarray, "n"]
+Indices: TypeAlias = Int[np.ndarray, " n"]
 Pairs: TypeAlias = Int[np.ndarray, "rows pairs"]
-Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, "pairs"]], Bool[np.ndarray, "pairs"]]
+Keep: TypeAlias = Callable[[Pairs, int, int, Int[np.ndarray, " pairs"]], Bool[np.ndarray, " pairs"]]
 """Function ``keep(pairs, side, half, axis)``: which pairs stay after halves along ``axis`` replaced row ``side``."""
 
 
@@ -46,13 +46,13 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
     return leaves
 
 
-def overlap(a: Cells, i: Indices, b: Cells, j: Indices, axis: Indices) -> Bool[np.ndarray, "n"]:
+def overlap(a: Cells, i: Indices, b: Cells, j: Indices, axis: Indices) -> Bool[np.ndarray, " n"]:
     common = np.minimum(a.depth[i, axis], b.depth[j, axis])
     return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
 
 
 def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
-    def keep(pairs: Pairs, side: int, half: int, axis: Indices) -> Bool[np.ndarray, "pairs"]:
+    def keep(pairs: Pairs, side: int, half: int, axis: Indices) -> Bool[np.ndarray, " pairs"]:
         return overlap(a.cells, pairs[0], b.cells, pairs[1], axis)
 
     return leaf_pairs(a, b, np.zeros((2, 1), np.int64), keep)
@@ -61,7 +61,7 @@ def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
 ZERO = 1e-9  # smaller weights are rounding errors: exact weights are multiples of a far larger power of two
 
 
-def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "csr_array":
+def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> "csr_array":
     """Return the matrix that maps free values to all values; ``is_free`` is 1 for a free value, else 0.
 
     Row ``i`` of ``step`` gives value ``i``, if it is not free, as a weighted sum of other values, without cycles.
@@ -75,7 +75,7 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, "n"]) -> "
     return step
 
 
-def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, "variables"], most_weights: int) -> "csr_array":
+def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"], most_weights: int) -> "csr_array":
     """Return a square matrix ``m`` with ``rows @ m == 0``, which maps any values to solutions of these equations.
 
     Each equation is solved for its variable of the highest ``level``, a number for each variable. ``ValueError`` if
@@ -135,10 +135,10 @@ _TOUCH = 2.0**-20  # counted as length of a contact along an axis on which cells
 
 def neighbor_of_largest_contact(
     cells: Cells,
-    unreachable: Int[np.ndarray, "unreachable"],
-    reachable: Int[np.ndarray, "reachable"],
+    unreachable: Int[np.ndarray, " unreachable"],
+    reachable: Int[np.ndarray, " reachable"],
     periodic: tuple[bool, ...],
-) -> Int[np.ndarray, "unreachable"]:
+) -> Int[np.ndarray, " unreachable"]:
     """Return the reachable leaf that shares the largest face, edge or corner with each unreachable leaf, or -1."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
@@ -151,7 +151,7 @@ def neighbor_of_largest_contact(
 
 
 def touching_leaves(
-    tree: Tree, some: Int[np.ndarray, "some"], others: Int[np.ndarray, "others"], periodic: tuple[bool, ...]
+    tree: Tree, some: Int[np.ndarray, " some"], others: Int[np.ndarray, " others"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, "2 pairs"]:
     finest = tree.cells.depth.max(axis=0)
     holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
@@ -159,7 +159,7 @@ def touching_leaves(
     for splits in reversed(tree.splits):
         holds[:, splits] = holds[:, tree.child[splits]] | holds[:, tree.child[splits] + 1]
 
-    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
+    def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, " pairs"]) -> Bool[np.ndarray, " pairs"]:
         stays = holds[0][pairs[0]] & holds[1][pairs[1]]
         stays[stays] = _contacts(tree.cells, finest, pairs[:, stays], periodic) > 0
         return stays
@@ -167,7 +167,7 @@ def touching_leaves(
     return leaf_pairs(tree, tree, np.zeros((2, int(holds[0][0] & holds[1][0])), np.int64), keep)
 
 
-def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, "pairs"]:
+def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, " pairs"]:
     # The size of the face that both cells share; tiny for an edge or a corner, 0 if the cells are apart.
     (a, b), contact = pairs, np.ones(pairs.shape[1])
     for axis in range(cells.dim):
@@ -192,9 +192,9 @@ class SharedFaces(Rows):
     """Faces of two leaves each: leaf ``lower`` ends and leaf ``upper`` begins at the face along ``axis``."""
 
     # Across the ends of a periodic axis, the lower leaf is at the upper end; a leaf that spans it is on both sides.
-    lower: Int[np.ndarray, "faces"]
-    upper: Int[np.ndarray, "faces"]
-    axis: Int[np.ndarray, "faces"]
+    lower: Int[np.ndarray, " faces"]
+    upper: Int[np.ndarray, " faces"]
+    axis: Int[np.ndarray, " faces"]
 
     def __len__(self) -> int:
         return len(self.axis)

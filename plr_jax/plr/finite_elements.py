@@ -38,12 +38,12 @@ class NodalSpace:
     """A basis of the functions on leaves that are continuous across *tied* faces, but may jump at others."""
 
     tree: Tree
-    group: Int[np.ndarray, "nodes"]  # of each node ``leaf * 2**dim + corner``; nodes of a group share a value
-    hanging: Int[np.ndarray, "hanging"]  # groups whose value is interpolated from an adjacent leaf
-    host_leaf: Int[np.ndarray, "hanging"]  # the adjacent leaf
+    group: Int[np.ndarray, " nodes"]  # of each node ``leaf * 2**dim + corner``; nodes of a group share a value
+    hanging: Int[np.ndarray, " hanging"]  # groups whose value is interpolated from an adjacent leaf
+    host_leaf: Int[np.ndarray, " hanging"]  # the adjacent leaf
     host_position: Float[np.ndarray, "hanging dim"]  # of the group's point in the adjacent leaf, from 0 to 1
-    free_dofs: Int[np.ndarray, "free_dofs"]  # groups whose values are free (degrees of freedom), sorted by ``level``
-    level: Int[np.ndarray, "free_dofs"]  # binary digits of all coordinates of the point, in fractions of the domain
+    free_dofs: Int[np.ndarray, " free_dofs"]  # groups whose values are free (degrees of freedom), sorted by ``level``
+    level: Int[np.ndarray, " free_dofs"]  # binary digits of all coordinates of the point, in fractions of the domain
     values: "csr_array"  # from values of free groups to values of all nodes; 0 at nodes of unreachable leaves
     prediction: "csr_array"  # of free groups from coarser ones: the mean of the ends of the edge that a split halved
 
@@ -52,7 +52,7 @@ class NodalSpace:
         return self.tree.cells.dim
 
 
-def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "leaves"]) -> NodalSpace:
+def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " leaves"]) -> NodalSpace:
     """Build the space of functions on the leaves of a tree that are continuous across the faces ``tied``.
 
     Leaves from which the goal cannot be reached have no values. ``ValueError`` if there are too many constraints.
@@ -130,10 +130,10 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, "le
 
 
 def _interpolation(
-    group: Int[np.ndarray, "nodes"],
-    leaf: Int[np.ndarray, "n"],
+    group: Int[np.ndarray, " nodes"],
+    leaf: Int[np.ndarray, " n"],
     t: Points,
-    row: Int[np.ndarray, "n"],
+    row: Int[np.ndarray, " n"],
     shape: tuple[int, int],
 ) -> "csr_array":
     from scipy.sparse import csr_array
@@ -219,14 +219,14 @@ def enclosing_planes(
     return powers[:, 0, 0], np.stack([powers[:, 1, 0], powers[:, 0, 1]], axis=1), terms.sum(axis=(1, 2))
 
 
-def _shifted_powers(count: int, center: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n power power"]:
+def _shifted_powers(count: int, center: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n power power"]:
     # Coefficients of each power of ``t`` in powers of ``t - center``.
     power, of_difference = np.arange(count)[:, None], np.arange(count)
     ways = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
     return ways * center[:, None, None] ** np.maximum(power - of_difference, 0)
 
 
-def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, "dim"]) -> Float[np.ndarray, "n terms"]:
+def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> Float[np.ndarray, "n terms"]:
     # Differentiate along all axes where ``derivative`` is 1.
     n, (_, kinds, num_powers) = len(t), _BASIS_1D[order].shape
     values, powers = np.ones((n, 1, 1)), np.arange(num_powers)

@@ -19,7 +19,7 @@ class Folding:
     """A map of points into one part of a domain: shift to a center, rotate to given axes, then mirror."""
 
     domain: Box
-    center: Float[np.ndarray, "dim"]  # new origin of coordinates; all mirrors pass through it
+    center: Float[np.ndarray, " dim"]  # new origin of coordinates; all mirrors pass through it
     axes: Float[np.ndarray, "dim dim"]  # orthogonal, a row for each folded coordinate; unit vectors of periodic axes
     mirrors: tuple[tuple[bool, ...], ...]  # whether each mirror changes the sign of each coordinate
 
@@ -56,7 +56,7 @@ class Folding:
         return tuple(mirror for mirror, pivot in pairs if min(-lo[pivot], hi[pivot]) > least[pivot])
 
     @property
-    def _range_before_mirroring(self) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
+    def _range_before_mirroring(self) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
         ends = self.axes * (self.domain.lo - self.center), self.axes * (self.domain.hi - self.center)
         return np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
 
@@ -67,7 +67,7 @@ class Folding:
             z = np.where((z[..., pivot] < 0)[..., None] & np.array(mirror), -z, z)
         return np.where(self.domain.periodic, z, np.clip(z, self.box.lo, self.box.hi))
 
-    def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, "n"]]]:
+    def images(self, z: Points) -> Iterator[tuple[Points, Bool[np.ndarray, " n"]]]:
         """Yield, for each subset of mirrors, the points that it maps to ``z``, and which lie in the domain."""
         near = _CUT * self.domain.width
         for is_odd in self._reversals:
@@ -94,7 +94,7 @@ class Folding:
 
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
-    ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, "pieces"]]:
+    ) -> tuple[Float[np.ndarray, "pieces dim"], Float[np.ndarray, "pieces dim"], Int[np.ndarray, " pieces"]]:
         """Return the boxes of leaves and their mirror images: lower and upper corners, and the leaf's index."""
         if self.is_turned:
             raise ValueError(
@@ -161,7 +161,7 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
 
 
 def _assign_pivots(
-    mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, "dim"]
+    mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, " dim"]
 ) -> tuple[tuple[bool, ...], ...]:
     # Combine mirrors until each reverses an axis alone (reduced row echelon form modulo 2); drop all others.
     rows, done = mirrors.copy(), 0

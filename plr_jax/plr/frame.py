@@ -27,7 +27,7 @@ _PAGED_DEPTH = 14  # most halvings along an axis of tables with pages, so that b
 _MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
 
 
-def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "blocks dim"]:
+def block_shapes(cells: Cells, block_bits: Int[np.ndarray, " dim"]) -> Int[np.ndarray, "blocks dim"]:
     """Return log2 of the size, by axis, of the grid that separates the leaves in each cell of a coarse grid.
 
     The coarse grid has ``2**block_bits`` cells along each axis; ``cells`` are the leaves.
@@ -39,15 +39,15 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> Int[np.nda
     return shape
 
 
-def num_pairs(cells: Cells, block_bits: Int[np.ndarray, "dim"]) -> float:
+def num_pairs(cells: Cells, block_bits: Int[np.ndarray, " dim"]) -> float:
     """Return the number of overlapping pairs of a leaf and a cell of a grid of ``2**block_bits`` cells per axis."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
 def slots_in_blocks(
-    cells: Cells, block_bits: Int[np.ndarray, "dim"], shape: Int[np.ndarray, "blocks dim"]
+    cells: Cells, block_bits: Int[np.ndarray, " dim"], shape: Int[np.ndarray, "blocks dim"]
 ) -> tuple[
-    Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
+    Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
 ]:
     """Return all pairs of a leaf and a block (a cell of a coarse grid) that overlap, and where they overlap.
 
@@ -63,8 +63,8 @@ def slots_in_blocks(
 
 
 def leaves_in_blocks(
-    cells: Cells, block_bits: Int[np.ndarray, "dim"]
-) -> tuple[Int[np.ndarray, "pairs"], Int[np.ndarray, "pairs dim"]]:
+    cells: Cells, block_bits: Int[np.ndarray, " dim"]
+) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, "pairs dim"]]:
     """Return all overlapping pairs of a leaf (its index) and a cell of a coarse grid (its integer coordinates).
 
     The grid has ``2**block_bits`` cells along each axis.
@@ -79,7 +79,7 @@ def leaves_in_blocks(
 
 def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
-) -> tuple[Int[np.ndarray, "points"], Int[np.ndarray, "points dim"]]:
+) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, "points dim"]]:
     """Enumerate integer points ``p`` of boxes ``first <= p < first + count``; return each one's box, and ``p``."""
     box, rest = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
@@ -89,7 +89,7 @@ def enumerate_boxes(
     return box, points
 
 
-def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim"]:
+def spread_bits(bits: Int[np.ndarray, " dim"], most: int) -> Int[np.ndarray, " dim"]:
     """Distribute ``most`` halvings over axes that need ``bits``; each goes to the axis that lacks the most."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
@@ -98,8 +98,8 @@ def spread_bits(bits: Int[np.ndarray, "dim"], most: int) -> Int[np.ndarray, "dim
 
 
 def row_major(
-    slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | Int[np.ndarray, "dim"]
-) -> Int[np.ndarray, "n"]:
+    slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | Int[np.ndarray, " dim"]
+) -> Int[np.ndarray, " n"]:
     index = np.zeros(len(slots), np.int64)
     for axis in range(slots.shape[1]):
         index = (index << bits[..., axis]) | slots[:, axis]
@@ -143,7 +143,7 @@ _FAR = 4.0  # a domain is far beyond this many widths from the origin: 32-bit co
 _FEWEST_PLACES = {"float32": 2**12, "float64": 1 / 256}
 LARGEST = 1e30  # bound of coordinates, distances and slopes, well below the largest 32-bit float
 
-Corner: TypeAlias = Float[np.ndarray, "dim"]
+Corner: TypeAlias = Float[np.ndarray, " dim"]
 """A point, such as the domain's lower corner, relative to which other points are given."""
 Outside: TypeAlias = Literal["inf", "clamp", "nan"]
 """Answer to a query outside the domain; ``"clamp"``: the value at the nearest point plus the distance to it."""
@@ -171,7 +171,7 @@ class Frame(IntEnum):
     TOP = 6  # largest fraction of the width for which TOP + START stays below 2
 
 
-def table_corners(domain: Box) -> tuple[Float[np.ndarray, "dim"], Float[np.ndarray, "dim"]]:
+def table_corners(domain: Box) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
     """Return the domain's corners as 32-bit floats, rounded outward."""
     if np.abs([domain.lo, domain.hi]).max() > LARGEST or domain.width.min() < 1 / LARGEST:
         raise ValueError(

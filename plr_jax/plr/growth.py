@@ -92,7 +92,7 @@ def grow(tree: GrowingTree, split_some: Callable[[GrowingTree], GrowingTree | No
 
 
 NEVER = -np.inf
-Leaves: TypeAlias = Int[np.ndarray, "leaves"]
+Leaves: TypeAlias = Int[np.ndarray, " leaves"]
 """Indices of the nodes that are leaves."""
 
 
@@ -102,17 +102,17 @@ class Nodes(Rows):
 
     cells: Cells
     coefficients: Float[np.ndarray, "nodes terms"]
-    error: Float[np.ndarray, "nodes"]  # weighted mean absolute error over samples that reach the goal
-    share: Float[np.ndarray, "nodes"]  # share of the domain's volume that these samples represent
-    axis: Int[np.ndarray, "nodes"]
-    key: Float[np.ndarray, "nodes"]  # priority of splitting, at most the parent's; -inf if the node may not be split
-    child: Int[np.ndarray, "nodes"]  # the lower child, which the upper child follows; -1 for a leaf
-    is_cut_off: Bool[np.ndarray, "nodes"]  # whether free points in the cell cannot reach the goal, and none can
+    error: Float[np.ndarray, " nodes"]  # weighted mean absolute error over samples that reach the goal
+    share: Float[np.ndarray, " nodes"]  # share of the domain's volume that these samples represent
+    axis: Int[np.ndarray, " nodes"]
+    key: Float[np.ndarray, " nodes"]  # priority of splitting, at most the parent's; -inf if the node may not be split
+    child: Int[np.ndarray, " nodes"]  # the lower child, which the upper child follows; -1 for a leaf
+    is_cut_off: Bool[np.ndarray, " nodes"]  # whether free points in the cell cannot reach the goal, and none can
 
     def __len__(self) -> int:
         return (len(self.key) + 1) // 2
 
-    def leaves_of_splits(self, splits: Int[np.ndarray, "splits"]) -> Leaves:
+    def leaves_of_splits(self, splits: Int[np.ndarray, " splits"]) -> Leaves:
         is_leaf = np.zeros(len(self.key), bool)
         is_leaf[0] = True
         is_leaf[self.child[splits]] = is_leaf[self.child[splits] + 1] = True
@@ -120,7 +120,7 @@ class Nodes(Rows):
         return np.flatnonzero(is_leaf)
 
 
-def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
+def split_order(nodes: Nodes) -> Int[np.ndarray, " splits"]:
     """Return the nodes that are or may be split, in the order in which a priority queue would split them."""
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
@@ -129,7 +129,7 @@ def split_order(nodes: Nodes) -> Int[np.ndarray, "splits"]:
 def nodes_of_fit(
     fit: CellFit,
     coefficients: Float[np.ndarray, "cells terms"],
-    key_of_parent: Float[np.ndarray, "cells"],
+    key_of_parent: Float[np.ndarray, " cells"],
     priority: Float[np.ndarray, "..."],
     axis: Int[np.ndarray, "..."],
     limits: Limits,
@@ -152,19 +152,19 @@ def nodes_of_fit(
 
 
 def urgent_first(
-    fit: CellFit, priority: Float[np.ndarray, "cells"], axis: Int[np.ndarray, "cells"]
-) -> tuple[Float[np.ndarray, "cells"], Int[np.ndarray, "cells"]]:
+    fit: CellFit, priority: Float[np.ndarray, " cells"], axis: Int[np.ndarray, " cells"]
+) -> tuple[Float[np.ndarray, " cells"], Int[np.ndarray, " cells"]]:
     """Return priorities and axes, changed for urgent cells: their priority is the highest, first for large cells."""
     is_urgent = fit.urgent_axis >= 0
     highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
     return np.where(is_urgent, highest, priority), np.where(is_urgent, fit.urgent_axis, axis)
 
 
-def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, "cells"]:
+def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, " cells"]:
     return np.maximum(limits.tolerance, fit.noise)
 
 
-def is_within_depth(cells: Cells, axis: Int[np.ndarray, "cells"], limits: Limits) -> Bool[np.ndarray, "cells"]:
+def is_within_depth(cells: Cells, axis: Int[np.ndarray, " cells"], limits: Limits) -> Bool[np.ndarray, " cells"]:
     along = cells.depth[np.arange(len(cells)), axis]
     return (cells.depth.sum(axis=1) < limits.max_depth) & (along < limits.max_axis_depth)
 
@@ -183,16 +183,16 @@ def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.n
 
 
 # The rules SHOULDSPLIT and SPLIT of Algorithm 1. The leaf of the largest positive priority is split next.
-ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, "cells"]]
-SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, "cells"]]
+ShouldSplitRule: TypeAlias = Callable[[CellFit], Float[np.ndarray, " cells"]]
+SplitRule: TypeAlias = Callable[[CellFit], Int[np.ndarray, " cells"]]
 
 
-def largest_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
+def largest_error(fit: CellFit) -> Float[np.ndarray, " cells"]:
     """Return each cell's largest weighted sample error, in units of distance; 0 if no sample reaches the goal."""
     return np.max(fit.weight * np.abs(fit.residual), axis=1)
 
 
-def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
+def center_error(fit: CellFit) -> Float[np.ndarray, " cells"]:
     """Return each cell's weighted absolute error at its center, in units of distance (Section III-B of the paper).
 
     If the center does not reach the goal, return :func:`largest_error`, so that an obstacle hides no bad fit.
@@ -201,12 +201,12 @@ def center_error(fit: CellFit) -> Float[np.ndarray, "cells"]:
     return np.where(fit.reachable[:, 0], at_center, largest_error(fit))
 
 
-def maximum_depth(fit: CellFit) -> Float[np.ndarray, "cells"]:
+def maximum_depth(fit: CellFit) -> Float[np.ndarray, " cells"]:
     """Return priority ``inf``, or 0 if no sample reaches the goal, so that cells are split breadth first."""
     return np.where(np.isfinite(fit.center), np.inf, 0.0)
 
 
-def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
+def best_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
     """Return each cell's axis whose two halves, fitted separately, have the smallest sum of squared errors.
 
     Axes at the depth limit, and axes along which the halves would be shorter than 1/8 of another side (in fractions
@@ -215,12 +215,12 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
     return best_open_axis(fit, _sum_of_squares_after_split(fit))
 
 
-def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, "cells"]:
+def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, " cells"]:
     """Return each cell's axis of least ``cost`` among the axes along which it may be halved; else axis 0."""
     return np.argmin(np.where(is_closed(fit.cells.depth, fit.max_axis_depth), np.inf, cost), axis=1)
 
 
-def cyclic_axis(fit: CellFit) -> Int[np.ndarray, "cells"]:
+def cyclic_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
     """Return each cell's number of splits modulo ``dim``: the axes take turns, as in Section III-B of the paper."""
     return fit.cells.depth.sum(axis=1) % fit.cells.dim
 
@@ -247,7 +247,7 @@ _BYTES_SLACK = 1.15  # growth beyond the byte budget, so that more leaves of few
 _ROUNDING_SHARE = 0.2  # file sizes during growth are estimated for this ratio of rounding error to the fit's error
 _SAMPLES_AT_ONCE = 2**20
 _LAST_SHARE = 32  # if at most 1/32 as many splits are left as were made, one round makes them all
-FitNodes = Callable[[Cells, Float[np.ndarray, "cells"]], Nodes]
+FitNodes = Callable[[Cells, Float[np.ndarray, " cells"]], Nodes]
 """Function from cells and their parents' keys to nodes, which samples and fits cells and applies the split rules."""
 
 
@@ -258,16 +258,16 @@ class Encoding:
     rounding_error: Callable[[Nodes, Leaves, int], float]  # mean error of rounded values
 
 
-def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, "cells"]], Nodes]) -> FitNodes:
+def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, " cells"]], Nodes]) -> FitNodes:
     """Return a function that samples and fits cells and returns ``nodes_of(fits, priorities of the parents)``."""
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
-    def fit_nodes(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
+    def fit_nodes(cells: Cells, bound: Float[np.ndarray, " cells"]) -> Nodes:
         parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
         first, *others = (fit_part(cells[part], bound[part]) for part in parts)
         return first.append(*others)
 
-    def fit_part(cells: Cells, bound: Float[np.ndarray, "cells"]) -> Nodes:
+    def fit_part(cells: Cells, bound: Float[np.ndarray, " cells"]) -> Nodes:
         fit = sampler(cells)
         few = fit.is_hardly_seen  # such cells get more samples
         if not few.any():

@@ -105,7 +105,7 @@ def _straight_bound(tables: Tables, x: Points) -> Values:
     return xp.maximum(least - margin[()], 0)
 
 
-def goals_in_tables(tables: Tables, goals: Int[AnyArray, "rows"], x: AnyArray) -> Int[AnyArray, "*batch"]:
+def goals_in_tables(tables: Tables, goals: Int[AnyArray, " rows"], x: AnyArray) -> Int[AnyArray, "*batch"]:
     """Return the index of the goal that each point's leaf leads to, of ``goals`` by leaf; -1 if it leads to none."""
     x = _constant(_as_float_points(tables, x))
     leads = x.__array_namespace__().isfinite(evaluate_tables(tables, x))
@@ -303,7 +303,7 @@ def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
     return placed.astype(np.float32).view(np.uint32)  # bits of a float in [1, 2); the lowest 23 locate the point
 
 
-def _join_bits(fractions: list[Bits], mask: UInt32[AnyArray, "dim"], right: UInt32[AnyArray, "dim"]) -> Bits:
+def _join_bits(fractions: list[Bits], mask: UInt32[AnyArray, " dim"], right: UInt32[AnyArray, " dim"]) -> Bits:
     return reduce(or_, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)])
 
 

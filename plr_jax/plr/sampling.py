@@ -30,7 +30,7 @@ class Pattern:
     """The places of samples in every cell: local coordinates ``u``, from -1 to 1 across the cell, and fit weights."""
 
     u: Float[np.ndarray, "k dim"]
-    weight: Float[np.ndarray, "k"]
+    weight: Float[np.ndarray, " k"]
 
     def __len__(self) -> int:
         return len(self.u)
@@ -87,7 +87,7 @@ def sample_pattern(dim: int, num_samples: int, margin: int | float, seed: int) -
     return Pattern(u, weight)
 
 
-def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarray, "num_points dim"]:
+def lattice(num_points: int, shift: Float[np.ndarray, " dim"]) -> Float[np.ndarray, "num_points dim"]:
     """Return evenly spread points in the unit cube, moved by ``shift`` modulo 1; in a plane, a Fibonacci lattice."""
     # Steps are equal along the first axis; along other axes, they are the steps of Roberts' R sequence.
     dim, root = len(shift), 1.0
@@ -104,7 +104,7 @@ def lattice(num_points: int, shift: Float[np.ndarray, "dim"]) -> Float[np.ndarra
 # makes the slope zero along directions in which no sample varies.
 _RIDGE = 1e-9
 OfSamples: TypeAlias = Float[np.ndarray, "cells k"]
-Planes: TypeAlias = tuple[Float[np.ndarray, "cells"], Float[np.ndarray, "cells dim"]]
+Planes: TypeAlias = tuple[Float[np.ndarray, " cells"], Float[np.ndarray, "cells dim"]]
 FitRule: TypeAlias = Callable[[Pattern, OfSamples, OfSamples], Planes]
 """Function that fits planes, called like :func:`least_squares`."""
 
@@ -131,7 +131,7 @@ def least_squares(pattern: Pattern, value: OfSamples, weight: OfSamples) -> Plan
     return plane[:, 0], plane[:, 1:]
 
 
-def masked_cells(weight: OfSamples) -> Int[np.ndarray, "masked"]:
+def masked_cells(weight: OfSamples) -> Int[np.ndarray, " masked"]:
     return np.flatnonzero((weight != 1).any(axis=1))
 
 
@@ -151,7 +151,7 @@ def solve_planes(
 
 _FEW_A_TERM = 2  # up to this many samples per coefficient that reach the goal, a plane may fit by chance
 _FINE = 5  # halvings along each axis of cells that are fine enough to be judged by few samples
-WeightFn = Callable[[Points], Float[np.ndarray, "n"]]
+WeightFn = Callable[[Points], Float[np.ndarray, " n"]]
 
 
 def few_samples(dim: int) -> int:
@@ -184,11 +184,11 @@ class CellFit(Rows):
     reachable: Bool[np.ndarray, "cells k"]
     weight: OfSamples
     value: OfSamples
-    center: Float[np.ndarray, "cells"]
+    center: Float[np.ndarray, " cells"]
     half: Float[np.ndarray, "cells dim"]
     residual: OfSamples
-    urgent_axis: Int[np.ndarray, "cells"]
-    is_cut_off: Bool[np.ndarray, "cells"]
+    urgent_axis: Int[np.ndarray, " cells"]
+    is_cut_off: Bool[np.ndarray, " cells"]
 
     def __len__(self) -> int:
         return len(self.cells)
@@ -199,17 +199,17 @@ class CellFit(Rows):
         return masked_cells(self.weight)
 
     @property
-    def is_hardly_seen(self) -> Bool[np.ndarray, "cells"]:
+    def is_hardly_seen(self) -> Bool[np.ndarray, " cells"]:
         """Whether so few samples of a cell reach the goal that a plane may fit them all and be wrong elsewhere."""
         return self.reachable.sum(axis=1) <= few_samples(self.cells.dim)
 
     @property
-    def can_split(self) -> Bool[np.ndarray, "cells"]:
+    def can_split(self) -> Bool[np.ndarray, " cells"]:
         """Whether each cell may still be halved along some axis."""
         return np.any(self.cells.depth < self.max_axis_depth, axis=1)
 
     @property
-    def noise(self) -> Float[np.ndarray, "cells"]:
+    def noise(self) -> Float[np.ndarray, " cells"]:
         """Error of each cell that splits cannot reduce: the resolution of 32-bit floats, weighted like errors."""
         return np.finfo(np.float32).eps * np.abs(self.value).max(axis=1) * self.weight.max(axis=1)
 
@@ -256,7 +256,7 @@ class Sampler:
             is_cut_off[:] = self.reach.is_cut_off(*cells.fractions)
         return CellFit(*fit, self._urgent_axes(cells, reachable.sum(axis=1)), is_cut_off)
 
-    def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, "cells"]) -> Int[np.ndarray, "cells"]:
+    def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, " cells"]) -> Int[np.ndarray, " cells"]:
         reach, axis = self.reach, np.full(len(cells), -1)
         if reach is not None:
             axis = urgent_axes(cells, reach.is_border, self.max_axis_depth)
@@ -306,7 +306,7 @@ def reach_of(distance_fn: DistanceFn, domain: Box) -> Reach | None:
     return distance_fn.reach(domain) if isinstance(distance_fn, ReachFn) else None
 
 
-def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.ndarray, "cells"]:
+def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.ndarray, " cells"]:
     """Return, for cells that pass a test, the axis along which fewest halves pass, or the longest; else -1."""
     axis = np.full(len(cells), -1)
     some = np.flatnonzero(holds(*cells.fractions))
@@ -355,7 +355,7 @@ def call_oracle(distance_fn: DistanceFn, x: Points) -> Distances:
     return as_distances("distance_fn", answer, x)
 
 
-def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, "n"]:
+def call_weights(weight_fn: WeightFn, x: Points) -> Float[np.ndarray, " n"]:
     answer = as_numbers("weight_fn's answer", weight_fn(x.copy()), f"real numbers of shape ({len(x)},)")
     weight = as_values("weight_fn", answer, len(x))
     if not np.isfinite(weight).all() or (weight < 0).any():
@@ -381,7 +381,7 @@ def _check_planes(center: Float[np.ndarray, "..."], half: Float[np.ndarray, "...
         raise ValueError("compute_coefficients must return finite planes, got NaN, infinity or masked numbers.")
 
 
-def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, "n"]:
+def folded_weights(weight_fn: WeightFn | None, folding: Folding, z: Points) -> Float[np.ndarray, " n"]:
     """Return, for each mirrored point ``z``, the largest weight of the domain's points that mirrors map to it."""
     largest = np.zeros(len(z))
     for x, inside in folding.images(z):

@@ -39,8 +39,8 @@ class SourceSight:
         self._arrives = self._is_clear & (sources.distances[root] <= rounding)
 
     def free_paths(
-        self, x: Points, first: Int[np.ndarray, "n"]
-    ) -> tuple[Int[np.ndarray, "n"], Bool[np.ndarray, "n"]]:
+        self, x: Points, first: Int[np.ndarray, " n"]
+    ) -> tuple[Int[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
         """Return the source (corner or goal) to which each start's path goes first, and whether the path is free.
 
         ``first``, the source of the start's leaf, stays if the path through it is free and reaches the goal.
@@ -63,7 +63,7 @@ class SourceSight:
         is_free[failing[is_mended]], first[failing[is_mended]] = True, sources[way[is_mended, 0]]
         return first, is_free
 
-    def _sees(self, source: Int[np.ndarray, "n"], x: Points) -> Bool[np.ndarray, "n"]:
+    def _sees(self, source: Int[np.ndarray, " n"], x: Points) -> Bool[np.ndarray, " n"]:
         view = self._view[source]
         sees = view >= 0
         sees[sees] = self._table.sees(view[sees], x[sees])

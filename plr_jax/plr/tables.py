@@ -3,7 +3,7 @@
 The highest bits of a point's position (``frame.py``) are its *slot*, a cell of a regular grid. There are 3 layouts:
 
 - A *flat* table has one entry for each slot: the slot's leaf.
-- *Blocks*, for more than ``2**MAX_FLAT_BITS`` slots: each cell of a coarse grid (block) has its own grid of slots.
+- *Blocks*, where a flat table exceeds its size class: each cell of a coarse grid (block) has its own grid of slots.
 - *Pages*, for small PLRs with deep trees: as blocks, but slots store leaf parameters, which saves a read.
 """
 
@@ -23,7 +23,6 @@ from plr_jax.geometry.box import Box
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.frame import (
     FRACTION_BITS,
-    MAX_FLAT_BITS,
     MOST_ROWS,
     WORD_BITS,
     block_shapes,
@@ -48,12 +47,12 @@ AnyArray: TypeAlias = Array | np.ndarray  # tables are JAX arrays; NumPy views o
 _MAX_BLOCK_BITS = 16
 _BLOCK_BITS = (10, 12, 14, 16)  # few choices, as code is compiled for each; fewer bits are read faster
 _MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
-# Slots with pages: four for each leaf of the size class, at least 8,192; if they do not suffice, 65,536.
-_PAGED_SLOTS_A_ROW, _LEAST_PAGED_SLOTS, _MOST_PAGED_SLOTS = 4, 2**13, 2**16
+# Slots with pages: at least four for each leaf of the size class. Few sizes, as code is compiled for each.
+_PAGED_SLOTS_A_ROW, _PAGED_SLOTS = 4, [2**13, 2**14, 2**15, 3 * 2**14, 2**16]
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the other half is for slots
 
 
-def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
+def gather(table: Shaped[AnyArray, " n"], index: UInt32[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
     """Return ``table[index]`` without a bounds check."""
     return table[index] if isinstance(table, np.ndarray) else table.at[index].get(mode="promise_in_bounds")
 
@@ -62,7 +61,7 @@ def gather(table: Shaped[AnyArray, "n"], index: UInt32[AnyArray, "*batch"]) -> S
 class Trie:
     """A lookup table of several PLRs in one array, which a query reads level by level, from coarse to fine."""
 
-    entries: UInt32[AnyArray, "entries"]
+    entries: UInt32[AnyArray, " entries"]
     bits: UInt32[AnyArray, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
     start: UInt32[AnyArray, "*batch"]  # first entry of one PLR, or of each point's PLR
 
@@ -110,13 +109,13 @@ class Blocks:
     in ``leaf_of_slot``. Axes that do not fit go into further words, each of which costs a query one more read.
     """
 
-    words: tuple[UInt32[AnyArray, "blocks"], ...]
-    shift: UInt32[AnyArray, "dim"]  # number of a point's fraction bits below those that identify the block
+    words: tuple[UInt32[AnyArray, " blocks"], ...]
+    shift: UInt32[AnyArray, " dim"]  # number of a point's fraction bits below those that identify the block
     axes: tuple[int, ...] = field(metadata={"static": True})  # how many each array of words describes
     width: int = field(metadata={"static": True})  # bits of a word per axis
 
 
-def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"], shift: PerAxis) -> Blocks:
+def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], shift: PerAxis) -> Blocks:
     # ``shape`` has log2 of the sizes of the blocks' tables by axis, ``offset`` their starts. ``shift`` counts the
     # bits of a point's position below those of its block, by axis.
     width = max(1, int(shape.max()).bit_length())
@@ -155,8 +154,8 @@ def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
 
 
 def leaves_of_slots(
-    cells: Cells, block_bits: PerAxis, shape: PerBlock, offset: Int[np.ndarray, "blocks_plus_one"]
-) -> UInt32[np.ndarray, "slots"]:
+    cells: Cells, block_bits: PerAxis, shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"]
+) -> UInt32[np.ndarray, " slots"]:
     # ``shape`` has log2 of the sizes of the blocks' tables by axis, ``offset`` their first entries.
     # Write a leaf at the first slot of each of its runs along the last axis, and repeat it up to the next run.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
@@ -180,16 +179,19 @@ class Pages:
     not adjacent, the page has gaps, which slots of other pages fill.
     """
 
-    words: UInt32[AnyArray, "blocks"]  # mask of the fraction bits that index the page and, above it, the page's start
+    words: UInt32[AnyArray, " blocks"]  # mask of the fraction bits that index the page; above it, the page's start
     bits: UInt32[AnyArray, "3 dim"]  # mask of fraction bits below a block, their right shift, width of a word's mask
 
 
-def build_pages(cells: Cells, most_slots: int) -> tuple[Pages, PerAxis, Int[np.ndarray, "slots"]] | None:
+def build_pages(
+    cells: Cells, classes: list[int], numbers_a_slot: int
+) -> tuple[Pages, PerAxis, Int[np.ndarray, " slots"], int] | None:
     """Build a lookup table with pages (:class:`Pages`); None if leaves are too many or too deep for such a table.
 
-    Return the pages, how often their grid halves each axis, and the leaf in each of up to ``most_slots`` entries.
+    Return the pages, how often their grid halves each axis, the leaf in each slot, and the number of slots after
+    padding. It is one of ``classes``, which rise; the table takes least memory.
     """
-    bits = cells.depth.max(axis=0)
+    bits, best, fewest = cells.depth.max(axis=0), None, np.inf
     for most_bits in _BLOCK_BITS:
         block_bits = spread_bits(bits, most_bits)
         if num_pairs(cells, block_bits) > _MOST_PAIRS:
@@ -198,38 +200,42 @@ def build_pages(cells: Cells, most_slots: int) -> tuple[Pages, PerAxis, Int[np.n
         page_bits = bits - block_bits
         below = np.cumsum(page_bits[::-1])[::-1] - page_bits  # index bits of all later axes
         right_of_place = FRACTION_BITS - bits - below
-        if page_bits.sum() + most_slots.bit_length() > WORD_BITS or (right_of_place < 0).any():
+        if page_bits.sum() + classes[-1].bit_length() > WORD_BITS or (right_of_place < 0).any():
             continue
         shape = block_shapes(cells, block_bits)
-        if len(cells) + np.sum(2.0 ** shape[shape.any(axis=1)].sum(axis=1)) > most_slots:
+        if len(cells) + np.sum(2.0 ** shape[shape.any(axis=1)].sum(axis=1)) > classes[-1]:
             continue
         start, num_slots = _place_pages(shape, page_bits, below, len(cells))
-        if num_slots > most_slots:
-            continue
-        leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
-        alone = ~shape[block].any(axis=1)
-        start[block[alone]] = leaf[alone]
-        pair, slot = enumerate_boxes(first, count)
-        leaf_of_slot = np.zeros(num_slots, np.int64)
-        gaps = page_bits - shape[block[pair]]
-        leaf_of_slot[start[block[pair]] + np.sum(slot << (gaps + below), axis=1)] = leaf[pair]
-        leaf_of_slot[: len(cells)] = np.arange(len(cells))
-        mask = np.sum(((1 << shape) - 1) << (page_bits - shape + below), axis=1)
-        words = padded((start << page_bits.sum()) | mask, 1 << most_bits)
-        place_bits = [((1 << page_bits) - 1) << (FRACTION_BITS - bits), right_of_place]
-        place_bits.append(np.full_like(bits, page_bits.sum()))
-        pages = Pages(jax.device_put(words.astype(np.uint32)), jax.device_put(np.stack(place_bits).astype(np.uint32)))
-        return pages, block_bits, leaf_of_slot
-    return None
+        slots = next((each for each in classes if num_slots <= each), None)
+        if slots is not None and (size := (4 << most_bits) + slots * (2 + 4 * numbers_a_slot)) < fewest:
+            best, fewest = (block_bits, page_bits, below, shape, start, num_slots, slots), size
+        if slots == classes[0]:
+            break  # finer blocks take more memory
+    if best is None:
+        return None
+    block_bits, page_bits, below, shape, start, num_slots, slots = best
+    leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
+    alone = ~shape[block].any(axis=1)
+    start[block[alone]] = leaf[alone]
+    pair, slot = enumerate_boxes(first, count)
+    leaf_of_slot = np.zeros(num_slots, np.int64)
+    gaps = page_bits - shape[block[pair]]
+    leaf_of_slot[start[block[pair]] + np.sum(slot << (gaps + below), axis=1)] = leaf[pair]
+    leaf_of_slot[: len(cells)] = np.arange(len(cells))
+    mask = np.sum(((1 << shape) - 1) << (page_bits - shape + below), axis=1)
+    words = padded((start << page_bits.sum()) | mask, 1 << block_bits.sum())
+    place = ((1 << page_bits) - 1) << (FRACTION_BITS - bits), FRACTION_BITS - bits - below, page_bits.sum() + 0 * bits
+    pages = Pages(jax.device_put(words.astype(np.uint32)), jax.device_put(np.stack(place).astype(np.uint32)))
+    return pages, block_bits, leaf_of_slot, slots
 
 
 def _place_pages(
     shape: PerBlock, page_bits: PerAxis, below: PerAxis, first: int
-) -> tuple[Int[np.ndarray, "blocks"], int]:
+) -> tuple[Int[np.ndarray, " blocks"], int]:
     # A buddy allocator places pages by decreasing size, from the slot ``first`` on. Either half of a room that it
     # halves has every other slot. ``below`` counts the bits of later axes in the index of a slot in the largest page.
     finest = tuple(page_bits.tolist())
-    rooms: dict[tuple[int, ...], Int[np.ndarray, _]] = {}  # starts of free rooms, by shape
+    rooms: dict[tuple[int, ...], Int[np.ndarray, " _"]] = {}  # starts of free rooms, by shape
     start, end = np.zeros(len(shape), np.int64), first
     order = np.flatnonzero(shape.any(axis=1))
     order = order[np.lexsort((*shape[order].T, -shape[order].sum(axis=1)))]
@@ -262,9 +268,9 @@ class Tables:
     bits: UInt32[AnyArray, "2 dim"]  # mask of the fraction bits that index an entry or block, and their right shift
     blocks: Blocks | None
     pages: Pages | None
-    leaf_of_slot: UInt16[AnyArray, "slots"] | UInt32[AnyArray, "slots"]
+    leaf_of_slot: UInt16[AnyArray, " slots"] | UInt32[AnyArray, " slots"]
     # For each leaf or, with pages, for each slot: see :func:`arrange_parameters`.
-    leaf_parameters: Float[AnyArray, "count padded"] | Float[AnyArray, "numbers"]
+    leaf_parameters: Float[AnyArray, "count padded"] | Float[AnyArray, " numbers"]
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedDomain | None = None
@@ -298,16 +304,15 @@ def build_tables(
     numbers, bits, blocks, paged = numbers.astype(np.float32), cells.depth.max(axis=0), None, None
     # 1. Try pages.
     if leaf.has_deep_trees and rows <= MOST_ROWS:
-        slots = max(_LEAST_PAGED_SLOTS, _PAGED_SLOTS_A_ROW * rows)
-        if (paged := build_pages(cells, slots)) is None:
-            paged = build_pages(cells, slots := _MOST_PAGED_SLOTS)
+        least = _PAGED_SLOTS_A_ROW * rows
+        paged = build_pages(cells, [slots for slots in _PAGED_SLOTS if slots >= least], numbers.shape[1])
     if paged is not None:
-        pages, top, leaf_of_slot = paged
+        pages, top, leaf_of_slot, slots = paged
         leaf_of_slot = leaf_of_slot.astype(np.uint16)
         of_leaves = np.ascontiguousarray(padded(numbers[leaf_of_slot], slots).T)
     # 2. Else build a flat table, or blocks.
     else:
-        pages, flat = None, bits.sum() <= MAX_FLAT_BITS
+        pages, flat = None, bits.sum() <= slot_bits_of_rows(rows_of_file)
         block_bits = 0 * bits if flat else choose_block_bits(cells, bits, max_entries(num_bytes))
         shape = block_shapes(cells, block_bits)
         offset = np.concatenate([[0], np.cumsum(np.int64(1) << shape.sum(axis=1))])

@@ -18,7 +18,7 @@ class PointPlacement:
     """A function that wraps 64-bit points around periodic axes, then makes them relative to ``corner``."""
 
     domain: Box
-    corner: Float[np.ndarray, "dim"] | None  # lower corner of a domain far from the origin; None: no change
+    corner: Float[np.ndarray, " dim"] | None  # lower corner of a domain far from the origin; None: no change
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
         x = self.domain.wrapped(x)
@@ -75,7 +75,7 @@ class TableStack:
 @jax.jit
 def _evaluate(
     tables: tuple[Tables, ...], bands: Bands, q: Float[AnyArray, "n robots dof"]
-) -> tuple[Float[AnyArray, "n"], ...]:
+) -> tuple[Float[AnyArray, " n"], ...]:
     # One array for each robot, since XLA would compute a single array in one slower loop.
     parts = [q[:, i, : table.dim] for i, table in enumerate(tables)]
     return tuple(

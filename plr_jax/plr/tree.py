@@ -65,7 +65,7 @@ class Cells(Rows):
         lo, hi = self.boxes(domain)
         return lo - PLACING * domain.width, hi + PLACING * domain.width
 
-    def longest_axis(self, domain: Box) -> Int[np.ndarray, "cells"]:
+    def longest_axis(self, domain: Box) -> Int[np.ndarray, " cells"]:
         return (domain.width * np.ldexp(1.0, -self.depth)).argmax(axis=1)
 
     def points(self, u: Float[np.ndarray, "k dim"], domain: Box) -> Float[np.ndarray, "cells k dim"]:
@@ -77,19 +77,19 @@ class Cells(Rows):
             x[:, :, axis] = domain.lo[axis] + domain.width[axis] * fraction
         return x
 
-    def hashes(self) -> UInt64[np.ndarray, "cells"]:
+    def hashes(self) -> UInt64[np.ndarray, " cells"]:
         numbers = (np.int64(1) << self.depth) + self.position  # 1 is the whole axis, 2 and 3 are its halves
         total = np.zeros(len(self), np.uint64)
         for along in numbers.T:
             total = hash64(total + along.astype(np.uint64))
         return total
 
-    def split(self, axis: Int[np.ndarray, "cells"]) -> "Cells":
+    def split(self, axis: Int[np.ndarray, " cells"]) -> "Cells":
         """Halve each cell along its axis; in the result, a cell's upper half follows its lower half."""
         both = np.repeat(np.arange(len(self)), 2)
         return self[both].halves(axis[both], np.arange(len(both)) % 2 == 1)
 
-    def halves(self, axis: Int[np.ndarray, "cells"], is_upper: Bool[np.ndarray, "cells"]) -> "Cells":
+    def halves(self, axis: Int[np.ndarray, " cells"], is_upper: Bool[np.ndarray, " cells"]) -> "Cells":
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         return Cells(self.depth + halved, (self.position << halved) + halved * is_upper[:, None])
 
@@ -108,10 +108,10 @@ class Tree:
     """A binary tree of cells; nodes are stored level by level from the root, left (lower half) to right."""
 
     cells: Cells
-    axis: Int[np.ndarray, "nodes"]  # along which each node is halved, 0 for a leaf
-    child: Int[np.ndarray, "nodes"]  # each node's lower child, which the upper child follows; -1 for a leaf
+    axis: Int[np.ndarray, " nodes"]  # along which each node is halved, 0 for a leaf
+    child: Int[np.ndarray, " nodes"]  # each node's lower child, which the upper child follows; -1 for a leaf
     node_of_leaf: Int[np.ndarray, "leaves"]  # in left-to-right traversal order
-    splits: list[Int[np.ndarray, "_"]]  # the split nodes of each level
+    splits: list[Int[np.ndarray, " _"]]  # the split nodes of each level
     order: Int[np.ndarray, "leaves"]  # index of each leaf among the cells from which tree_of built the tree
 
     @cached_property
@@ -119,12 +119,12 @@ class Tree:
         return self.cells[self.node_of_leaf]
 
     @cached_property
-    def leaf_of_node(self) -> Int[np.ndarray, "nodes"]:
+    def leaf_of_node(self) -> Int[np.ndarray, " nodes"]:
         leaf = np.full(len(self.child), -1)
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf
 
-    def halves(self, nodes: Int[np.ndarray, "splits"]) -> Int[np.ndarray, "halves"]:
+    def halves(self, nodes: Int[np.ndarray, " splits"]) -> Int[np.ndarray, "halves"]:
         return (self.child[nodes][:, None] + np.arange(2)).ravel()
 
 
@@ -156,7 +156,7 @@ def tree_of(cells: Cells) -> Tree:
     return replace(tree, order=index[tree.node_of_leaf])
 
 
-def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
+def tree_of_axes(axes: list[Int[np.ndarray, " _"]], dim: int) -> Tree:
     """Build a tree from the split axes of its nodes, one array for each level; -1 marks a leaf."""
     child = np.full(sum(map(len, axes)), -1)
     nodes, parts, splits, first = Cells.root(dim), [], [], 0
@@ -173,7 +173,7 @@ def tree_of_axes(axes: list[Int[np.ndarray, "_"]], dim: int) -> Tree:
     return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(node_of_leaf)))
 
 
-def leaf_order(axes: list[Int[np.ndarray, "_"]]) -> Int[np.ndarray, "leaves"]:
+def leaf_order(axes: list[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " leaves"]:
     # From left to right; leaves are numbered level by level as in ``axes``.
     paths, path = [], np.zeros(1, np.int64)
     for depth, axis in enumerate(axes):

@@ -19,8 +19,8 @@ _MOST_VERTICES = 1_000
 _CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])  # of a rectangle, the front left one first
 Headings: TypeAlias = Float[np.ndarray, "*#batch"]
 Configurations: TypeAlias = Float[np.ndarray, "*#batch dof"]
-Rows: TypeAlias = Int[np.ndarray, "n"]
-Moments: TypeAlias = Float[np.ndarray, "n"]
+Rows: TypeAlias = Int[np.ndarray, " n"]
+Moments: TypeAlias = Float[np.ndarray, " n"]
 
 
 class Robot:
@@ -118,7 +118,7 @@ def between(
     return q0 + t * change
 
 
-def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
+def motions_under_way(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
     """Return a path's rows before and after given times, and the share of the motion between them that is done."""
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
@@ -128,7 +128,7 @@ def motions_under_way(times: Float[np.ndarray, "steps"], when: Moments) -> tuple
     return row, after, np.divide(spent, length, out=np.ones_like(spent), where=length > 0)
 
 
-def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, "dof"]) -> Float[np.ndarray, "n 2"]:
+def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, " dof"]) -> Float[np.ndarray, "n 2"]:
     """Return the positions in the workspace of points in the robot's frame, for the robot at ``q``."""
     if robot.dof == 2:
         return q[:2] + points
@@ -136,7 +136,7 @@ def placed(robot: Robot, points: Float[np.ndarray, "n 2"], q: Float[np.ndarray, 
     return q[:2] + points @ np.array([[cos, sin], [-sin, cos]])
 
 
-def footprint(robot: Robot, q: Float[np.ndarray, "dof"]) -> Any:
+def footprint(robot: Robot, q: Float[np.ndarray, " dof"]) -> Any:
     """Return the core of a robot at configuration ``q``, without the radius around it, as a Shapely geometry."""
     corners = placed(robot, robot.core, q)
     return (shapely.Point, shapely.LineString, shapely.Polygon)[min(len(corners), 3) - 1](corners)

@@ -82,7 +82,7 @@ class Scenario:
     map_name: str
     starts: Float[np.ndarray, "n 2"]
     goals: Float[np.ndarray, "n 2"]
-    octile_lengths: Float[np.ndarray, "n"]
+    octile_lengths: Float[np.ndarray, " n"]
 
 
 def read_scen(path: str | os.PathLike[str]) -> Scenario:

@@ -177,7 +177,7 @@ def _block_surface(triangles: Triangles, blocked: Voxels) -> None:
 
 def _split_into_layers(
     ends: Float[np.ndarray, "2 _ n"], size: int
-) -> Iterator[tuple[Int[np.ndarray, "m"], Int[np.ndarray, "m"]]]:
+) -> Iterator[tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]]:
     # Batches of pairs: the indices of a polygon and of a layer of voxels that it reaches along one axis.
     first, count = _layer_range(ends, size)
     for part in parts(count, _AT_A_TIME):
@@ -185,14 +185,14 @@ def _split_into_layers(
         yield piece + part.start, first[part][piece] + place
 
 
-def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+def _layer_range(ends: Float[np.ndarray, "2 _ n"], size: int) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     lowest, highest = np.fmin.reduce(ends, axis=(0, 1)), np.fmax.reduce(ends, axis=(0, 1))
     first = np.maximum(np.ceil(lowest - _TOUCHES) - 1, 0).astype(np.int64)
     last = np.minimum(np.floor(highest + _TOUCHES), size - 1).astype(np.int64)
     return first, np.maximum(last - first + 1, 0)
 
 
-def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, "n"]) -> Edges:
+def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, " n"]) -> Edges:
     """Clip edges to a layer of voxels along the first axis, and drop this axis; NaN if nothing of an edge is left."""
     begin, end = edges[0]
     change, floor, ceiling = end - begin, layer - _TOUCHES, layer + 1 + _TOUCHES

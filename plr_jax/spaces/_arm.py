@@ -43,7 +43,7 @@ class PlanarArm:
     """
 
     workspace: Workspace
-    lengths: Float[np.ndarray, "joints"]
+    lengths: Float[np.ndarray, " joints"]
     base: Float[np.ndarray, "2"]
     width: float
     self_collision: bool
@@ -90,7 +90,7 @@ class PlanarArm:
         links = self.lengths[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=2)
         return self.base + np.concatenate([np.zeros((len(links), 1, 2)), np.cumsum(links, axis=1)], axis=1)
 
-    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, " n"]:
         """Return whether configurations ``(n, joints)`` are free; False for those that are not finite."""
         q = as_points("q", q, self.dof)
         free = np.isfinite(q).all(axis=1)
@@ -104,7 +104,7 @@ class PlanarArm:
                 free[rows] = ~near_walls(self.workspace, links, self.width / 2 - self.workspace.tolerance)
         return free & (self._link_distances(ends) >= self.width - self.workspace.tolerance).all(axis=1)
 
-    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
         """Return whether straight motions, each joint turning the shorter way, are proven free all the way.
 
         Motions that come closer to a wall than about 1e-3 of their length may not be proven free.
@@ -117,7 +117,7 @@ class PlanarArm:
             free[part] = self._are_free(q0[part], shorter_turn(q0[part], q1[part]))
         return free
 
-    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
+    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes of joint angles (radians) are FREE, BLOCKED or MIXED; see :class:`CellState`."""
         center, half = as_boxes(lo, hi, self.dof)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
@@ -129,7 +129,7 @@ class PlanarArm:
         state[rows[self._boxes_are_blocked(center[rows], half[rows])]] = CellState.BLOCKED
         return state
 
-    def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, "n"]:
+    def _are_free(self, q0: Angles, change: Angles) -> Bool[np.ndarray, " n"]:
         # Bisect motions until each part is proven free, or the middle of a part is not free.
         free = np.ones(len(q0), dtype=bool)
         owner, center, half = np.arange(len(q0)), q0 + change / 2, change / 2
@@ -143,7 +143,7 @@ class PlanarArm:
         free[owner] = False
         return free
 
-    def _boxes_are_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
+    def _boxes_are_free(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
         ends, reaches = self.forward(center), half @ self._max_reach
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
         rim = np.stack([np.cos(angle), np.sin(angle)], axis=1) / np.cos(np.pi / _SIDES)
@@ -160,7 +160,7 @@ class PlanarArm:
                 free[rows] = ~near_walls(self.workspace, hulls, self.width / 2 - self.workspace.tolerance / 2)
         return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
-    def _boxes_are_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, "n"]:
+    def _boxes_are_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
         ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
         hit = np.zeros(len(center), dtype=bool)
         for i in range(self.dof):

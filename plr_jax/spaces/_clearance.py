@@ -20,7 +20,7 @@ _ROUNDING = 16.0  # error of a clearance that is allowed for, in units in the la
 _LIPSCHITZ_SLACK = 1 + 1e-6
 _AXIS_TOLERANCE = 1e-9  # an axis that changes by less than this share of the largest change counts as constant
 Configurations: TypeAlias = Float[np.ndarray, "n dof"]
-Numbers: TypeAlias = Float[np.ndarray, "n"]
+Numbers: TypeAlias = Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -57,7 +57,7 @@ class ClearanceSpace:
 
     domain: Box
     clearance: Callable[[np.ndarray], ArrayLike]
-    lipschitz: Float[np.ndarray, "dof"]
+    lipschitz: Float[np.ndarray, " dof"]
     motion_cost: MotionCost
 
     def __init__(
@@ -84,14 +84,14 @@ class ClearanceSpace:
         set_fields(self, domain=domain, clearance=clearance, lipschitz=lipschitz, motion_cost=motion_cost)
         self._clearances(domain.lo[None])  # to reject a function with a wrong answer at once
 
-    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, " n"]:
         """Return whether configurations ``(n, dof)`` are in the domain and have a clearance of at least 0."""
         q = as_points("q", q, self.domain.dim)
         free = self.domain.contains(q)
         free[free] = self._clearances(q[free]) >= 0
         return free
 
-    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def are_free(self, q0: ArrayLike, q1: ArrayLike) -> Bool[np.ndarray, " n"]:
         """Return whether straight motions are proven free all the way; periodic axes take the short way.
 
         A motion along which the constants ``lipschitz`` allow the clearance to change by ``c`` is proven free only if
@@ -105,7 +105,7 @@ class ClearanceSpace:
             free[part] = self._are_free(q0[part], self.domain.difference(q1[part], q0[part]))
         return free
 
-    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
+    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes are FREE, BLOCKED or MIXED; ``ValueError`` if clearances contradict ``lipschitz``."""
         center, half = as_boxes(lo, hi, self.domain.dim)
         lo, hi = center - half, center + half
@@ -117,7 +117,7 @@ class ClearanceSpace:
             state[part] = self._classify(lo[part], hi[part])
         return state
 
-    def _classify(self, lo: Configurations, hi: Configurations) -> Int8[np.ndarray, "n"]:
+    def _classify(self, lo: Configurations, hi: Configurations) -> Int8[np.ndarray, " n"]:
         inner_lo, inner_hi = self._clipped(lo), self._clipped(hi)
         beside = 4 * np.spacing(np.maximum(np.abs(self.domain.lo), np.abs(self.domain.hi)))  # of rounded corners
         leaves = ((inner_lo - lo > beside) | (hi - inner_hi > beside)).any(axis=1)
@@ -133,7 +133,7 @@ class ClearanceSpace:
         state = np.where((clearance - reach >= rounding) & ~leaves, CellState.FREE, CellState.MIXED)
         return np.where(clearance + reach < -rounding, CellState.BLOCKED, state).astype(np.int8)
 
-    def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, "n"]:
+    def _are_free(self, q0: Configurations, change: Configurations) -> Bool[np.ndarray, " n"]:
         # Bisect motions until each part is proven free, blocked, or too short.
         before, after = self._clearances(q0), self._clearances(q0 + change)
         self._require_consistent(q0, before, q0 + change, after)
@@ -196,7 +196,7 @@ class ClearanceSpace:
             )
 
 
-def _advice(lipschitz: Float[np.ndarray, "dof"], change: Float[np.ndarray, "dof"], difference: float) -> str:
+def _advice(lipschitz: Float[np.ndarray, " dof"], change: Float[np.ndarray, " dof"], difference: float) -> str:
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "No constant explains it: the clearance must be a function of the configuration."

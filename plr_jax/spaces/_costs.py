@@ -14,10 +14,10 @@ from plr_jax.spaces._space import MotionCost, precision_of
 _ROUNDING = 16.0  # error of a user's function that is allowed for, in units in the last place
 Vectors: TypeAlias = Float[np.ndarray, "n dof"]
 Pulls: TypeAlias = Float[np.ndarray, "2 n dof"]
-Rates: TypeAlias = Float[np.ndarray, "n"]
+Rates: TypeAlias = Float[np.ndarray, " n"]
 
 
-def _require(fine: Bool[np.ndarray, "n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
+def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray], at: list[np.ndarray]) -> None:
     """Raise a ``ValueError`` with the first row that is not ``fine``: values ``got``, and their place ``at``."""
     if not fine.all():
         i = int(fine.argmin())

@@ -19,10 +19,10 @@ from plr_jax.spaces._space import CellState, MotionCost, as_boxes, as_motions
 
 Positions: TypeAlias = Float[np.ndarray, "n 2"]
 Links: TypeAlias = Float[np.ndarray, "n 2 2"]
-Booleans: TypeAlias = Bool[np.ndarray, "n"]
+Booleans: TypeAlias = Bool[np.ndarray, " n"]
 
 
-def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, "n"]) -> Booleans:
+def walls_within(workspace: Workspace, x: Positions, radius: Float[np.ndarray, " n"]) -> Booleans:
     """Return whether the clearance of each point, its signed distance to walls, is at most the point's radius."""
     # Most points are free with a negative radius: these need no distance.
     within = ~shapely.intersects_xy(workspace.free_space, *x.T) | (radius > 0)
@@ -47,7 +47,7 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
     return result
 
 
-def segment_distances(a: Links, b: Links) -> Float[np.ndarray, "n"]:
+def segment_distances(a: Links, b: Links) -> Float[np.ndarray, " n"]:
     distances, crosses = [], np.ones(len(a), dtype=bool)
     for segments, others in ((a, b), (b, a)):
         along, from_ends = segments[:, 1] - segments[:, 0], segments[:, :1] - others
@@ -127,7 +127,7 @@ class PlaneSpace(BodySpace):
         """Euclidean length of a motion."""
         return MotionCost((((0, 1), 1.0),))
 
-    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
+    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes of positions are FREE, BLOCKED or MIXED; see :class:`CellState`.
 
         A box whose free part is thinner than a hundredth of ``workspace.tolerance`` is BLOCKED. A box that touches a

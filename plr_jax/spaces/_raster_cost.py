@@ -44,7 +44,7 @@ _MAX_ENTRIES = 2**26  # of a sparse table (256 MiB); beyond it, large blocks nee
 _WINDOWS_PER_BATCH = 2**18  # lookups in a sparse table at a time, which bounds the memory
 Raster = Float[np.ndarray, "..."]
 Window = Float[np.ndarray, "..."] | Float32[np.ndarray, "..."]
-Extremes = tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]
+Extremes = tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]
 Entries = Int[np.ndarray, "n rank"]
 
 
@@ -388,7 +388,7 @@ class SparseTable:
         return np.minimum.reduceat(least.take(window), starts), np.maximum.reduceat(most.take(window), starts)
 
     @cached_property
-    def _levels(self) -> list[tuple[Int[np.ndarray, "rank"], Window, Window]]:
+    def _levels(self) -> list[tuple[Int[np.ndarray, " rank"], Window, Window]]:
         # Each level has a size of windows, and the smallest and largest entry of each window of this size.
         shape = np.array(self.values.shape)
         side, least, most = np.ones_like(shape), _as_float32(self.values, -np.inf), _as_float32(self.values, np.inf)
@@ -401,7 +401,7 @@ class SparseTable:
         return levels
 
 
-def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, "rank"]) -> Window:
+def _merge_windows(extreme: np.ufunc, windows: Window, step: Int[np.ndarray, " rank"]) -> Window:
     # Merge each window with the one that begins `step` later, along each axis.
     for axis in np.flatnonzero(step):
         along = np.moveaxis(windows, axis, 0)

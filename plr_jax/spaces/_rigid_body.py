@@ -23,7 +23,7 @@ _WIDEST_ARC = math.pi / 3
 _POINTS = 1 << 19  # corners of hulls in a batch, which bounds the memory
 Boxes: TypeAlias = Float[np.ndarray, "n 3"]
 Points: TypeAlias = Float[np.ndarray, "*#n k 2"]
-Turns: TypeAlias = Float[np.ndarray, "n"]
+Turns: TypeAlias = Float[np.ndarray, " n"]
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class RigidBodySpace(BodySpace):
         parts, rest = (Workspace._from_free_space(bounds, each._passable, squeeze) for each in (parts, rest))
         return replace(self, workspace=parts), replace(self, workspace=rest)
 
-    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
+    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes of positions and headings (radians) are FREE, BLOCKED or MIXED (:class:`CellState`)."""
         center, half = as_boxes(lo, hi, 3)
         state = np.full(len(center), CellState.MIXED, dtype=np.int8)
@@ -134,7 +134,7 @@ class RigidBodySpace(BodySpace):
         return middle, max(0.0, side_offsets(core, middle[None]).min())
 
     @cached_property
-    def _probes(self) -> tuple[Float[np.ndarray, "probes 2"], Float[np.ndarray, "probes"]]:
+    def _probes(self) -> tuple[Float[np.ndarray, "probes 2"], Float[np.ndarray, " probes"]]:
         """Points of the body, and the radius of a disc around each point that is inside the body."""
         core, rounding = self.robot.core, self.robot.rounding
         middle, _ = self._deepest_point
@@ -145,7 +145,7 @@ class RigidBodySpace(BodySpace):
         return np.vstack([np.zeros((1, 2)), points]), np.append(self.robot.inscribed_radius, depths)
 
 
-def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, "n"]:
+def _motion_bounds(half: Boxes, radius: float) -> Float[np.ndarray, " n"]:
     """Bound how far a body's point, ``radius`` from its reference point, moves in boxes of these half widths."""
     return np.hypot(half[:, 0], half[:, 1]) + 2 * radius * np.sin(np.minimum(half[:, 2], math.pi) / 2)
 

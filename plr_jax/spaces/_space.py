@@ -65,7 +65,7 @@ class MotionCost:
         """Cost of a motion of length 1 along each axis, ``(dof,)``."""
         return self.norm(np.eye(self.dof))
 
-    def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, "n"]:
+    def lengths(self, q0: ArrayLike, q1: ArrayLike, domain: Box) -> Float[np.ndarray, " n"]:
         """Return the costs of straight motions, ``(n,)``; NaN or ``inf`` where a coordinate is NaN or infinite.
 
         Motions from ``q0`` to ``q1``, both ``(n, dof)``, cross periodic axes of the domain the short way, and ignore
@@ -79,7 +79,7 @@ class MotionCost:
         costs[fine] = self.norm(domain.difference(q1[fine], q0[fine]))
         return costs
 
-    def norm(self, change: Configurations) -> Float[np.ndarray, "n"]:
+    def norm(self, change: Configurations) -> Float[np.ndarray, " n"]:
         """Return the costs, ``(n,)``, of straight motions given as end minus start, ``(n, dof)``."""
         return np.sum([weight * np.linalg.norm(change[:, axes], axis=1) for axes, weight in self.blocks], axis=0)
 
@@ -102,7 +102,7 @@ class FreeTest(Protocol):
         """Cost of a motion as a function of its change along each axis of the domain."""
         ...
 
-    def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, "n"]:
+    def is_free(self, q: ArrayLike, /) -> Bool[np.ndarray, " n"]:
         """Return whether configurations ``(n, dof)`` are free; False for those that are not finite."""
         ...
 
@@ -115,11 +115,11 @@ class ConfigurationSpace(FreeTest, Protocol):
     obstacle is free. Methods raise ``ValueError`` if a box has corners that are not finite, or ``hi`` below ``lo``.
     """
 
-    def classify(self, lo: ArrayLike, hi: ArrayLike, /) -> Int8[np.ndarray, "n"]:
+    def classify(self, lo: ArrayLike, hi: ArrayLike, /) -> Int8[np.ndarray, " n"]:
         """Return the :class:`CellState`, ``(n,)``, of boxes with corners ``(n, dof)``, which may leave the domain."""
         ...
 
-    def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, "n"]:
+    def are_free(self, q0: ArrayLike, q1: ArrayLike, /) -> Bool[np.ndarray, " n"]:
         """Return whether straight motions between configurations ``(n, dof)`` are proven free all the way.
 
         All axes change in proportion. Periodic axes take the short way; exactly half a period goes upward. The result
@@ -150,7 +150,7 @@ class SeesBoxes(Protocol):
     With it, upper bounds of distances also hold in MIXED boxes next to walls.
     """
 
-    def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, "n"]:
+    def sees_boxes(self, q: ArrayLike, lo: ArrayLike, hi: ArrayLike, /) -> Bool[np.ndarray, " n"]:
         """Return, by row, whether straight motions to ``q`` from all free configurations of a box are proven free."""
         ...
 
@@ -175,7 +175,7 @@ def as_boxes(lo: ArrayLike, hi: ArrayLike, dof: int) -> tuple[Configurations, Co
     return lo + (hi - lo) / 2, (hi - lo) / 2
 
 
-def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, "n"]:
+def as_states(states: ArrayLike, n: int) -> Int8[np.ndarray, " n"]:
     answer = np.asarray(states)
     if answer.shape != (n,) or not np.isin(answer, list(CellState)).all():
         raise ValueError(f"classify must return one CellState per box, shape ({n},), got {shortened(states)}.")
@@ -199,7 +199,7 @@ class CheckedSpace:
     def motion_cost(self) -> MotionCost:
         return self.space.motion_cost
 
-    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, "n"]:
+    def is_free(self, q: ArrayLike) -> Bool[np.ndarray, " n"]:
         return as_booleans("is_free", self.space.is_free(q), len(np.asarray(q)))
 
 

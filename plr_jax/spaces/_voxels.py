@@ -90,7 +90,7 @@ class VoxelSpace:
             free[free] = ~blocked_within(self.grid, x, x, self.radius - self.tolerance)
         return free
 
-    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, "n"]:
+    def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
         """Tell whether boxes of positions are FREE, BLOCKED or MIXED; see :class:`CellState`.
 
         For a point, a box that touches an edge or corner where blocked voxels touch is not FREE, since no path passes

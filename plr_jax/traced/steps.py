@@ -18,7 +18,7 @@ Words = UInt32[Array, "h words"]
 Grids = UInt32[Array, "h words *grids"]
 Shape = tuple[int, ...]
 Points = Float[Array, "*batch 2"]
-Cells = tuple[Int32[Array, "4 *batch"], Int32[Array, "4 *batch"]]
+Cells = tuple[Int32[Array, " 4 *batch"], Int32[Array, " 4 *batch"]]
 Distances = Float[Array, "h w"]
 WORD = 32  # bits of a word, which holds as many cells of a row, the first column in the lowest bit
 _PLACES = np.arange(WORD, dtype=np.uint32)[None, None]
@@ -78,7 +78,7 @@ class Steps:
     def cells(self) -> Distances:
         return self.table
 
-    def distance(self, x: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    def distance(self, x: Float[Array, "n 2"]) -> Float[Array, " n"]:
         cells, is_inside = containing_cells(self.table.shape, x)
         return jnp.where(is_inside, self.table[cells].min(axis=0), jnp.inf)
 
@@ -93,7 +93,7 @@ class StepPairs:
         to_cell = jax.vmap(lambda row, column: distances(free, single_cell(free.shape, row, column), moves))
         return cls(to_cell(rows, columns).reshape(free.shape * 2))
 
-    def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, "n"]:
+    def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, " n"]:
         h, w = self.table.shape[:2]
         ((rows, columns), is_x_inside), (others, is_y_inside) = (containing_cells((h, w), end) for end in (x, y))
         places = (rows * w + columns)[:, None] * (h * w) + (others[0] * w + others[1])[None]

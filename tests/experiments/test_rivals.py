@@ -15,7 +15,7 @@ from plr_jax import BuildOptions, Euclidean, PlaneSpace, ReedsShepp, VisibilityG
 pytestmark = pytest.mark.full
 
 
-@pytest.mark.parametrize(("dim", "limit", "two_levels"), [(2, 300, False), (5, 2_000, True)])
+@pytest.mark.parametrize(("dim", "limit", "two_levels"), [(2, 40, False), (5, 2_000, True)])
 def test_numba_loop_equals_the_plr(dim, limit, two_levels):
     pytest.importorskip("numba")
     tip = np.linspace(-1.3, 2.1, dim)

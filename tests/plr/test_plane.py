@@ -66,8 +66,8 @@ def test_few_planes_may_be_deep_without_a_budget():
     """Next to a goal, the error of a plane grows with its width."""
     few, small = (construct(lambda x: np.sqrt(cone(x)), UNIT, max_leaves=64, max_bytes=most) for most in (None, 1024))
     assert few.cells.depth.max() == 9 and few.num_bytes < 1024 and small.cells.depth.max() == 7
-    needed = few.cells.depth.max(axis=0).sum()  # more than the class of a kilobyte has, so there are more
-    assert few.tables.blocks is None and len(few.tables.leaf_of_slot) == 2**needed > 2**14
+    finest = few.cells.depth.max(axis=0).sum()  # a flat table of all their slots would exceed the class of a kilobyte
+    assert few.tables.blocks is not None and len(few.tables.leaf_of_slot) == 2**14 < 2**finest
 
 
 def test_large_budget_makes_files_of_a_tolerance_smaller():

@@ -75,7 +75,7 @@ def test_lookup_finds_the_leaf_that_contains_the_point(kind, seed, dim, num_spli
     bits = cells.depth.max(axis=0)
     assume(bits.max() <= 15 and bits.sum() <= 20 and (kind == "flat" or num_splits) and (kind != "pages" or dim < 10))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tables, "MAX_FLAT_BITS", 0 if kind == "blocks" else 20)
+        patch.setattr(tables, "slot_bits_of_rows", lambda rows: 0 if kind == "blocks" else 20)
         found = tables_of(cells) if kind == "pages" else tables_of_numbers(cells, 40_000)
     assert (found.blocks is not None, found.pages is not None) == (kind == "blocks", kind == "pages")
     assert_finds_leaves(found, cells, seed)
@@ -130,7 +130,7 @@ def assert_finds_leaves(tables, cells, seed=0):
     np.testing.assert_array_equal(evaluate_tables(tables, x), expected)
 
 
-@pytest.mark.parametrize(("max_axis_depth", "num_words", "num_slots"), [(10, 2**12, 2**13), (13, 2**14, 2**16)])
+@pytest.mark.parametrize(("max_axis_depth", "num_words", "num_slots"), [(10, 2**12, 2**13), (13, 2**16, 2**14)])
 def test_pages_have_the_shape_of_their_depth(max_axis_depth, num_words, num_slots):
     cells = partition_around_corners(0, max_axis_depth=max_axis_depth)
     assert (cells.depth.max(axis=0) == max_axis_depth).all()
@@ -148,7 +148,7 @@ def test_pages_have_the_shape_of_their_depth(max_axis_depth, num_words, num_slot
 
 def test_blocks_are_as_coarse_as_the_slots_allow():
     cells = partition_around_corners(0)
-    paged = [build_pages(cells, slots) for slots in (2**16, 2**14, 600)]
+    paged = [build_pages(cells, slots, 3) for slots in ([2**16], [2**14], [600])]
     assert [found and len(found[0].words) for found in paged] == [2**14, 2**16, None]
 
 

@@ -180,6 +180,6 @@ def check_limits(
     )
 
 
-def largest_coordinates(domain: Box) -> Float[np.ndarray, "dim"]:
+def largest_coordinates(domain: Box) -> Float[np.ndarray, " dim"]:
     """Return each axis's largest absolute coordinate, relative to the domain's lower corner if that is far from 0."""
     return domain.width if is_far(domain) else np.max([abs(domain.lo), abs(domain.hi), domain.width], axis=0)

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 _RESIDUAL, _MOST_STEPS = 1e-10, 200
 
 
-def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int) -> Float[np.ndarray, "n"]:
+def solve_normal(normal: "csr_array", moments: Float[np.ndarray, " n"], dim: int) -> Float[np.ndarray, " n"]:
     """Solve ``normal @ x = moments``, symmetric positive definite, by a method for the domain's dimension ``dim``."""
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
@@ -59,7 +59,7 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, "n"], dim: int)
     return factors.solve(moments)
 
 
-def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"] | None:
+def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
     # SciPy's ``cg`` calls BLAS, whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
     values, residual, direction = np.zeros_like(right), right, right
     square = first = np.einsum("i,i", right, right)
@@ -88,7 +88,7 @@ class FaceTests:
         self._domain = domain
         self._keys, self._free = np.zeros(0, np.uint64), np.zeros(0, bool)  # of the faces of the last call
 
-    def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, "faces"]:
+    def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, " faces"]:
         domain, of_cell = self._domain, cells.hashes()
         keys = hash64(hash64(of_cell[faces.lower]) + of_cell[faces.upper])
         keys += faces.axis.astype(np.uint64)  # a cell may share several faces with itself
@@ -128,15 +128,15 @@ class TiedPartition:
     """Leaves whose functions agree on their ``tied`` faces: shared faces of reachable leaves that paths can cross."""
 
     tree: Tree
-    unreachable: Bool[np.ndarray, "leaves"]
+    unreachable: Bool[np.ndarray, " leaves"]
     faces: SharedFaces
-    tied: Bool[np.ndarray, "faces"]
+    tied: Bool[np.ndarray, " faces"]
 
     @cached_property
     def space(self) -> NodalSpace:
         return nodal_space(self.tree, self.faces[self.tied], self.unreachable)
 
-    def may_be_tied(self) -> Bool[np.ndarray, "faces"]:
+    def may_be_tied(self) -> Bool[np.ndarray, " faces"]:
         return ~(self.unreachable[self.faces.lower] | self.unreachable[self.faces.upper])
 
 
@@ -147,10 +147,10 @@ class StoredValues:
     partition: TiedPartition
     offset: float
     step: float
-    code: Int[np.ndarray, "free_dofs"]
+    code: Int[np.ndarray, " free_dofs"]
 
     @staticmethod
-    def quantize(partition: TiedPartition, values: Float[np.ndarray, "free_dofs"], step: float) -> "StoredValues":
+    def quantize(partition: TiedPartition, values: Float[np.ndarray, " free_dofs"], step: float) -> "StoredValues":
         if np.abs(values).max(initial=0.0) > LARGEST:
             raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
         offset, step = float(np.float32(values.mean())), float(np.float32(step))
@@ -167,7 +167,7 @@ class StoredValues:
         stored = StoredValues.quantize(partition, of_group[space.free_dofs], step)
         return replace(stored, code=np.maximum(stored.code, int(np.ceil(-stored.offset / stored.step))))
 
-    def decode(self) -> Float[np.ndarray, "free_dofs"]:
+    def decode(self) -> Float[np.ndarray, " free_dofs"]:
         return self.offset + self.step * self.code
 
     def write(self, body: BitWriter) -> None:
@@ -180,20 +180,21 @@ class StoredValues:
             body.write_signed(surplus[level])
 
 
-def _level_slices(level: Int[np.ndarray, "free_dofs"]) -> list[slice]:
+def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
     starts = np.flatnonzero(np.diff(level, prepend=-1)).tolist()
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
 
 
 _MOST_SPLIT = 0.5  # largest share of the leaves that one round splits before all values are fitted again
-# A round splits at least one in 16 leaves, or one in 4 near a byte limit, where fewer rounds take less time. If the
-# byte limit allows to split less than one in 64, growth ends.
-_LEAST_SPLIT, _LEAST_SPLIT_OF_BYTES, _WORTH_A_ROUND = 1 / 16, 1 / 4, 1 / 64
+# A round splits a third of the leaves that the limits allow to split, since errors change when adjacent leaves are
+# split: last rounds that split many leaves would leave some of them with several times the error of the others. It
+# splits at least one in 32 leaves. If the byte limit allows to split less than one in 64, growth ends.
+_SHARE_OF_ROOM, _LEAST_SPLIT, _WORTH_A_ROUND = 1 / 3, 1 / 32, 1 / 64
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
 _VOLUME_POWER = 0.25
 # Values are rounded to the mean error: more leaves reduce the error further than more digits. Near the byte limit,
 # continuous leaves aim at rounding to twice the mean error; values are rounded to at most this multiple.
-_MOST_MEAN_ERRORS = 3.0
+_MOST_MEAN_ERRORS, _FULL = 3.0, 1.8
 _SMALLEST_STEP = 2.0**-22  # in units of the largest distance: the resolution of 32-bit floats
 # Weight of the difference between a value and its prediction, relative to the samples of a cell: so small that it
 # decides only values that no sample determines, inside walls.
@@ -235,18 +236,16 @@ class _Rounds:
                 return grown
             self._most = len(leaf) // 2
 
-    def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, "splits"], Int[np.ndarray, "splits"]]:
+    def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
         fit, limits = now.fit, self._limits
-        room, least = limits.max_leaves - len(now), _LEAST_SPLIT
+        room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
             # If the step doubles, each value takes a bit less. Smooth leaves need the finer step.
             num_bytes = now.num_bytes - (len(now.stored.code) / 8 if self._order == 0 else 0)
             room = min(room, self._most, int(np.ceil(len(now) * (limits.max_bytes / num_bytes - 1))))
-            least = _LEAST_SPLIT_OF_BYTES
             if now.is_full or room < _WORTH_A_ROUND * len(now):
                 room = 0
-        # Only half of the splits that fit, since errors change when adjacent leaves are split.
-        number = max((room + 1) // 2, int(least * len(now)))
+        number = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
         number = min(number, int(np.ceil(_MOST_SPLIT * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
@@ -291,13 +290,13 @@ class _Rounds:
             num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits, num_cut_off)
             excess = 8 * (num_bytes - self._limits.max_bytes) / len(values)
             if excess <= 0 or step > _MOST_MEAN_ERRORS * least:
-                return _FittedPartition(replace(fit, residual=residual), stored, num_bytes, step > least)
+                return _FittedPartition(replace(fit, residual=residual), stored, num_bytes, step > _FULL * least)
             step *= 2 ** max(excess, 0.01)
 
 
 def fit_values(
     order: int, space: NodalSpace, fit: CellFit, weight: Float[np.ndarray, "leaves k"]
-) -> tuple[Float[np.ndarray, "free_dofs"], Float[np.ndarray, "leaves k"]]:
+) -> tuple[Float[np.ndarray, " free_dofs"], Float[np.ndarray, "leaves k"]]:
     """Fit a finite-element function by least squares to the samples of leaves, each with its ``weight``.
 
     Return the free degrees of freedom, and the distance minus the function at each sample (0 if its weight is 0).

@@ -34,14 +34,14 @@ class StoredPlanes:
     bits: int  # of ``center``; 32: ``center`` and ``half`` are bit patterns of floats
     offset: float
     step: float
-    center: Int[np.ndarray, "leaves"]
+    center: Int[np.ndarray, " leaves"]
     half: Int[np.ndarray, "leaves dim"]
 
     @property
-    def unreachable(self) -> Bool[np.ndarray, "leaves"]:
+    def unreachable(self) -> Bool[np.ndarray, " leaves"]:
         return self.center == unreachable_code(self.bits)
 
-    def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, "levels"]]:
+    def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, " levels"]]:
         # For each axis, the bits of one integer of ``half`` in cells of each depth along this axis.
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
@@ -51,7 +51,7 @@ class StoredPlanes:
             widths.append(np.full_like(largest, FLOAT_BITS) if self.bits == FLOAT_BITS else bits.astype(np.int64))
         return widths
 
-    def decode(self) -> tuple[Float[np.ndarray, "leaves"], Float[np.ndarray, "leaves dim"]]:
+    def decode(self) -> tuple[Float[np.ndarray, " leaves"], Float[np.ndarray, "leaves dim"]]:
         if self.bits == FLOAT_BITS:
             return floats_of_bits(self.center), floats_of_bits(self.half)
         center = np.where(self.unreachable, np.inf, self.offset + self.step * self.center)
@@ -116,7 +116,7 @@ class Plane(LinearLeafModel):
         choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
         choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
 
-        def nodes_of(fit: CellFit, bound: Float[np.ndarray, "cells"]) -> Nodes:
+        def nodes_of(fit: CellFit, bound: Float[np.ndarray, " cells"]) -> Nodes:
             fit = fill_unsampled_planes(fit, sampler)
             planes = np.column_stack([fit.center, fit.half])
             if by_proof and sampler.memory is not None:
@@ -127,15 +127,15 @@ class Plane(LinearLeafModel):
                 priority = np.asarray(rules.should_split(fit), float)
             return nodes_of_fit(fit, planes, bound, priority, np.asarray(rules.split(fit)), limits)
 
-        def stored(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> StoredPlanes:
+        def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredPlanes:
             return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)
 
-        def size(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> int:
+        def size(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> int:
             self.write(body := BitWriter(), sampler.domain, nodes.cells[leaf], stored(nodes, leaf, bits))
             num_cut_off = int(np.count_nonzero(nodes.is_cut_off[leaf]))
             return limits.file_size(nodes.cells.dim, len(leaf), body.num_bits, num_cut_off)
 
-        def rounding_error(nodes: Nodes, leaf: Int[np.ndarray, "leaves"], bits: int) -> float:
+        def rounding_error(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> float:
             return float(stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
 
         root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))

@@ -201,7 +201,7 @@ class CodedTree:
     kind is ``dim``, and its index is a row of leaf parameters.
     """
 
-    def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, "leaves"]) -> None:
+    def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, " leaves"]) -> None:
         dim = tree.cells.dim
         inner = np.flatnonzero(tree.child >= 0)
         index = np.full(len(tree.child), -1)
@@ -217,7 +217,7 @@ class CodedTree:
 
 def distinct_rows(
     numbers: Float[np.ndarray, "leaves count"],
-) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, "leaves"]]:
+) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, " leaves"]]:
     """Return the distinct rows (bit for bit) in order of first appearance, and the index of each leaf's row."""
     _, first, row = np.unique(numbers.view(np.uint32), axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))

@@ -125,7 +125,7 @@ class _CompactWriter:
         self.at_tree, self.record_bytes = self._at // 8, -(-num_bits // 8)
         self._write_rows(*parts, (np.zeros((len(children), 1), np.int64), -num_bits % 8))
 
-    def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, "_"]) -> bytes:
+    def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, " _"]) -> bytes:
         # Appends ``rows``, and the leaf parameters that differ from the computed ``numbers``; returns all bytes.
         # 1. Choose the leaves that are stored as planes.
         power = self.dim - 1 - np.arange(self.dim)
@@ -291,7 +291,7 @@ class _Middles:
                 lower[:, is_high], upper[:, ~is_high] = want[:, :, 0], want[:, :, 1]
                 self.corners[halves], self.corners[halves + 1] = lower, upper
 
-    def best_widths(self) -> Int[np.ndarray, "records"]:
+    def best_widths(self) -> Int[np.ndarray, " records"]:
         # The width of ``narrow`` for every 16 splits that takes the fewest bits; correct ``mark`` for it.
         narrow = 1 + np.frexp(np.abs(self.narrow))[1]
         wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
@@ -304,7 +304,7 @@ class _Middles:
         self.mark += (self.mark == 1) & (narrow > np.repeat(widths, _RECORD)[: len(narrow), None])
         return widths
 
-    def fields(self, unit: Int[np.ndarray, "splits"]) -> tuple[Int[np.ndarray, "n"], Int[np.ndarray, "n"]]:
+    def fields(self, unit: Int[np.ndarray, " splits"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
         # Two integers to store for each halved edge, and their bits; ``unit`` is the bits of ``narrow``.
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)

@@ -67,7 +67,7 @@ class LeafTable:
         self._descend(self.table, list(place), bits)
         self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind == tree.dim).all())
 
-    def rows(self, fractions: list[UInt32[np.ndarray, "n"]]) -> Integer[np.ndarray, "n"]:
+    def rows(self, fractions: list[UInt32[np.ndarray, " n"]]) -> Integer[np.ndarray, " n"]:
         """Return the index of each point's leaf; coordinates are in units of ``2**-23`` of the domain's width."""
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
@@ -77,7 +77,7 @@ class LeafTable:
         return code >> self.tree.kind_bits
 
     def _descend(
-        self, code: Integer[np.ndarray, "n"], fractions: list[Integer[np.ndarray, "n"]], bits: Int[np.ndarray, "dim"]
+        self, code: Integer[np.ndarray, " n"], fractions: list[Integer[np.ndarray, " n"]], bits: Int[np.ndarray, " d"]
     ) -> None:
         # Replace nodes, in place, by their descendants that contain points: leaves, or nodes of depth ``bits``.
         moving = np.flatnonzero(code & self.kind != self.tree.dim)
@@ -264,10 +264,10 @@ class NumpyPLR:
         return np.pad(waypoints, ((0, 1), (0, 0)), constant_values=np.nan)
 
     @cached_property
-    def _goal_rows(self) -> Float[np.ndarray, "leaves_and_outside"]:
+    def _goal_rows(self) -> Float[np.ndarray, " leaves_and_outside"]:
         return np.append(require_goals(goal_of_leaves(self._program.leaf, self._program.contents.stored)), np.nan)
 
-    def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, "leaves_and_outside *row"]) -> Any:
+    def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, " leaves_and_outside *row"]) -> Any:
         # The row of each point's leaf; the last row, of NaN, for NaN and outside the domain.
         leaf = self._at_few_points(x, self._leaf_query)
         return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)

@@ -39,12 +39,12 @@ class StoredSources:
     exponent: int  # coordinates in the first group are multiples of 2**exponent
     fraction: int  # coordinates in the second group, on the lattice, are multiples of 1 / fraction
     code: Int[np.ndarray, "sources dim"]
-    parent: Int[np.ndarray, "sources"]  # next source on the way to the goal; a root is its own parent
-    root_offset: Float[np.ndarray, "sources"]  # of roots: distance to the goal, exact in 32 bits
-    goals: Int[np.ndarray, "roots"] | None = None  # index of the goal at each root, if the file names goals
+    parent: Int[np.ndarray, " sources"]  # next source on the way to the goal; a root is its own parent
+    root_offset: Float[np.ndarray, " sources"]  # of roots: distance to the goal, exact in 32 bits
+    goals: Int[np.ndarray, " roots"] | None = None  # index of the goal at each root, if the file names goals
 
     @property
-    def is_root(self) -> Bool[np.ndarray, "sources"]:
+    def is_root(self) -> Bool[np.ndarray, " sources"]:
         return self.parent == np.arange(len(self.parent))
 
     @cached_property
@@ -53,17 +53,17 @@ class StoredSources:
         return np.concatenate([fine * 2.0**self.exponent, others / self.fraction])
 
     @cached_property
-    def offsets(self) -> Float[np.ndarray, "sources"]:
+    def offsets(self) -> Float[np.ndarray, " sources"]:
         return self._offsets_and_roots[0]
 
     @property
-    def goal_of_source(self) -> Int[np.ndarray, "sources"] | None:
+    def goal_of_source(self) -> Int[np.ndarray, " sources"] | None:
         if self.goals is None:
             return None
         return self.goals[(np.cumsum(self.is_root) - 1)[self._offsets_and_roots[1]]]
 
     @cached_property
-    def _offsets_and_roots(self) -> tuple[Float[np.ndarray, "sources"], Int[np.ndarray, "sources"]]:
+    def _offsets_and_roots(self) -> tuple[Float[np.ndarray, " sources"], Int[np.ndarray, " sources"]]:
         onward = self.parent
         length = np.sqrt(sum_of_columns(np.square(self.points - self.points[onward])))
         for _ in range(len(onward).bit_length()):  # pointer doubling
@@ -76,17 +76,17 @@ class StoredSources:
 @dataclass(frozen=True, eq=False)
 class StoredCones:
     sources: StoredSources
-    source: Int[np.ndarray, "leaves"]
+    source: Int[np.ndarray, " leaves"]
 
 
 def store_sources(
     points: Float[np.ndarray, "sources dim"],
-    offsets: Float[np.ndarray, "sources"],
-    parents: Int[np.ndarray, "sources"],
+    offsets: Float[np.ndarray, " sources"],
+    parents: Int[np.ndarray, " sources"],
     domain: Box,
     is_off: Bool[np.ndarray, "sources fractions"] | None = None,
-    goals: Int[np.ndarray, "goals"] | None = None,  # indices of several goals, which are the first sources
-) -> tuple[StoredSources, Int[np.ndarray, "sources"]]:
+    goals: Int[np.ndarray, " goals"] | None = None,  # indices of several goals, which are the first sources
+) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
     # Sources without duplicates, and each given source's new index.
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
@@ -128,7 +128,7 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
     return is_off
 
 
-def _lattice(is_off: Bool[np.ndarray, "sources fractions"], exponent: int) -> tuple[int, Bool[np.ndarray, "sources"]]:
+def _lattice(is_off: Bool[np.ndarray, "sources choices"], exponent: int) -> tuple[int, Bool[np.ndarray, " sources"]]:
     # The n for which multiples of 1 / n take the fewest bits, and which sources are no such multiples.
     fractions = _LATTICES[2.0**-exponent > _LATTICES]
     if not len(fractions):  # in a very wide domain, integers are too fine
@@ -160,12 +160,12 @@ def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None
     body.write(sources.parent[~sources.is_root], (len(sources.code) - 1).bit_length())
 
 
-def write_goals(body: BitWriter, goals: Int[np.ndarray, "roots"]) -> BitWriter:
+def write_goals(body: BitWriter, goals: Int[np.ndarray, " roots"]) -> BitWriter:
     width = int(goals.max()).bit_length()
     return body.write(np.array([width]), _WIDTH_BITS).write(goals, width)
 
 
-def _write_ranks(body: BitWriter, source: Int[np.ndarray, "leaves"]) -> None:
+def _write_ranks(body: BitWriter, source: Int[np.ndarray, " leaves"]) -> None:
     # Each leaf's source as its rank in a move-to-front list: 0 for the source of the leaf before.
     rank = np.zeros(len(source), np.int64)
     changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
@@ -215,13 +215,13 @@ def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     return StoredCones(sources, _read_ranks(body, num_leaves, len(sources.code)))
 
 
-def read_goals(body: BitReader, num_roots: int) -> Int[np.ndarray, "roots"]:
+def read_goals(body: BitReader, num_roots: int) -> Int[np.ndarray, " roots"]:
     if (width := int(body.read_fixed_width(1, _WIDTH_BITS)[0])) > _COUNT_BITS:
         raise ValueError(f"it states goals of {width} bits")
     return body.read_fixed_width(num_roots, width)
 
 
-def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> Int[np.ndarray, "count dim"]:
+def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, " dim"]) -> Int[np.ndarray, "count dim"]:
     lowest = body.read_signed(len(origin))
     columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
     for _ in origin[1:]:
@@ -232,13 +232,13 @@ def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, "dim"]) -> 
     return np.column_stack(columns) + lowest + origin
 
 
-def _origin_in_steps(steps: Float[np.ndarray, "dim"]) -> Int[np.ndarray, "dim"]:
+def _origin_in_steps(steps: Float[np.ndarray, " dim"]) -> Int[np.ndarray, " dim"]:
     if np.abs(steps).max() > _FARTHEST:
         raise ValueError("it states coordinates in steps that are too small for its domain")
     return np.rint(steps).astype(np.int64)
 
 
-def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, "leaves"]:
+def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, " leaves"]:
     rank, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
     for each in range(_ESCAPE):
         rest = rest[body.read_fixed_width(len(rest), 1) == 0]
@@ -269,20 +269,20 @@ class ConeFiles:
         files._is_off[:1] = off_lattices(sources.points[:1], self._domain)
         return files
 
-    def stored(self, source: Int[np.ndarray, "leaves"]) -> StoredCones:
+    def stored(self, source: Int[np.ndarray, " leaves"]) -> StoredCones:
         """Encode leaves by the index of each leaf's apex; those without a path, < 0, get another leaf's apex."""
         return self._stored(source)[0]
 
-    def num_bytes(self, source: Int[np.ndarray, "leaves"], limits: Limits) -> int:
+    def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source)
         num_cut_off = int(np.count_nonzero(source == CUT_OFF))
         return limits.file_size(self._domain.dim, len(source), num_bits + body.num_bits, num_cut_off)
 
-    def fit(self, limits: Limits, source: Int[np.ndarray, "leaves"]) -> bool:
+    def fit(self, limits: Limits, source: Int[np.ndarray, " leaves"]) -> bool:
         return self.num_bytes(source, limits) <= limits.max_bytes
 
-    def _stored(self, source: Int[np.ndarray, "leaves"]) -> tuple[StoredCones, int]:
+    def _stored(self, source: Int[np.ndarray, " leaves"]) -> tuple[StoredCones, int]:
         leaf, sources = np.flatnonzero(source >= 0), self._sources
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]

@@ -84,7 +84,7 @@ class Lattice:
         return found
 
     @cached_property
-    def samples(self) -> dict[Shape, tuple[Int[np.ndarray, "boxes"], Int[np.ndarray, "some"]]]:
+    def samples(self) -> dict[Shape, tuple[Int[np.ndarray, " boxes"], Int[np.ndarray, " some"]]]:
         # For each shape: the index of the first sample of each box, and what to add for up to 64 of its samples.
         found, row = {}, 1 << self.halvings
         for shape in self.first:
@@ -99,7 +99,7 @@ class Lattice:
             found[shape] = box[0] * row + box[1], place[0] * row + place[1]
         return found
 
-    def by_shape(self, box: Int[np.ndarray, "some"]) -> Iterator[tuple[Shape, Int[np.ndarray, "alike"], Any, Any]]:
+    def by_shape(self, box: Int[np.ndarray, " some"]) -> Iterator[tuple[Shape, Int[np.ndarray, " alike"], Any, Any]]:
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
         for number in np.unique(of_shape):
@@ -112,7 +112,7 @@ class Lattice:
 
 class GoalSamples(NamedTuple):
     table: Float[np.ndarray, "samples 4"]  # two coordinates, distance to the goal, and weight
-    source: Int[np.ndarray, "samples"]  # index in `sources` of each path's first turn; -1 without a path
+    source: Int[np.ndarray, " samples"]  # index in `sources` of each path's first turn; -1 without a path
     sources: Sources
 
 
@@ -129,13 +129,13 @@ class BoxFits:
 
     goal: GoalSamples
     negligible: float  # largest error up to which a box counts as exact
-    source: Int[np.ndarray, "boxes"]  # apex of each box's cone, a corner or the goal; -1 if no sample has a path
-    integral: Float[np.ndarray, "boxes"]  # of the error over the box, divided by the area of the domain
-    largest: Float[np.ndarray, "boxes"]
-    is_mixed: Bool[np.ndarray, "boxes"]  # whether the samples of a box use several sources
-    is_estimated: Bool[np.ndarray, "boxes"]  # whether errors come from only some of the samples of a box
+    source: Int[np.ndarray, " boxes"]  # apex of each box's cone, a corner or the goal; -1 if no sample has a path
+    integral: Float[np.ndarray, " boxes"]  # of the error over the box, divided by the area of the domain
+    largest: Float[np.ndarray, " boxes"]
+    is_mixed: Bool[np.ndarray, " boxes"]  # whether the samples of a box use several sources
+    is_estimated: Bool[np.ndarray, " boxes"]  # whether errors come from only some of the samples of a box
 
-    def evaluate(self, lattice: Lattice, box: Int[np.ndarray, "some"]) -> None:
+    def evaluate(self, lattice: Lattice, box: Int[np.ndarray, " some"]) -> None:
         # Replace estimated errors of boxes by the errors at all samples.
         for shape, place, first, offset in lattice.by_shape(box):
             boxes = box[place]
@@ -148,9 +148,9 @@ class BoxFits:
 
 def option_errors(
     goal: GoalSamples,
-    first: Int[np.ndarray, "options"],
-    offset: Int[np.ndarray, "k"],
-    source: Int[np.ndarray, "options"],
+    first: Int[np.ndarray, " options"],
+    offset: Int[np.ndarray, " k"],
+    source: Int[np.ndarray, " options"],
     shortfall: float = np.inf,
 ) -> Float[np.ndarray, "3 options"]:
     # Compare distances at samples ``first[i] + offset`` with the way straight to ``source[i]`` and on to the goal.
@@ -206,11 +206,11 @@ def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits
 class SampledTree(NamedTuple):
     """A tree whose leaves are boxes of a :class:`Lattice`."""
 
-    axes: list[Int[np.ndarray, "_"]]  # split axis of each node, level by level; -1 for a leaf
-    box: Int[np.ndarray, "leaves"]  # number of each leaf's box in the lattice, in tree order
+    axes: list[Int[np.ndarray, " _"]]  # split axis of each node, level by level; -1 for a leaf
+    box: Int[np.ndarray, " leaves"]  # number of each leaf's box in the lattice, in tree order
 
 
-def best_tree(lattice: Lattice, costs: Float[np.ndarray, "boxes"], price: float, max_depth: int) -> SampledTree:
+def best_tree(lattice: Lattice, costs: Float[np.ndarray, " boxes"], price: float, max_depth: int) -> SampledTree:
     """Return the tree of boxes whose leaves have the least sum of ``costs`` (one per box) plus ``price`` per leaf."""
     total, choice = costs + price, np.full(len(costs), -1, np.int8)
     for shape in list(lattice.first)[::-1]:
@@ -274,7 +274,7 @@ def _largest_tree(
     return largest
 
 
-def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, "leaves"], shortfall: float) -> LeafOptions:
+def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, " leaves"], shortfall: float) -> LeafOptions:
     # Candidates for each leaf's source: the sources of most of its samples, and its present source.
     goal, options, mixed = fits.goal, [], np.flatnonzero(fits.is_mixed[box])
     count = len(goal.sources.points)

@@ -97,7 +97,7 @@ class Cone(LeafModel):
             square = square + other
         return offset + root(square)
 
-    def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, "leaves"]]:
+    def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, " leaves"]]:
         """Return the apexes of all cones (obstacle corners and goals), and the index of each leaf's apex."""
         sources = stored.sources
         return Sources(sources.points, sources.offsets, sources.parent), stored.source
@@ -115,7 +115,7 @@ def as_sourced(leaf: LeafModel) -> Cone:
     return leaf
 
 
-def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, "leaves"] | None:
+def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, " leaves"] | None:
     goals = stored.sources.goal_of_source if isinstance(leaf, Cone) else None
     return None if goals is None else goals[stored.source]
 

@@ -39,20 +39,20 @@ class ConeBoxes(Rows):
     negligible: float  # error up to which a box counts as exact
     cells: Cells
     visible: CellSources  # sources of the boxes: the goal, and corners where paths from them may turn first
-    source: Int[np.ndarray, "boxes"]  # index of the best source; -1 or CUT_OFF if nothing reaches the goal
-    error: Float[np.ndarray, "boxes"]  # proven bound of the cone's largest error in the box; 0 if negligible
-    integral: Float[np.ndarray, "boxes"]  # proven bound of the error's integral, as a share of the domain's area
+    source: Int[np.ndarray, " boxes"]  # index of the best source; -1 or CUT_OFF if nothing reaches the goal
+    error: Float[np.ndarray, " boxes"]  # proven bound of the cone's largest error in the box; 0 if negligible
+    integral: Float[np.ndarray, " boxes"]  # proven bound of the error's integral, as a share of the domain's area
     by_side: bool = False  # whether ``peak`` weights largest errors by the sides of boxes
     reach: Reach | None = None  # if known, and some free points cannot reach the goal
 
-    def __getitem__(self, index: Int[np.ndarray, "some"]) -> Self:
+    def __getitem__(self, index: Int[np.ndarray, " some"]) -> Self:
         return replace(super().__getitem__(index), visible=self.visible.of_cells(index))
 
     def append(self, *others: Self) -> Self:
         return replace(super().append(*others), visible=self.visible.append(*(other.visible for other in others)))
 
     @property
-    def peak(self) -> Float[np.ndarray, "boxes"]:
+    def peak(self) -> Float[np.ndarray, " boxes"]:
         """The largest error of each cone; if ``by_side``, times the square root of box area / domain area."""
         # With this factor, boxes along a wall cost the same however often they are halved, so they are halved until
         # thin. Proven PLRs go without this factor, since they need few leaves of large error.
@@ -60,11 +60,11 @@ class ConeBoxes(Rows):
 
     def new_halves(
         self,
-        parent: Int[np.ndarray, "halves"],
-        axis: Int[np.ndarray, "halves"],
-        is_upper: Bool[np.ndarray, "halves"],
-        known: UInt64[np.ndarray, "known"],
-    ) -> tuple["ConeBoxes", UInt64[np.ndarray, "new"], UInt64[np.ndarray, "halves"]]:
+        parent: Int[np.ndarray, " halves"],
+        axis: Int[np.ndarray, " halves"],
+        is_upper: Bool[np.ndarray, " halves"],
+        known: UInt64[np.ndarray, " known"],
+    ) -> tuple["ConeBoxes", UInt64[np.ndarray, " new"], UInt64[np.ndarray, " halves"]]:
         # Returns the halves that are not known, their hashes, and the hashes of all halves.
         cells = self.cells[parent].halves(axis, is_upper)
         lo, hi = cells.grown_boxes(self.domain)
@@ -75,7 +75,7 @@ class ConeBoxes(Rows):
         return fit_boxes(self.domain, self.negligible, cells[new], found, self.by_side, self.reach), key[new], key
 
 
-def query_resolution(distances: Float[np.ndarray, "n"]) -> float:
+def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
     """Return a quarter of the machine epsilon of 32-bit floats, times the largest finite distance."""
     return float(np.finfo(np.float32).eps / 4 * distances[np.isfinite(distances)].max(initial=0.0))
 
@@ -117,7 +117,7 @@ def fit_boxes(
     return ConeBoxes(domain, negligible, cells, visible, best, error, integral, by_side, reach)
 
 
-def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
+def sole_sources(visible: CellSources) -> Int[np.ndarray, " boxes"]:
     """Return, for each box, the corner (or goal) to which all shortest paths from the box go straight; else -1."""
     first = visible.first_pair[visible.first_piece]
     count, own = np.diff(first), np.append(visible.source, -1)[first[:-1]]
@@ -128,8 +128,8 @@ def sole_sources(visible: CellSources) -> Int[np.ndarray, "boxes"]:
 
 
 def option_errors(
-    visible: CellSources, box: Int[np.ndarray, "options"], source: Int[np.ndarray, "options"]
-) -> tuple[Float[np.ndarray, "options"], Float[np.ndarray, "options"]]:
+    visible: CellSources, box: Int[np.ndarray, " options"], source: Int[np.ndarray, " options"]
+) -> tuple[Float[np.ndarray, " options"], Float[np.ndarray, " options"]]:
     # Bounds of the largest error, and of its integral, if all paths from ``box[i]`` go first to ``source[i]``.
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
@@ -155,18 +155,18 @@ _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visib
 class LeafOptions(NamedTuple):
     """Leaves that walls may hide from their source (a corner or the goal), paired with sources that they may get."""
 
-    leaf: Int[np.ndarray, "options"]
-    source: Int[np.ndarray, "options"]
-    is_own: Bool[np.ndarray, "options"]  # whether the source is the leaf's present source
-    by_all: Bool[np.ndarray, "options"]  # whether all of the leaf sees the source
-    error: Float[np.ndarray, "options"]  # mean error over the leaf, at samples
-    hidden: Float[np.ndarray, "options"]  # share of the leaf from which a wall hides the source
-    largest: Float[np.ndarray, "options"]  # largest error: a proven bound, or, from ``family.py``, at samples
-    integral: Float[np.ndarray, "options"]  # of the error over the leaf's free space; a proven bound, or at samples
-    area: Float[np.ndarray, "options"]  # of the leaf's free space
+    leaf: Int[np.ndarray, " options"]
+    source: Int[np.ndarray, " options"]
+    is_own: Bool[np.ndarray, " options"]  # whether the source is the leaf's present source
+    by_all: Bool[np.ndarray, " options"]  # whether all of the leaf sees the source
+    error: Float[np.ndarray, " options"]  # mean error over the leaf, at samples
+    hidden: Float[np.ndarray, " options"]  # share of the leaf from which a wall hides the source
+    largest: Float[np.ndarray, " options"]  # largest error: a proven bound, or, from ``family.py``, at samples
+    integral: Float[np.ndarray, " options"]  # of the error over the leaf's free space; a proven bound, or at samples
+    area: Float[np.ndarray, " options"]  # of the leaf's free space
 
 
-def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, "some"]) -> ConeBoxes:
+def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, " some"]) -> ConeBoxes:
     # Numbers count the boxes of the first level, then of the second, and so on.
     first = np.cumsum([0, *(len(level.source) for level in levels)])
     depth = np.searchsorted(first, number, side="right") - 1
@@ -204,8 +204,8 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
 
 
 def prefer_visible_sources(
-    boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, "leaves"]], bool]
-) -> Int[np.ndarray, "leaves"]:
+    boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, " leaves"]], bool]
+) -> Int[np.ndarray, " leaves"]:
     # The apex (corner or goal) of each leaf's cone: where possible, an apex that all of the leaf sees.
     # The largest proven error does not rise.
     most = max(float(boxes.error.max()), boxes.negligible)
@@ -213,12 +213,12 @@ def prefer_visible_sources(
 
 
 def change_sources(
-    source: Int[np.ndarray, "leaves"],
+    source: Int[np.ndarray, " leaves"],
     options: LeafOptions,
     total: float,
     most: float,
-    fits: Callable[[Int[np.ndarray, "leaves"]], bool],
-) -> Int[np.ndarray, "leaves"]:
+    fits: Callable[[Int[np.ndarray, " leaves"]], bool],
+) -> Int[np.ndarray, " leaves"]:
     # Walls hide parts of some leaves from their source, so other sources are tried, as far as the file fits. Proven
     # errors of new cones are at most ``most``; ``total`` is the mean error of all leaves before.
     leaf, is_own = options.leaf, options.is_own
@@ -234,7 +234,7 @@ def change_sources(
     best = best[np.argsort(-gain, kind="stable")]
     best = best[~is_own[best]]
 
-    def changed(count: int) -> Int[np.ndarray, "leaves"]:
+    def changed(count: int) -> Int[np.ndarray, " leaves"]:
         sources = source.copy()
         sources[leaf[best[:count]]] = options.source[best[:count]]
         return sources
@@ -267,7 +267,7 @@ def best_cones_of_goal(
     levels = [BoxLevel.of(box, box.cells.hashes())]
     files = ConeFiles(visible.sources, domain)
 
-    def in_order(priced: PricedTree) -> tuple[Tree, Int[np.ndarray, "leaves"]]:
+    def in_order(priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
         tree = tree_of(tree_of_axes(priced.axes, 2).leaves)  # in the canonical form of files
         first = np.cumsum([0, *(len(level.key) for level in levels)])
         numbers = np.concatenate([begin + leaf for begin, leaf in zip(first, priced.leaves, strict=False)])

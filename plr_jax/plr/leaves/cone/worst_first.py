@@ -37,13 +37,13 @@ _ATTEMPTS, _FULL = 8, 0.99  # trees to try at last, until one takes this share o
 
 @dataclass(frozen=True, eq=False)
 class _Nodes(Rows):
-    goal: Int[np.ndarray, "nodes"]
-    parent: Int[np.ndarray, "nodes"]  # -1 for the boxes of step 1
-    level: Int[np.ndarray, "nodes"]  # number of halvings of the domain
-    path: Int[np.ndarray, "nodes"]  # ascending from left to right in the tree; a bit for each halving
-    key: Float[np.ndarray, "nodes"]  # proven error, at most the parent's key; 0 if the node may not be halved
-    axis: Int[np.ndarray, "nodes"]  # along which the node is halved; -1 before that
-    source: Int[np.ndarray, "nodes"]  # apex of the node's cone, an index in the goal's sources; -1 without a path
+    goal: Int[np.ndarray, " nodes"]
+    parent: Int[np.ndarray, " nodes"]  # -1 for the boxes of step 1
+    level: Int[np.ndarray, " nodes"]  # number of halvings of the domain
+    path: Int[np.ndarray, " nodes"]  # ascending from left to right in the tree; a bit for each halving
+    key: Float[np.ndarray, " nodes"]  # proven error, at most the parent's key; 0 if the node may not be halved
+    axis: Int[np.ndarray, " nodes"]  # along which the node is halved; -1 before that
+    source: Int[np.ndarray, " nodes"]  # apex of the node's cone, an index in the goal's sources; -1 without a path
 
 
 class _GoalTree:
@@ -193,7 +193,7 @@ class WorstFirst:
         return trees, boxes_of_levels(rounds, np.concatenate(leaves)).visible
 
 
-def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, "boxes"]:
+def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, " boxes"]:
     # The axis along which to halve each box, so that the sum of the largest errors of the halves is least; -1 if the
     # limits allow no halving. Errors are those of the box's cone at corners of the free pieces in each half.
     visible, depth, sources = boxes.visible, boxes.cells.depth, boxes.visible.sources
