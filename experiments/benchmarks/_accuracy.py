@@ -107,13 +107,13 @@ def _ends(rows: list[dict[str, Any]]) -> list[tuple[str, float, float, str]]:
 #
 # - The PLRs, of cones, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they
 #   like, which is counted; cones ask it what whole cells see, which is not.
+# - Coded grid, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to
+#   half a million (``samples`` in the results, with the nodes of all grids).
 # - Coded grid: distances at nodes, rounded to multiples of a step, predicted from their neighbors and compressed by
-#   LZMA. Among 41 numbers of nodes, the best at its samples is taken. Nodes in obstacles take the value of the
+#   LZMA. Among 41 numbers of nodes, the best at the samples is taken. Nodes in obstacles take the value of the
 #   nearest free node.
-# - Linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to half a
-#   million (``samples`` in the results). Of the trees, one, two or four are kept, whichever are nearest to their
-#   samples. The network is trained for 40,000 steps and stored in 16-bit floats. There is none at the largest budget,
-#   where this would take minutes.
+# - Of the trees, one, two or four are kept, whichever are nearest to the samples. The network is trained for 40,000
+#   steps and stored in 16-bit floats. There is none at the largest budget, where this would take minutes.
 # - scikit-fmm: its own field, at nodes that fill the bytes; it asks no oracle. Its nodes in obstacles hold no number,
 #   so points beside them get no answer.
 #
@@ -129,7 +129,7 @@ _MOST_SAMPLES = 500_000
 _NEAR = 0.01  # of the smaller side of a map
 _MOST_NETWORK_BYTES = 6_144
 _PLRS = {"PLR, cones": "cone", "PLR, planes": "plane", "PLR, continuous": "continuous"}
-_TRAINED = ("LightGBM linear trees", "network, 16-bit")
+_GIVEN_SAMPLES = ("coded grid", "LightGBM linear trees", "network, 16-bit")
 
 
 class Oracle:
@@ -186,7 +186,7 @@ def _measure_map(
         }
         x_train, at_train = (part[: ours["PLR, planes"][1]] for part in samples)
         makers = _makers(workspace, goal, oracle, budget, x_train, at_train, num_steps, seed)
-        given = {rival: len(x_train) if rival in _TRAINED else 0 for rival in makers}
+        given = {rival: len(x_train) if rival in _GIVEN_SAMPLES else 0 for rival in makers}
         rivals, reasons = make_all({rival: _timed(make, oracle, given[rival]) for rival, make in makers.items()})
         skipped.update(reasons)
         for contender, (rival, num_samples, seconds) in {**ours, **rivals}.items():
