@@ -1,5 +1,6 @@
 """Tables of README files about distances: errors, proofs, without an oracle, all pairs, time of a query."""
 
+from collections.abc import Iterable
 from itertools import chain
 from typing import Any
 
@@ -9,20 +10,9 @@ from experiments._tables import formatted, markdown, mean_and_largest, or_dash, 
 from experiments.compare_summaries import MAX_BYTES, TOLERANCE
 
 _SHORT_BYTES = 6_144
-_SHORT_CONTENDERS = {
-    "PLR, cones": "PLR, cones",
-    "PLR": "PLR, planes",
-    "PLR, continuous": "PLR, continuous",
-    "bilinear grid, 16-bit": "bilinear grid, 16-bit",
-    "network, 16-bit": "network, 16-bit",
-}
-_SPEED_CONTENDERS = {
-    "PLR": "PLR, planes",
-    "map_coordinates": "grid, JAX `map_coordinates`",
-    "SciPy RegularGridInterpolator": "grid, SciPy",
-    "LightGBM linear tree": "LightGBM linear tree",
-}
-_IN_FLOAT64 = ", float64 points"  # in which some rivals are faster
+_PLRS = ("PLR, cones", "PLR, planes", "PLR, continuous")
+_SHORT_CONTENDERS = (*_PLRS, "coded grid", "network, 16-bit")
+_SPEED_CONTENDERS = ("PLR, planes", "PLR, planes, Numba loop", "grid, JAX", "grid, SciPy", "LightGBM linear tree")
 _BYTES_A_CORNER = 4  # two coordinates of 16 bits
 _RIVALS = {
     "ours": "construct_pairs",
@@ -38,19 +28,40 @@ _RIVALS = {
 
 
 def rivals(results: dict[str, Any]) -> str:
-    """Mean and largest errors of one number of bytes, one row an approximation and one column a map."""
-    maps = results["maps"]
-    budgets = {row["budget"] for rows in maps.values() for row in rows}
-    budget = _SHORT_BYTES if _SHORT_BYTES in budgets else max(budgets)
-    table = [[f"mean (largest) error, {budget:,} bytes", *maps]]
-    for contender, label in _SHORT_CONTENDERS.items():
-        errors = [
-            next((row["free"] for row in rows if (row["contender"], row["budget"]) == (contender, budget)), None)
-            for rows in maps.values()
-        ]
-        if any(errors):  # of what was not measured there is no row
-            table.append([label, *map(mean_and_largest, errors)])
+    """Errors at one number of bytes, one row an approximation and one column a map; and of a grid in equal memory."""
+    maps = {
+        name: {row["contender"]: row for row in rows if row["budget"] == _SHORT_BYTES}
+        for name, rows in results["maps"].items()
+    }
+    table = [[f"mean (largest) error, {_SHORT_BYTES:,} bytes", *maps]]
+    for contender in _SHORT_CONTENDERS:
+        table.append([contender, *(mean_and_largest(rows[contender]["free"]) for rows in maps.values())])
+    in_memory = [mean_and_largest(rows["PLR, planes"]["grid_in_memory"]) for rows in maps.values()]
+    table.append(["32-bit grid, memory of planes", *in_memory])
     return markdown(table, numbers=len(maps))
+
+
+def cones_and_best_rival(results: dict[str, Any], name: str, budget: int) -> tuple[float, float, str]:
+    """Return the mean error of cones on a map, the least mean error of other methods, and the name of that method."""
+    errors = {row["contender"]: row["free"]["mean"] for row in results["maps"][name] if row["budget"] == budget}
+    least = min((error, contender) for contender, error in errors.items() if contender not in _PLRS)
+    return errors["PLR, cones"], *least
+
+
+def memory(results: dict[str, Any]) -> str:
+    """Errors of loaded PLRs beside those of grids that take as much memory."""
+    rows = [
+        {"map": name, "cells": [mean_and_largest(row[key]) for key in ("free", "grid_in_memory")], **row}
+        for name, rows in results["maps"].items()
+        for row in rows
+        if row["contender"] in _PLRS and row["budget"] == _SHORT_BYTES
+    ]
+    return formatted(
+        rows,
+        *(("map", "{map}"), ("", "{contender}"), ("file, bytes", "{bytes:,}"), ("memory", "{resident_bytes:,}")),
+        *(("mean (largest) error", "{cells[0]}"), ("of the grid", "{cells[1]}")),
+        words=2,
+    )
 
 
 def leaves(results: dict[str, Any]) -> str:
@@ -66,39 +77,31 @@ def leaves(results: dict[str, Any]) -> str:
     scale = ", ".join(f"{distance:.3g} in {name}" for name, distance in farthest.items())
     return table + (
         f"\n`max_bytes={results['budget']}`. Memory: bytes once loaded. In C: bytes of code and tables. "
-        f"Errors in workspace units, over {results['points']:,} free points; largest distance: {scale}.\n"
+        f"Errors in workspace units; largest distance: {scale}.\n"
     )
 
 
 def speed(results: dict[str, Any]) -> str:
-    """Bytes, error and nanoseconds a point of a PLR and of three others in its place."""
-    plane = results["plane"]
-    few, many = (str(n) for n in plane["points"][-2:])
-    rows = [["", "bytes", "mean error", f"ns a point, {int(few):,} a call", f"{int(many):,} a call"]]
-    for contender, label in _SPEED_CONTENDERS.items():
-        if contender in plane["rows"]:
-            size, seconds = plane["rows"][contender], plane["nanoseconds"][contender]
-            cells = [f"{size['bytes']:,}", f"{size['mean']:.2g}"]
-            rows.append([label, *cells, *(f"{seconds[n][0]:.3g}" for n in (few, many))])
-    return markdown(rows, numbers=4)
+    """Bytes, error and nanoseconds a point of a PLR and of some others in its place."""
+    return _nanoseconds(results["plane"], _SPEED_CONTENDERS)
 
 
 def query(results: dict[str, Any]) -> str:
     """Bytes, error and nanoseconds a point of every contender in the maze, and of the joint distance."""
     plane, joint = results["plane"], results["joint"]
-    return _nanoseconds(plane) + (
-        f"\nMedians of interleaved calls in one process; PLRs have {plane['leaves']} leaves; errors are of "
+    return _nanoseconds(plane, plane["nanoseconds"]) + (
+        f"\nMedians of interleaved calls in one process; the PLR has {plane['leaves']:,} leaves; errors are of "
         "free points. "
         f"A 4-D PLR of {joint['leaves']:,} leaves, the joint distance of two robots, takes "
         f"{joint['nanoseconds']['PLR'][0]:.1f} ns a point in a batch of {plane['points'][-1]:,}.\n"
     )
 
 
-def _nanoseconds(plane: dict[str, Any]) -> str:
+def _nanoseconds(plane: dict[str, Any], contenders: Iterable[str]) -> str:
     sizes = [str(n) for n in plane["points"] if n > 1]
     rows = [["", "bytes", "mean error", *(f"ns a point of {int(n):,}" for n in sizes)]]
-    for contender in plane["nanoseconds"]:
-        size = plane["rows"].get(contender.removesuffix(_IN_FLOAT64))
+    for contender in contenders:
+        size = plane["rows"].get(contender)
         cells = [f"{size['bytes']:,}", f"{size['mean']:.2g}"] if size else ["", ""]
         rows.append([contender, *cells, *(f"{plane['nanoseconds'][contender][n][0]:.3g}" for n in sizes)])
     return markdown(rows, numbers=len(rows[0]) - 1)

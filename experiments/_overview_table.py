@@ -1,11 +1,10 @@
 """The first table of experiments/README.md: each question, our answer, the best rival's answer, and who wins."""
 
-import math
-from operator import itemgetter
 from statistics import median
 from typing import Any
 
-from experiments._tables import markdown
+from experiments._distance_tables import cones_and_best_rival
+from experiments._tables import markdown, two_digits
 
 _MAP = "den312d"  # the map of single numbers: medium size, not made by us
 _BYTES = 6_144
@@ -20,10 +19,9 @@ def overview(
     race: dict[str, Any],
 ) -> str:
     """Return one row for each comparison with other tools, with a link to the section that has the details."""
-    errors = {row["contender"]: row["free"]["mean"] for row in benchmark["accuracy"]["maps"][_MAP] if _fits(row)}
-    cones = errors["PLR, cones"]
-    other, error = min(((name, each) for name, each in errors.items() if "PLR" not in name), key=itemgetter(1))
+    cones, error, other = cones_and_best_rival(benchmark["accuracy"], _MAP, _BYTES)
     nanoseconds = {name: each["1000000"][0] for name, each in benchmark["query"]["plane"]["nanoseconds"].items()}
+    faster = nanoseconds["grid, JAX"] / nanoseconds["PLR, planes"]
     oracle = benchmark["oracle"]["maps"][_MAP]
     rival = oracle["rivals"]["extremitypathfinder"]
     prepare = oracle["seconds_workspace"] + oracle["seconds_prepare"]
@@ -50,22 +48,21 @@ def overview(
             f"mean error of a file of {_BYTES:,} bytes, {_MAP}",
             f"cones {cones:.2g}",
             f"{other} {error:.2g}",
-            f"**ours**, {_two_digits(error / cones)} times smaller",
+            f"**ours**, {two_digits(error / cones)} times smaller",
             "[errors](#errors)",
         ],
         [
             "time a point, batch of 1,000,000, equal bytes",
-            f"planes {nanoseconds['PLR']:.2g} ns",
-            f"`map_coordinates` {nanoseconds['map_coordinates']:.2g} ns",
-            f"**ours**, {nanoseconds['map_coordinates'] / nanoseconds['PLR']:.1f} times faster",
+            f"planes {nanoseconds['PLR, planes']:.2g} ns",
+            f"grid in JAX {nanoseconds['grid, JAX']:.2g} ns",
+            f"**ours**, {faster:.2f} times faster" if faster > 1 else f"grid in JAX, {1 / faster:.2f} times faster",
             "[time](#time)",
         ],
         [
             f"exact distances, {_MAP}: preparation; one point",
             f"{prepare:.2g} s; {alone:,.0f} us alone, {query:.2g} us in a batch",
             f"extremitypathfinder {rival['prepare']:.2g} s; {1e6 * rival['query']:,.0f} us",
-            f"**ours**, {rival['prepare'] / prepare:.0f} and {_two_digits(1e6 * rival['query'] / alone)} "
-            "times faster",
+            f"**ours**, {rival['prepare'] / prepare:.0f} and {two_digits(1e6 * rival['query'] / alone)} times faster",
             "[time](#time)",
         ],
         [
@@ -81,7 +78,7 @@ def overview(
             "as nodes",
             "1",
             f"scikit-fmm {1 / max(ratios):.1f} to {1 / min(ratios):.0f}",
-            f"**ours** for each stored number, by a finer march; scikit-fmm in time, {_two_digits(slower)} times. In "
+            f"**ours** for each stored number, by a finer march; scikit-fmm in time, {two_digits(slower)} times. In "
             f"equal CPU seconds, **ours** with 8 KB on {better[0]} fields, on {better[1]} if its marches are "
             "extrapolated",
             "[without an oracle](#without-an-oracle)",
@@ -115,19 +112,9 @@ def overview(
         [
             "time to a path that costs no more than ours",
             "1",
-            f"OMPL, median {_two_digits(same)} or more",
+            f"OMPL, median {two_digits(same)} or more",
             "**ours**",
             "[planning](#planning)",
         ],
     ]
     return markdown(rows, numbers=0)
-
-
-def _fits(row: dict[str, Any]) -> bool:
-    return row["budget"] == _BYTES and row["free"] is not None
-
-
-def _two_digits(value: float) -> str:
-    """Return the value rounded down to two significant digits, so that a claim stays true."""
-    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return f"{math.floor(value / scale) * scale:,.6g}"

@@ -22,7 +22,7 @@ WHOLE = "whole"  # name of the part of an experiment that has no sections
 
 _PACKAGES = (
     *("plr-jax", "jax", "numpy", "scipy", "shapely", "networkx", "optax", "matplotlib"),
-    *("interpax", "lightgbm", "numba", "ompl", "python-motion-planning", "scikit-fmm", "jupedsim"),
+    *("lightgbm", "numba", "ompl", "python-motion-planning", "scikit-fmm", "jupedsim"),
 )
 
 Compute = Callable[[int, bool], dict[str, Any]]

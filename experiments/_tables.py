@@ -37,12 +37,14 @@ def mean_and_largest(errors: dict[str, Any] | None) -> str:
 
 
 def at_least(total: dict[str, Any], key: str) -> str:
-    """A number of a race's summary; ``>`` where it is that of the limit.
+    """A number of a race's summary; ``>`` where it is that of the limit."""
+    return f"{'> ' if total['at_least'] else ''}{two_digits(total[key])}"
 
-    Two digits, rounded down, as lower bounds stay true then.
-    """
-    scale = 10.0 ** (math.floor(math.log10(total[key])) - 1)
-    return f"{'> ' if total['at_least'] else ''}{math.floor(total[key] / scale + 1e-9) * scale:.6g}"
+
+def two_digits(value: float) -> str:
+    """Return the value rounded down to two significant digits, so that a claim stays true."""
+    scale = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.floor(value / scale + 1e-9) * scale:,.6g}"
 
 
 def as_text(results: Any, name: str) -> str:

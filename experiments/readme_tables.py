@@ -89,6 +89,7 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "overview": (*(winners.overview, "benchmark", "compare_summaries", "costs", "living", "grid_distance", "race"),),
     "table1": (distances.table1, "table1"),
     "accuracy": (distances.accuracy, "benchmark.accuracy"),
+    "memory": (distances.memory, "benchmark.accuracy"),
     "proofs": (distances.proofs, "proofs", "benchmark.oracle"),
     "proof_speed": (distances.proof_speed, "proofs"),
     "proof_checks": (distances.proof_checks, "proofs"),

@@ -15,16 +15,15 @@ from tqdm import tqdm
 
 from experiments.benchmarks._maps import load_map
 from experiments.benchmarks._rivals import (
+    NUM_STEPS,
     Rival,
     best_linear_trees,
+    coded_grid,
     filled_grid,
-    interpax_grid,
     make_all,
     scipy_grid,
-    sixteen_bit_grid,
     train_network,
     travel_time_grid,
-    triangles,
 )
 from plr_jax import VisibilityGraph, Workspace, construct
 
@@ -55,16 +54,11 @@ def label_ends(ax: Axes, ends: list[tuple[str, float, float, str]], spacing: flo
 
 # Mean error against bytes, one panel a map.
 
-# interpax's linear answers are those of the bilinear grid.
 _STYLES = {
     "PLR, cones": ("#0072B2", "-", "*"),
-    "PLR": ("#0072B2", "-", "o"),
+    "PLR, planes": ("#0072B2", "-", "o"),
     "PLR, continuous": ("#0072B2", "--", "o"),
-    "bilinear grid, 16-bit": ("#444444", "-", "D"),
-    "bilinear grid": ("#444444", "--", "D"),
-    "interpax, cubic, 16-bit": ("#009E73", "-", "^"),
-    "interpax, cubic": ("#009E73", "--", "^"),
-    "LinearNDInterpolator": ("#CC79A7", "-", "v"),
+    "coded grid": ("#444444", "-", "D"),
     "LightGBM linear trees": ("#D55E00", "-", "s"),
     "network, 16-bit": ("#E69F00", "-", "P"),
     "scikit-fmm": ("#56B4E9", ":", "X"),
@@ -102,9 +96,8 @@ def _draw_map(ax: Axes, rows: list[dict[str, Any]]) -> None:
 
 def _ends(rows: list[dict[str, Any]]) -> list[tuple[str, float, float, str]]:
     """Label, end and color of each line."""
-    most = max(row["budget"] for row in rows)
-    last = [row for row in rows if row["budget"] == most and row["contender"] in _STYLES and row["free"]["mean"]]
-    return [(row["contender"], row["bytes"], row["free"]["mean"], _STYLES[row["contender"]][0]) for row in last]
+    last = {row["contender"]: row for row in rows if row["contender"] in _STYLES and row["free"]["mean"]}
+    return [(name, row["bytes"], row["free"]["mean"], _STYLES[name][0]) for name, row in last.items()]
 
 
 # Error at equal bytes: PLRs against everything else that can hold a distance function, map by map.
@@ -114,14 +107,18 @@ def _ends(rows: list[dict[str, Any]]) -> list[tuple[str, float, float, str]]:
 #
 # - The PLRs, of cones, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they
 #   like, which is counted; cones ask it what whole cells see, which is not.
-# - Grids: nodes that fill the bytes, as float32 numbers or as scaled 16-bit integers, which makes room for twice as
-#   many. Nodes in obstacles take the value of the nearest free node. Read by SciPy or by interpax.
-# - Triangles, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to
-#   half a million (``samples`` in the results), of which triangles use the first 20,000. Triangles are refined where
-#   the error is; of the trees, one, two or four are kept, whichever are nearest to their samples; the network is kept
-#   in 16-bit floats, which costs it no accuracy.
+# - Coded grid, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to
+#   half a million (``samples`` in the results, with the nodes of all grids).
+# - Coded grid: distances at nodes, rounded to multiples of a step, predicted from their neighbors and compressed by
+#   LZMA. Among 41 numbers of nodes, the best at the samples is taken. Nodes in obstacles take the value of the
+#   nearest free node.
+# - Of the trees, one, two or four are kept, whichever are nearest to the samples. The network is trained for 40,000
+#   steps and stored in 16-bit floats. There is none at the largest budget, where this would take minutes.
 # - scikit-fmm: its own field, at nodes that fill the bytes; it asks no oracle. Its nodes in obstacles hold no number,
 #   so points beside them get no answer.
+#
+# A loaded PLR takes more memory than its file. So beside each PLR, a grid of 32-bit numbers is measured that fills
+# the memory of the loaded PLR.
 #
 # Seconds of building are without the oracle's, but for cones, which the exact distance itself answers for cells.
 
@@ -130,8 +127,9 @@ _MAPS = ("maze", "thin_maze", "arena", "den312d")
 _BUDGETS = (2_048, 6_144, 30_720)
 _MOST_SAMPLES = 500_000
 _NEAR = 0.01  # of the smaller side of a map
-_PLRS = {"PLR, cones": "cone", "PLR": "plane", "PLR, continuous": "continuous"}
-_TRAINED = ("LinearNDInterpolator", "LightGBM linear trees", "network, 16-bit")
+_MOST_NETWORK_BYTES = 6_144
+_PLRS = {"PLR, cones": "cone", "PLR, planes": "plane", "PLR, continuous": "continuous"}
+_GIVEN_SAMPLES = ("coded grid", "LightGBM linear trees", "network, 16-bit")
 
 
 class Oracle:
@@ -151,7 +149,7 @@ class Oracle:
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
     maps, budgets = (_MAPS[:1], (1_024,)) if smoke else (_MAPS, _BUDGETS)
-    num_points, most_samples, num_steps = (2_000, 2_000, 20) if smoke else (200_000, _MOST_SAMPLES, 4_000)
+    num_points, most_samples, num_steps = (2_000, 2_000, 20) if smoke else (200_000, _MOST_SAMPLES, NUM_STEPS)
     results: dict[str, Any] = {"points": num_points, "maps": {}, "skipped": {}}
     for name in maps:
         loaded = load_map(name)
@@ -186,9 +184,9 @@ def _measure_map(
             name: _timed(partial(_plr, leaf, oracle, workspace, budget, seed), oracle, 0)()
             for name, leaf in _PLRS.items()
         }
-        x_train, at_train = (part[: ours["PLR"][1]] for part in samples)
+        x_train, at_train = (part[: ours["PLR, planes"][1]] for part in samples)
         makers = _makers(workspace, goal, oracle, budget, x_train, at_train, num_steps, seed)
-        given = {rival: len(x_train) if rival in _TRAINED else 0 for rival in makers}
+        given = {rival: len(x_train) if rival in _GIVEN_SAMPLES else 0 for rival in makers}
         rivals, reasons = make_all({rival: _timed(make, oracle, given[rival]) for rival, make in makers.items()})
         skipped.update(reasons)
         for contender, (rival, num_samples, seconds) in {**ours, **rivals}.items():
@@ -196,6 +194,10 @@ def _measure_map(
             error = np.abs(rival.on_host(x) - distance)
             both = {"free": summary(error), "near_walls": summary(error[near])}
             rows.append({**about, "samples": num_samples, "build_seconds": seconds, **both})
+            if contender in _PLRS:
+                grid = scipy_grid(filled_grid(workspace, exact, rival.answer.resident_bytes))
+                of_grid = summary(np.abs(grid.on_host(x) - distance))
+                rows[-1] |= {"resident_bytes": rival.answer.resident_bytes, "grid_in_memory": of_grid}
     return rows, skipped
 
 
@@ -225,17 +227,15 @@ def _makers(
     num_steps: int,
     seed: int,
 ) -> dict[str, Callable[[], Rival]]:
-    return {
-        "bilinear grid": lambda: scipy_grid(filled_grid(workspace, oracle, budget)),
-        "bilinear grid, 16-bit": lambda: scipy_grid(sixteen_bit_grid(workspace, oracle, budget)),
-        "interpax, linear": lambda: interpax_grid(filled_grid(workspace, oracle, budget), "linear"),
-        "interpax, cubic": lambda: interpax_grid(filled_grid(workspace, oracle, budget), "cubic"),
-        "interpax, cubic, 16-bit": lambda: interpax_grid(sixteen_bit_grid(workspace, oracle, budget), "cubic"),
-        "LinearNDInterpolator": lambda: triangles(workspace, budget, x, distance),
+    made = {
+        "coded grid": lambda: scipy_grid(coded_grid(workspace, oracle, budget, x, distance)),
         "LightGBM linear trees": lambda: best_linear_trees(x, distance, budget, seed),
         "network, 16-bit": lambda: train_network(x, distance, budget, num_steps, seed, jnp.float16),
         "scikit-fmm": lambda: scipy_grid(travel_time_grid(workspace, goal, budget)),
     }
+    if budget > _MOST_NETWORK_BYTES:
+        del made["network, 16-bit"]
+    return made
 
 
 def _timed(make: Callable[[], Rival], oracle: Oracle, given: int) -> Callable[[], tuple[Rival, int, float]]:

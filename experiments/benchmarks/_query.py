@@ -19,15 +19,15 @@ from tqdm import tqdm
 
 from experiments.benchmarks._numba_loop import numba_loop
 from experiments.benchmarks._rivals import (
+    NUM_STEPS,
     Rival,
-    filled_grid,
-    interpax_grid,
+    coded_grid,
+    jax_grid,
+    leaves_that_fit,
     linear_trees,
     make_all,
-    map_coordinates,
     scipy_grid,
     train_network,
-    triangles,
 )
 from experiments.benchmarks._timing import interleaved
 from plr_jax import PLR, BuildOptions, VisibilityGraph, construct, metrics, scenes
@@ -180,10 +180,9 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
 #
 # In the plane, all answer the same random points of the maze:
 #
-# - Nodes of grids and weights of the network are float32 numbers that fill the bytes of the PLR's file.
-# - SciPy's grid and LightGBM are timed with float32 and with float64 points; ratios are to the faster.
-# - LightGBM has one tree of as many leaves as the PLR, after the stump that it needs (see ``_rivals.py``).
-# - The Numba loops read the PLR's own tables, on one core and on all.
+# - The coded grid, the network's 32-bit weights and LightGBM's tree take at most the bytes of the PLR's file. JAX and
+#   SciPy read the same grid, decoded. LightGBM has one tree, after the stump that it needs (see ``_rivals.py``).
+# - The Numba loops read the PLR's own tables, on all cores and on one.
 # - The floors: JAX reading the points and writing one float for each, and NumPy copying as many bytes.
 #
 # In four dimensions the function is the joint distance of two point robots of the maze that change places and ignore
@@ -191,34 +190,30 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 LEAVES, SMOKE_LEAVES = 512, 64
+MAX_BYTES, SMOKE_BYTES = 6_144, 1_024
 _SAMPLES_OF_JOINT = 64
-_DOUBLE = ", float64 points"
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
     points, turns, leaves = ([1, 1_000], 2, SMOKE_LEAVES) if smoke else ([1, 1_000, 1_000_000], 15, LEAVES)
+    sizes = (SMOKE_BYTES, 2_000, 20, 1_000) if smoke else (MAX_BYTES, 100_000, NUM_STEPS, 20_000)
     return {
-        "plane": _plane(points, turns, leaves, seed, *((2_000, 20, 1_000) if smoke else (100_000, 4_000, 20_000))),
+        "plane": _plane(points, turns, seed, *sizes),
         "joint": _joint(points[-1], turns, 500 if smoke else 50_000, seed),
         **measure_sizes(points, leaves, turns, seed, smoke),
     }
 
 
-def maze_plr(leaves: int, seed: int) -> tuple[PLR, VisibilityGraph]:
-    """The maze's distance as a PLR, and the distance itself."""
-    problem = scenes.maze()
-    exact = VisibilityGraph(problem.workspace, problem.goals[0])
-    return construct(exact, problem.workspace.bounds, max_leaves=leaves, seed=seed), exact
-
-
 def _plane(
-    points: list[int], turns: int, leaves: int, seed: int, num_samples: int, num_steps: int, num_tests: int
+    points: list[int], turns: int, seed: int, max_bytes: int, num_samples: int, num_steps: int, num_tests: int
 ) -> dict[str, Any]:
     """All contenders in the maze: bytes, errors, and quartiles of nanoseconds a point for every number of points."""
-    plr, exact = maze_plr(leaves, seed)
+    problem = scenes.maze()
+    exact = VisibilityGraph(problem.workspace, problem.goals[0])
+    plr = construct(exact, problem.workspace.bounds, max_bytes=max_bytes, seed=seed)
     rivals, skipped = make_all(makers(plr, exact, num_samples, num_steps, seed))
-    contenders = {"PLR": Rival(plr.num_bytes, plr, True), **rivals}
-    x_free = scenes.maze().workspace.sample_free(num_tests, POINT_SEED + seed)
+    contenders = {"PLR, planes": Rival(plr.num_bytes, plr, True), **rivals}
+    x_free = problem.workspace.sample_free(num_tests, POINT_SEED + seed)
     rows = {name: {"bytes": rival.num_bytes, **_errors(rival, exact, x_free)} for name, rival in contenders.items()}
     times = {n: interleaved(_calls(contenders, _points(n, 2, seed)), turns) for n in points}
     nanoseconds = {
@@ -232,19 +227,18 @@ def makers(
     plr: PLR, exact: VisibilityGraph, num_samples: int, num_steps: int, seed: int
 ) -> dict[str, Callable[[], Rival]]:
     """Makers of the rivals of a PLR of the maze, at its bytes."""
-    workspace = scenes.maze().workspace
-    grid = filled_grid(workspace, exact, plr.num_bytes)
+    workspace = exact.workspace
     x = workspace.sample_free(num_samples, TRAINING_SEED + seed)
     distance = exact(x)
+    grid = coded_grid(workspace, exact, plr.num_bytes, x, distance)
+    num_leaves = leaves_that_fit(plr.num_bytes, 1)
     return {
-        "map_coordinates": lambda: map_coordinates(grid),
-        "interpax, linear": lambda: interpax_grid(grid, "linear"),
+        "grid, JAX": lambda: jax_grid(grid),
+        "grid, SciPy": lambda: scipy_grid(grid),
         "network": lambda: train_network(x, distance, plr.num_bytes, num_steps, seed),
-        "SciPy RegularGridInterpolator": lambda: scipy_grid(grid),
-        "SciPy LinearNDInterpolator": lambda: triangles(workspace, plr.num_bytes, x, distance),
-        "LightGBM linear tree": lambda: linear_trees(x, distance, plr.num_leaves, 1, seed),
-        "Numba loop, one core": lambda: Rival(plr.num_bytes, numba_loop(plr, parallel=False)),
-        "Numba loop, all cores": lambda: Rival(plr.num_bytes, numba_loop(plr, parallel=True)),
+        "LightGBM linear tree": lambda: linear_trees(x, distance, num_leaves, 1, seed),
+        "PLR, planes, Numba loop": lambda: Rival(plr.num_bytes, numba_loop(plr, parallel=True)),
+        "PLR, planes, Numba loop, one core": lambda: Rival(plr.num_bytes, numba_loop(plr, parallel=False)),
     }
 
 
@@ -256,9 +250,6 @@ def _calls(contenders: dict[str, Rival], x: Float[np.ndarray, "n dim"]) -> dict[
 
     on_device = jnp.asarray(x)
     calls = {name: call(rival.answer, on_device if rival.on_device else x) for name, rival in contenders.items()}
-    for name in contenders:
-        if name in ("SciPy RegularGridInterpolator", "LightGBM linear tree"):
-            calls[name + _DOUBLE] = call(contenders[name].answer, x.astype(np.float64))
     # Reading half of these bytes and writing the other half moves as many as reading points and writing answers.
     moved = np.zeros((x.size + len(x)) // 2, np.float32)
     return {**calls, "copy, JAX": call(_add_coordinates, on_device), "copy, NumPy": moved.copy}

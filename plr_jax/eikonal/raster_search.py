@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax._arrays import as_numbers, shortened
 from plr_jax.eikonal.program import rescaling_of
 
-# Most cells of a search for paths, which takes about 2 kB a cell: into which smaller rasters are divided; by default;
+# Most cells of a search for paths, which takes about 4 kB a cell: into which smaller rasters are divided; by default;
 # and if bounds or heights need the search.
 _FINE_CELLS, MOST_CELLS, MOST_ON_REQUEST = 60_000, 1 << 21, 1 << 22
 _HALVES, _REACH = 8, 6  # most half cells along each axis of an edge, and most cells of an edge with heights

@@ -99,7 +99,7 @@ def cost_distance(
         result.distance, result.nearest, result.path((500, 100))
 
     Distances are costs of paths, on average about 0.1 % above the least; the largest excess in our experiments is
-    2.2 % of the mean distance. The search for paths takes about 2 kB of memory a cell. Over more than 2 million cells
+    2.2 % of the mean distance. The search for paths takes about 4 kB of memory a cell. Over more than 2 million cells
     a front marches instead, in 100 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on average where costs
     change slowly, 0.5 to 7 % where they jump.
 

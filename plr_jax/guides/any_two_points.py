@@ -2,7 +2,7 @@
 
 | what changes | use | answer |
 | --- | --- | --- |
-| both points, among polygons | `plr_jax.construct_pairs` | exact but for the rounding of 32-bit floats |
+| both points, among polygons | `plr_jax.construct_pairs` | within 3e-7 of the map's width, except beside walls |
 | both cells of a grid | `plr_jax.construct_grid_pairs` | exact number of steps |
 | both points, any metric | `plr_jax.construct_metric_pairs` | approximate |
 | a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | by one PLR for each goal |

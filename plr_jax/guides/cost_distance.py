@@ -20,7 +20,7 @@ The result is a `plr_jax.CostDistance`. Its arrays have the shape of the raster.
 `distance` is `inf` and `nearest` is -1.
 
 - The sources may also be a boolean mask of the raster's shape, such as the cells of a road.
-- Rasters of up to 2 million cells take about 2 kB of memory a cell. Larger rasters take 100 bytes a cell, and have
+- Rasters of up to 2 million cells take about 4 kB of memory a cell. Larger rasters take 100 bytes a cell, and have
   the errors of scikit-fmm: 0.1 to 0.3 % on average where costs change slowly, 0.5 to 7 % where they jump.
 
 # A least-cost path

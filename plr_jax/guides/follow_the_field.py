@@ -70,7 +70,7 @@ routes = [path[:count] for path, count in zip(traces.paths, traces.counts, stric
 print(traces.arrived.mean(), cones.which(starts[:3]))
 ```
 
-A workspace rounds vertices to a fine grid, and a file of cones rounds points by up to 1e-8 of the map's width. To
+A workspace rounds vertices to a fine grid, and a file of cones rounds points by up to 2e-8 of the map's width. To
 check routes with your own Shapely polygon, allow for this. Plots are on axes of Matplotlib, which also draw routes.
 
 ```python

@@ -243,8 +243,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     bytes would not help. If interrupted (Ctrl-C), the result has the partition so far, with a
     ``ConstructionInterrupted`` warning. Reference: "all-pairs" in Section II of the paper.
 
-    For any budget, distances are exact up to the rounding of 32-bit floats, except right beside walls. With ``w`` the
-    width of the domain:
+    With ``w`` the width of the domain, distances are within 3e-7 w of the exact ones for any budget, except right
+    beside walls:
 
     - Within 4e-6 w of a wall, a point may see around the wall's end: distances may be 2e-5 w too small.
     - Within 8e-6 w of a wall or gap thinner than this, or of a place where obstacles touch, a point may get the
@@ -253,7 +253,8 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     - Where a thin wall starts at the sharp tip of a thicker obstacle, a point near the tip, in line with the wall up
       to rounding, may see through where both meet. So may a point within 4e-6 w of another wall that ends there.
     - Paths around the end of a thin wall may be 2e-6 w too long. If the workspace lets paths squeeze through places
-      where obstacles touch, and a thin wall ends in one, paths through such places may be 2e-6 w too short.
+      where obstacles touch, and a thin wall ends in one, paths through such places may be 2e-6 w too short. Some are
+      not found: the distance is then that of a longer path, above the upper bound.
 
     Otherwise gaps stay open however narrow, and places where obstacles touch stay closed, unless paths may squeeze
     through. Only gaps below 6e-8 w beside such a place, or below 8e-6 w beside the tip of a thin wall, may be closed,

@@ -6,6 +6,7 @@ import pytest
 from experiments import compare_summaries
 from experiments.baselines._brute_distance import MAZE, BruteDistance
 from experiments.benchmarks._numba_loop import numba_loop
+from experiments.benchmarks._rivals import coded_grid, jax_grid, scipy_grid
 from experiments.solving import _cars, _rivals, _speed_map
 from experiments.summaries import _given, _node_tables
 from experiments.summaries._given import Given
@@ -14,7 +15,7 @@ from plr_jax import BuildOptions, Euclidean, PlaneSpace, ReedsShepp, VisibilityG
 pytestmark = pytest.mark.full
 
 
-@pytest.mark.parametrize(("dim", "limit", "two_levels"), [(2, 300, False), (5, 2_000, True)])
+@pytest.mark.parametrize(("dim", "limit", "two_levels"), [(2, 40, False), (5, 2_000, True)])
 def test_numba_loop_equals_the_plr(dim, limit, two_levels):
     pytest.importorskip("numba")
     tip = np.linspace(-1.3, 2.1, dim)
@@ -33,6 +34,17 @@ def test_numba_loop_equals_the_plr(dim, limit, two_levels):
 
 
 SQUARE = Workspace(((0, 0), (1, 1)))
+
+
+@pytest.mark.parametrize("num_bytes", [200, 2_000])
+def test_coded_grids_fit_and_interpolate(num_bytes):
+    x = np.random.default_rng(0).random((1_000, 2))
+    cone = Euclidean((0.3, 0.4))
+    grid = coded_grid(SQUARE, cone, num_bytes, x, cone(x))
+    assert 0.8 * num_bytes < grid.num_bytes <= num_bytes < grid.values.size
+    by_scipy, by_jax = scipy_grid(grid).on_host(x), jax_grid(grid).on_host(x)
+    np.testing.assert_allclose(by_scipy, by_jax, atol=1e-5)
+    assert np.abs(by_scipy - cone(x)).mean() < 2 / num_bytes
 
 
 def test_grids_interpolate_between_free_nodes():
