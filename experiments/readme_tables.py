@@ -111,8 +111,6 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "pages": (uses.pages, "page"),
     "car": (uses.car, "portable"),
     "descent": (uses.descent, "descent"),
-    "trajectory": (uses.trajectory, "trajectory"),
-    "placement": (uses.placement, "placement"),
     "table2": (uses.table2, "table2", "race"),
     "heuristics": (uses.heuristics, "table2"),
     "race": (uses.race, "race"),
