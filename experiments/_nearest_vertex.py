@@ -43,3 +43,8 @@ class NearestVertex:
     def __call__(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
         vertex, length = self.connect(x)
         return length + self.roadmap.distances[vertex]
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes of the roadmap."""
+        return self.roadmap.num_bytes

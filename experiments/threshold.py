@@ -1,6 +1,6 @@
 """The paper's threshold rule beside best-first growth.
 
-The paper splits cells, their axes in turn, while the error at a cell's center exceeds a threshold. The same rule under
+The paper splits cells, with axes in turn, while the error at a center exceeds a threshold. The same rule under
 a byte budget splits cells of larger errors first, and stores as few bits a coefficient as the budget asks for. Two
 more rules split along the best axis, by the error at the center and by the largest error (the default).
 """
