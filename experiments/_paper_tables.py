@@ -5,8 +5,6 @@ from typing import Any
 from experiments._tables import formatted, markdown
 from experiments.table1 import OWN_SCENES
 
-_IN_C = "C"
-
 
 def _queries(results: dict[str, Any], part: str) -> str:
     """Bytes, errors and microseconds of each contender."""
@@ -14,7 +12,7 @@ def _queries(results: dict[str, Any], part: str) -> str:
     heads = ["us alone", *(f"us in {int(n):,}" for n in batches[1:])]
     rows = [["distance", "query", "bytes in memory", "mean error", "largest", *heads]]
     for row in results[part]:
-        times = row["microseconds"] | ({"1": row["microseconds"][batches[1]]} if row["query"] == _IN_C else {})
+        times = row["microseconds"] | ({"1": row["microseconds"][batches[1]]} if row["query"] == "C" else {})
         cells = [f"{row['bytes']:,}", f"{row['mean']:.2g}", f"{row['max']:.2g}"]
         cells += [f"{times[n]:,.3g}" if n in times else "-" for n in batches]
         rows.append([row["method"], row["query"], *cells])
@@ -62,7 +60,8 @@ def _errors(results: dict[str, Any], rows: list[dict[str, Any]]) -> str:
         cells = {error: f"{values[0]:.2g} ({max(values):.2g})" for error, values in errors.items()}
         table.append({**row, "bytes": f"{row['seeds'][0]['bytes']:,}", **cells})
     columns = [(name, f"{{{name}}}") for name in ("scene", "method", "configuration", "bytes")]
-    note = f"\nResults of seed {results['seeds'][0]}, and in brackets the worst of {len(results['seeds'])} seeds.\n"
+    num_points, seeds = results["points"], results["seeds"]
+    note = f"\n{num_points:,} points. Results of seed {seeds[0]}, and in brackets the worst of {len(seeds)} seeds.\n"
     return formatted(table, *columns, ("max error", "{max}"), ("mean error", "{mean}"), words=3) + note
 
 

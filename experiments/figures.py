@@ -70,7 +70,7 @@ def error_maps(seed: int, smoke: bool) -> dict[str, Any]:
 def draw_error_maps(results: dict[str, Any], output: Path) -> list[Path]:
     workspace, exact = maze()
     lo, hi = workspace.bounds.lo, workspace.bounds.hi
-    figure = Figure(figsize=(6.6, 6.5), dpi=100, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(7.8, 6.6), dpi=90, facecolor="white", layout="constrained")
     axes = figure.subplots(2, 2, sharex=True, sharey=True)
     for ax, panel in zip(axes.flat, results["panels"], strict=True):
         errors = metrics.error_grid(of_text(panel["plr"]), exact, workspace, resolution=RESOLUTION)

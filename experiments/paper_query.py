@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import networkx
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from experiments._c_headers import compiled_header, object_for_size, section_bytes
 from experiments._nearest_vertex import NearestVertex
@@ -95,6 +95,10 @@ def plr_contenders(method: str, plr: PLR, folder: Path) -> Iterator[Contender]:
     yield Contender(method, "JAX", plr.resident_bytes, plr)
 
 
+Joined = tuple[Float[np.ndarray, "2"], Int[np.ndarray, "edges"], Float[np.ndarray, "edges"]]
+"""A point, and vertices of a roadmap that edges join to it, with the lengths of these edges."""
+
+
 class AStar:
     """A* in a roadmap, of whose queries both ends are vertices while the search lasts."""
 
@@ -102,7 +106,7 @@ class AStar:
         self.graph = roadmap.graph.to_networkx()
         self.places: dict[Any, list[float]] = dict(enumerate(roadmap.graph.vertices.tolist()))
 
-    def __call__(self, start: "Joined", end: "Joined") -> float:
+    def __call__(self, start: Joined, end: Joined) -> float:
         for name, (place, vertices, lengths) in {"start": start, "end": end}.items():
             self.places[name] = place.tolist()
             edges = zip(vertices.tolist(), lengths.tolist(), strict=True)
@@ -115,16 +119,8 @@ class AStar:
         return math.dist(self.places[a], self.places[b])
 
 
-class Joined(NamedTuple):
-    """A point and its edges to vertices of a roadmap."""
-
-    place: Float[np.ndarray, "2"]
-    vertices: np.ndarray
-    lengths: np.ndarray
-
-
 def join_nearest(nearest: NearestVertex, x: Float[np.ndarray, "1 2"]) -> Joined:
-    return Joined(x[0], *nearest.connect(x))
+    return x[0], *nearest.connect(x)
 
 
 def join_visible(nearest: NearestVertex, x: Float[np.ndarray, "1 2"]) -> Joined:
@@ -134,7 +130,7 @@ def join_visible(nearest: NearestVertex, x: Float[np.ndarray, "1 2"]) -> Joined:
         near = np.array(nearest.tree.query_ball_point(x[0], radius), int)
         seen = near[roadmap.is_visible(np.repeat(x, len(near), axis=0), roadmap.graph.vertices[near])]
         radius *= 2
-    return Joined(x[0], seen, np.linalg.norm(roadmap.graph.vertices[seen] - x[0], axis=1))
+    return x[0], seen, np.linalg.norm(roadmap.graph.vertices[seen] - x[0], axis=1)
 
 
 def roadmap_contenders(nearest: NearestVertex, a_star: AStar, graph_bytes: int) -> Iterator[Contender]:
@@ -142,7 +138,7 @@ def roadmap_contenders(nearest: NearestVertex, a_star: AStar, graph_bytes: int) 
     roadmap = nearest.roadmap
     vertices, adjacency = roadmap.graph.vertices, roadmap.graph.adjacency
     csr_bytes = sum(part.nbytes for part in (vertices, adjacency.data, adjacency.indices, adjacency.indptr))
-    goal = Joined(roadmap.goal, np.zeros(1, int), np.zeros(1))
+    goal = roadmap.goal, np.zeros(1, int), np.zeros(1)
     for vertex, join, tree in (("nearest", join_nearest, nearest), ("best visible", join_visible, roadmap)):
         method = f"PRM*, {len(vertices) - 1:,} vertices, {vertex}"
 

@@ -21,7 +21,7 @@ from experiments._runner import run
 from plr_jax import BuildOptions, Roadmap, VisibilityGraph, Workspace, construct, metrics, scenes
 from plr_jax.plr import CellFit, cyclic_axis, maximum_depth
 
-NUM_POINTS = 1_000_000
+NUM_POINTS = 250_000
 NUM_ROADMAP_SAMPLES = 10_000
 NUM_SEEDS = 5
 # Far from the seeds of roadmaps and constructions, so that no error is measured where something was sampled.
@@ -95,9 +95,7 @@ class Scene:
         rows: By method and configuration: a function from a seed to an approximation of the distance.
     """
 
-    def __init__(
-        self, name: str, num_points: int = NUM_POINTS, num_samples: int = NUM_ROADMAP_SAMPLES, depth: int = 9
-    ):
+    def __init__(self, name: str, num_points: int, num_samples: int, depth: int = 9):
         make_workspace, goal = SCENES[name]
         workspace = make_workspace()
         exact, bounds = VisibilityGraph(workspace, goal), workspace.bounds
@@ -110,12 +108,12 @@ class Scene:
         in_turn = next(iter(own))
         self.rows: dict[tuple[str, str], Callable[[int], Any]] = {}
 
+        def build(oracle: Callable[[int], Any], limits: dict[str, Any], seed: int) -> Any:
+            return construct(oracle(seed), bounds, seed=seed, **limits)
+
         def add(method: str, oracle: Callable[[int], Any], configurations: dict[str, dict[str, Any]]) -> None:
             for configuration, limits in configurations.items():
-                build = partial(
-                    lambda seed, limits: construct(oracle(seed), bounds, seed=seed, **limits), limits=limits
-                )
-                self.rows[f"PLR ({method})", configuration] = build
+                self.rows[f"PLR ({method})", configuration] = partial(build, oracle, limits)
 
         best = ours(1_024, 2_048, 6_144) | cones(256, 512, 1_024) if name in OWN_SCENES else {}
         add("VG", lambda seed: exact, own | best)
@@ -149,13 +147,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
             found = [scene.measure(method, configuration, each) for each in seeds]
             rows.append({"scene": name, "method": method, "configuration": configuration, "seeds": found})
             print(*rows[-1].values(), flush=True)
-    return {
-        "points": num_points,
-        "roadmap_samples": num_samples,
-        "seeds": seeds,
-        "paper": PAPER,
-        "rows": rows,
-    }
+    return {"points": num_points, "roadmap_samples": num_samples, "seeds": seeds, "paper": PAPER, "rows": rows}
 
 
 if __name__ == "__main__":
