@@ -14,7 +14,7 @@ def _queries(results: dict[str, Any], part: str) -> str:
     for row in results[part]:
         times = row["microseconds"] | ({"1": row["microseconds"][batches[1]]} if row["query"] == "C" else {})
         cells = [f"{row['bytes']:,}", f"{row['mean']:.2g}", f"{row['max']:.2g}"]
-        cells += [f"{times[n]:,.3g}" if n in times else "-" for n in batches]
+        cells += [f"{times[n]:{',.0f' if times[n] >= 100 else '.3g'}}" if n in times else "-" for n in batches]
         rows.append([row["method"], row["query"], *cells])
     return markdown(rows, numbers=3 + len(heads))
 
