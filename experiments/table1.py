@@ -126,7 +126,7 @@ class Scene:
             "nearest vertex": lambda seed: NearestVertex(roadmap(seed), sees=False),
         }.items():
             best = smoothed(1_536) | ours(2_048, 6_144) if oracle is roadmap and name == "maze" else {}
-            add(f"PRM*, {vertex}", oracle, {each: own[each] for each in list(own)[:2]} | best)
+            add(f"PRM*, {vertex}", oracle, {each: own[each] for each in list(own)[: 2 if best else 1]} | best)
             self.rows[f"PRM*, {vertex}", f"{num_samples:,} samples"] = oracle
 
     def measure(self, method: str, configuration: str, seed: int) -> dict[str, Any]:
