@@ -1,5 +1,6 @@
 """Tables of experiments/paper.md: query time, Table I, and the threshold rule."""
 
+import re
 from typing import Any
 
 from experiments._tables import formatted, markdown
@@ -36,10 +37,8 @@ def one_goal(results: dict[str, Any]) -> str:
 
 def all_pairs(results: dict[str, Any]) -> str:
     """Queries of distances between two points."""
-    return (
-        _queries(results, "pairs")
-        + f"\nErrors of A\\* are of {results['searched']} pairs, others of {results['points']:,}.\n"
-    )
+    note = f"\nErrors of A\\* are of {results['searched']} pairs, others of {results['points']:,}.\n"
+    return _queries(results, "pairs") + note
 
 
 def _is_own(row: dict[str, Any]) -> bool:

@@ -3,7 +3,6 @@
 The function is the distance to a point off the center of the unit cube (a cone).
 """
 
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -33,52 +32,28 @@ from plr_jax import PLR, BuildOptions, VisibilityGraph, construct, metrics, scen
 
 _DIMS = (2, 3, 4, 5, 6)
 _LEAVES = (64, 1_024, 16_384, 65_536)
-_LARGEST, _LARGEST_DIMS, _LARGEST_SECONDS = 10**6, (2, 4), 30
+_LARGEST, _LARGEST_DIMS = 10**6, (2, 4)
 _SAMPLES = 16
 _COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#444444")
 
 
 def measure_sizes(points: list[int], turns: int, seed: int, smoke: bool) -> dict[str, Any]:
-    sizes, skipped = _sizes(_DIMS[:2] if smoke else _DIMS, (64,) if smoke else _LEAVES, points, turns, seed)
-    return {"sizes": sizes, "sizes_skipped": skipped}
+    """Rows of all sizes; a million leaves only in the dimensions where that does not take long to build."""
+    rows = []
+    for dim in tqdm(_DIMS[:2] if smoke else _DIMS, desc="dimensions", disable=None):
+        leaves = (64,) if smoke else (*_LEAVES, _LARGEST) if dim in _LARGEST_DIMS else _LEAVES
+        rows += _rows({number: _cone(dim, number, seed) for number in leaves}, points, turns, seed)
+    return {"sizes": rows}
 
 
 def size_of(plr: PLR) -> dict[str, int]:
     return {"leaves": plr.num_leaves, "bytes": plr.num_bytes, "resident_bytes": plr.resident_bytes}
 
 
-def _sizes(
-    dims: tuple[int, ...], leaves: tuple[int, ...], points: list[int], turns: int, seed: int
-) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """Rows of all sizes. A million leaves are built only where that will not take long, judged by the size before."""
-    rows, skipped = [], {}
-    for dim in tqdm(dims, desc="dimensions", disable=None):
-        plrs, seconds = {}, 0.0
-        for number in leaves:
-            plrs[number], seconds = _cone(dim, number, seed)
-        expected = seconds * _LARGEST / max(leaves)
-        if len(leaves) > 1 and dim in _LARGEST_DIMS:
-            if expected < _LARGEST_SECONDS:
-                plrs[_LARGEST], _ = _cone(dim, _LARGEST, seed)
-            else:
-                reason = f"would take {expected:.0f} s to construct, more than {_LARGEST_SECONDS} s"
-                skipped[f"{_LARGEST:,} leaves in {dim}-D"] = reason
-        rows += _rows(plrs, points, turns, seed)
-    return rows, skipped
-
-
-def _cone(dim: int, leaves: int, seed: int) -> tuple[PLR, float]:
-    tip = np.linspace(0.31, 0.43, dim)
-    begun = time.perf_counter()
-    domain = (np.zeros(dim), np.ones(dim))
-    plr = construct(
-        lambda x: np.linalg.norm(x - tip, axis=1),
-        domain,
-        max_leaves=leaves,
-        options=BuildOptions(num_samples=_SAMPLES),
-        seed=seed,
-    )
-    return plr, time.perf_counter() - begun
+def _cone(dim: int, leaves: int, seed: int) -> PLR:
+    tip, domain = np.linspace(0.31, 0.43, dim), (np.zeros(dim), np.ones(dim))
+    options = BuildOptions(num_samples=_SAMPLES)
+    return construct(lambda x: np.linalg.norm(x - tip, axis=1), domain, max_leaves=leaves, options=options, seed=seed)
 
 
 def _rows(plrs: dict[int, PLR], points: list[int], turns: int, seed: int) -> list[dict[str, Any]]:
