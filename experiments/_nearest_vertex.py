@@ -25,7 +25,7 @@ class NearestVertex:
     def __post_init__(self):
         object.__setattr__(self, "tree", KDTree(self.roadmap.graph.vertices))
 
-    def connect(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+    def connect(self, x: Float[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
         """Return each point's vertex and its distance; ``inf`` for points that are not free or see no vertex."""
         vertices = self.roadmap.graph.vertices
         vertex, length = np.zeros(len(x), int), np.full(len(x), np.inf)
@@ -40,7 +40,7 @@ class NearestVertex:
             rank += 1
         return vertex, length
 
-    def __call__(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+    def __call__(self, x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
         vertex, length = self.connect(x)
         return length + self.roadmap.distances[vertex]
 

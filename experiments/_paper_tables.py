@@ -43,10 +43,8 @@ def all_pairs(results: dict[str, Any]) -> str:
 
 def _is_own(row: dict[str, Any]) -> bool:
     """Whether a row is one of Table I, and not a variant that explains a difference."""
-    variants = "nearest", "clear", "samples a cell"
-    return row["scene"] in OWN_SCENES and not any(
-        word in f"{row['method']}{row['configuration']}" for word in variants
-    )
+    name = f"{row['method']}, {row['configuration']}"
+    return row["scene"] in OWN_SCENES and not re.search("nearest|clear|samples a cell", name)
 
 
 def _errors(results: dict[str, Any], rows: list[dict[str, Any]]) -> str:

@@ -95,7 +95,7 @@ def plr_contenders(method: str, plr: PLR, folder: Path) -> Iterator[Contender]:
     yield Contender(method, "JAX", plr.resident_bytes, plr)
 
 
-Joined = tuple[Float[np.ndarray, "2"], Int[np.ndarray, "edges"], Float[np.ndarray, "edges"]]
+Joined = tuple[Float[np.ndarray, "2"], Int[np.ndarray, " edges"], Float[np.ndarray, " edges"]]
 """A point, and vertices of a roadmap that edges join to it, with the lengths of these edges."""
 
 
@@ -165,14 +165,14 @@ def pair_contenders(nearest: NearestVertex, a_star: AStar, graph_bytes: int) -> 
             return float(np.linalg.norm(a - b))
         return a_star(join_nearest(nearest, a), join_nearest(nearest, b))
 
-    def by_a_star(x: Points) -> Float[np.ndarray, "n"]:
+    def by_a_star(x: Points) -> Float[np.ndarray, " n"]:
         return np.array([search(pair[None, :2], pair[None, 2:]) for pair in x])
 
     yield Contender(method, "A\\*, NetworkX", graph_bytes, by_a_star, (1,), num_points=NUM_SEARCHED)
     if len(graph.vertices) - 1 <= MOST_IN_A_TABLE:
         table = np.stack([dijkstra(graph, vertex)[0] for vertex in range(len(graph.vertices))]).astype(np.float32)
 
-        def by_table(x: Points) -> Float[np.ndarray, "n"]:
+        def by_table(x: Points) -> Float[np.ndarray, " n"]:
             a, b = x[:, :2], x[:, 2:]
             (first, to_first), (second, to_second) = nearest.connect(a), nearest.connect(b)
             through = to_first + table[first, second] + to_second

@@ -56,7 +56,7 @@ SCENES: dict[str, tuple[Callable[[], Workspace], tuple[float, float]]] = {
 }
 
 
-def cyclic_axis_from_y(fit: CellFit) -> Int[np.ndarray, "cells"]:
+def cyclic_axis_from_y(fit: CellFit) -> Int[np.ndarray, " cells"]:
     """The axes in turn, the last one first: of an odd depth, ``y`` then gets the larger half."""
     return (fit.cells.depth.sum(axis=1) + 1) % fit.cells.dim
 

@@ -40,7 +40,7 @@ def measure(name: str, threshold: float, seed: int, num_points: int) -> list[dic
     def add(rule: str, **limits: Any) -> None:
         calls = 0
 
-        def counted(q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n"]:
+        def counted(q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
             nonlocal calls
             calls += len(q)
             return exact(q)
