@@ -107,22 +107,6 @@ def _nanoseconds(plane: dict[str, Any], contenders: Iterable[str]) -> str:
     return markdown(rows, numbers=len(rows[0]) - 1)
 
 
-def table1(results: dict[str, Any]) -> str:
-    """Every row of Table I, ours with the worst of several seeds in brackets."""
-    rows = [
-        {"scene": "the paper's maze", "configuration": "paper", **{key: f"{value}" for key, value in paper.items()}}
-        | {"bytes": f"{paper['bytes']:,}"}
-        for paper in results["paper"]
-    ]
-    for row in results["rows"]:
-        errors = {error: [entry[error] for entry in row["seeds"]] for error in ("max", "mean")}
-        cells = {error: f"{values[0]:.2g} ({max(values):.2g})" for error, values in errors.items()}
-        rows.append({**row, "bytes": f"{row['seeds'][0]['bytes']:,}", **cells})
-    columns = [(name, f"{{{name}}}") for name in ("scene", "method", "configuration", "bytes")]
-    note = f"\nResults of seed {results['seeds'][0]}, and in brackets the worst of {len(results['seeds'])} seeds.\n"
-    return formatted(rows, *columns, ("max error", "{max}"), ("mean error", "{mean}"), words=3) + note
-
-
 def accuracy(results: dict[str, Any]) -> str:
     """Mean errors at equal bytes, one row a map and a contender."""
     maps = results["maps"]

@@ -1,4 +1,4 @@
-"""Tables of README files about what distances are used for: planning, paths, placements, files on their way."""
+"""Tables of README files about what distances are used for: planning, paths, files on their way."""
 
 from typing import Any
 
@@ -138,36 +138,6 @@ def descent(results: dict[str, Any]) -> str:
         "brackets the "
         "largest. For comparison, a field of zeros: share of starts that reach the goal, and largest length: "
         f"{blind}.\n"
-    )
-
-
-def trajectory(results: dict[str, Any]) -> str:
-    """Render what gradient descent makes of BL's paths."""
-    table = formatted(
-        results["rows"],
-        *(("scene", "{scene}"), ("BL / bound", "{cost_over_bound[before]:.4f}")),
-        *(("after / bound", "{cost_over_bound[after]:.4f}"), ("BL s", "{seconds_plan:.2f}")),
-        ("descent s", "{seconds:.1f}"),
-    )
-    return f"{table}\nBound: the sum of the single robots' exact distances. Descent includes compilation.\n"
-
-
-def placement(results: dict[str, Any]) -> str:
-    """Render what placements cost, and how much more the rivals' placements cost."""
-    rows = [
-        row | {f"more_{rival}": row[rival] / row["cost"] - 1 for rival in ("of_points", "straight")}
-        for row in results["rows"]
-    ]
-    return (
-        formatted(
-            rows,
-            *(("map", "{map}"), ("facilities for points", "{k} for {n:,}"), ("least", "{objective}")),
-            *(("cost", "{cost:,.5g}"), ("best points", "{more_of_points:+.2%}")),
-            *(("straight lines", "{more_straight:+.2%}"), ("s", "{seconds:.2g}")),
-            words=3,
-        )
-        + "\nCosts are exact. Best points: how much more the best demand points cost, after exchanges. "
-        "Straight lines: how much more the optimum for straight-line distances costs.\n"
     )
 
 

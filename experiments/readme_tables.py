@@ -1,4 +1,4 @@
-"""Renders the tables of README.md and experiments/README.md from the results files.
+"""Renders the tables of README.md, experiments/README.md and experiments/paper.md from the results files.
 
 A table stands between ``<!-- table:NAME -->`` and ``<!-- /table -->``.
 
@@ -15,24 +15,26 @@ from typing import Any
 from experiments import _distance_tables as distances
 from experiments import _first_tables as first
 from experiments import _overview_table as winners
+from experiments import _paper_tables as paper
 from experiments import _use_tables as uses
 from experiments._runner import RESULTS, read
 
 README = Path(__file__).parent.parent / "README.md"
 ALL_RESULTS = Path(__file__).parent / "README.md"
+PAPER = Path(__file__).parent / "paper.md"
 _TABLE = re.compile(r"(<!-- table:(\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.readme_tables", description="Render the tables of both README files."
+        prog="python -m experiments.readme_tables", description="Render the tables of all pages."
     )
     # Every experiment has a --smoke; here it means the same as --check.
     parser.add_argument(
         "--check", "--smoke", action="store_true", help="change nothing; fail if a table is out of date"
     )
     arguments = parser.parse_args()
-    for page in (README, ALL_RESULTS):
+    for page in (README, ALL_RESULTS, PAPER):
         text = page.read_text(encoding="utf-8")
         rendered = render(text)
         if arguments.check and rendered != text:
@@ -87,7 +89,11 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "rivals": (distances.rivals, "benchmark.accuracy"),
     "planning": (uses.planning, "table2", "race"),
     "overview": (*(winners.overview, "benchmark", "compare_summaries", "costs", "living", "grid_distance", "race"),),
-    "table1": (distances.table1, "table1"),
+    "paper_goal": (paper.one_goal, "paper_query"),
+    "paper_pairs": (paper.all_pairs, "paper_query"),
+    "table1": (paper.table1, "table1"),
+    "differences": (paper.differences, "table1"),
+    "threshold": (paper.threshold, "threshold"),
     "accuracy": (distances.accuracy, "benchmark.accuracy"),
     "memory": (distances.memory, "benchmark.accuracy"),
     "proofs": (distances.proofs, "proofs", "benchmark.oracle"),
@@ -121,8 +127,6 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "pages": (uses.pages, "page"),
     "car": (uses.car, "portable"),
     "descent": (uses.descent, "descent"),
-    "trajectory": (uses.trajectory, "trajectory"),
-    "placement": (uses.placement, "placement"),
     "table2": (uses.table2, "table2", "race"),
     "heuristics": (uses.heuristics, "table2"),
     "race": (uses.race, "race"),

@@ -1,19 +1,19 @@
 """Experiments run at their smallest, one of each family; committed results are those of this code."""
 
-import base64
 import json
 import runpy
 import sys
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-import plr_jax
-from experiments import readme_tables, table1
+from experiments import figures, paper_query, readme_tables, table1, threshold
 from experiments._browser import chromium
+from experiments._nearest_vertex import NearestVertex
 from experiments._runner import RESULTS
-from plr_jax import BuildOptions, VisibilityGraph, construct, cyclic_axis, maximum_depth, metrics, scenes
+from plr_jax import Roadmap
 
 pytestmark = pytest.mark.full
 
@@ -41,7 +41,7 @@ def test_scripts_and_committed_results_match():
         record, script = json.loads((RESULTS / f"{name}.json").read_text()), import_module(f"experiments.{name}")
         assert record["experiment"] == name and not record["smoke"]
         assert record["results"].keys() <= getattr(script, "SECTIONS", record["results"]).keys()
-    page = (ROOT / "experiments" / "README.md").read_text()
+    page = readme_tables.ALL_RESULTS.read_text() + readme_tables.PAPER.read_text()
     for path in RESULTS.iterdir():
         assert path.stem in SCRIPTS if path.suffix == ".json" else f"](results/{path.name})" in page, path.name
 
@@ -49,7 +49,9 @@ def test_scripts_and_committed_results_match():
 def test_readme_tables_hold_the_committed_results(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["readme_tables", "--check"])
     readme_tables.main()
-    pages = readme_tables.README.read_text() + readme_tables.ALL_RESULTS.read_text()
+    pages = "".join(
+        page.read_text() for page in (readme_tables.README, readme_tables.ALL_RESULTS, readme_tables.PAPER)
+    )
     assert all(f"<!-- table:{name} -->" in pages for name in readme_tables.TABLES)
     old = tmp_path / "README.md"
     old.write_text("<!-- table:descent -->\nold\n<!-- /table -->\n")
@@ -65,33 +67,70 @@ def test_results_with_invalid_paths_are_refused():
         readme_tables.require_valid("race", {"trials": [{"valid": False}]})
 
 
-ROWS = [
-    row
-    for row in json.loads((RESULTS / "table1.json").read_text())["results"]["rows"]
-    if row["method"] == "PLR (VG)" and not row["configuration"].startswith("best axis, 2")
-]
+def results_of(name):
+    return json.loads((RESULTS / f"{name}.json").read_text())["results"]
 
 
-@pytest.fixture(scope="module", params=["maze", "thin_maze"])
-def measured(request):
-    problem = getattr(scenes, request.param)()
-    exact = VisibilityGraph(problem.workspace, problem.goals[0])
-    x = problem.workspace.sample_free(20_000, seed=1)
-    return [row for row in ROWS if row["scene"] == request.param], exact, x, exact(x)
+def assert_close(found, told):
+    """Numbers agree to 2 %, names and files exactly; seconds do not count."""
+    assert found.keys() == told.keys()
+    for key in found.keys() - {"seconds"}:
+        is_number = isinstance(told[key], int | float)
+        assert found[key] == (pytest.approx(told[key], rel=0.02) if is_number else told[key]), key
 
 
-def test_table1_has_bytes_and_errors_of_this_code(measured):
-    rows, exact, x, distance = measured
-    options = table1.papers_own(9) | table1.ours(1_024, 2_048, 6_144) | table1.cones(256, 512, 1_024)
-    for row in rows:
-        plr = construct(exact, exact.workspace.bounds, seed=0, **options[row["configuration"]])
-        report, told = metrics.error_map(plr, lambda _: distance, x), row["seeds"][0]
-        assert (told["seed"], told["bytes"]) == (0, plr.num_bytes), row["configuration"]
-        assert report.max <= told["max"] * 1.001 and report.mean == pytest.approx(told["mean"], rel=0.5)
+@pytest.mark.parametrize("name", table1.SCENES)
+def test_table1_has_bytes_and_errors_of_this_code(name):
+    """Compute two rows of each scene again, one of the paper's own configuration and one of a roadmap if there is."""
+    results = results_of("table1")
+    rows = {(row["method"], row["configuration"]): row for row in results["rows"] if row["scene"] == name}
+    scene = table1.Scene(name, results["points"], results["roadmap_samples"])
+    assert rows.keys() == scene.rows.keys()
+    for key in [next(iter(rows)), list(rows)[-1]]:
+        entry = rows[key]["seeds"][0]
+        assert_close(scene.measure(*key, entry["seed"]), entry)
+
+
+def test_paper_query_has_bytes_and_errors_of_this_code(tmp_path):
+    """Compute the rows of PLRs, of lookups in trees, and of few searches again; code sizes depend on the compiler."""
+    results, roadmap = (
+        results_of("paper_query"),
+        Roadmap.from_workspace(paper_query.WORKSPACE, paper_query.GOAL, 1_000),
+    )
+    nearest, x = NearestVertex(roadmap), paper_query.WORKSPACE.sample_free(1_000_000, paper_query.POINT_SEED)
+    a_star = paper_query.AStar(roadmap)
+    rows = {(row["method"], row["query"]): row for row in results["goal"]}
+    for contender in (
+        *paper_query.summaries(paper_query.SUMMARISED, 0, tmp_path),
+        *(each for each in paper_query.roadmap_contenders(nearest, a_star, 0) if each.equal is None),
+    ):
+        row = rows[contender.method, contender.query]
+        found = paper_query.errors(contender, paper_query.prepared_graph(), x)
+        assert_close(found, {error: row[error] for error in found})
+        if contender.query in ("JAX", "tree, SciPy"):
+            assert contender.num_bytes == row["bytes"]
+
+
+def test_searches_in_a_roadmap_agree_with_its_tree():
+    roadmap = Roadmap.from_workspace(paper_query.WORKSPACE, paper_query.GOAL, 200)
+    nearest, x = NearestVertex(roadmap), paper_query.WORKSPACE.sample_free(20, seed=1)
+    for contender in paper_query.roadmap_contenders(nearest, paper_query.AStar(roadmap), 0):
+        if contender.equal is not None:
+            found = np.concatenate([contender.answer(point[None]) for point in x])
+            np.testing.assert_allclose(found, contender.equal(x))
+    pairs = np.concatenate([x, x[::-1]], axis=1)
+    a_star, table = paper_query.pair_contenders(nearest, paper_query.AStar(roadmap), 0)
+    np.testing.assert_allclose(a_star.answer(pairs), table.answer(pairs), rtol=1e-6)
+
+
+def test_threshold_has_bytes_and_errors_of_this_code():
+    results = results_of("threshold")
+    told = [row for row in results["rows"] if (row["map"], row["threshold"]) == ("maze", threshold.THRESHOLDS[0])]
+    for row, entry in zip(
+        threshold.measure("maze", threshold.THRESHOLDS[0], 0, results["points"]), told, strict=True
+    ):
+        assert_close(row, entry)
 
 
 def test_fig1_shows_the_file_of_this_code():
-    results = json.loads((RESULTS / "fig1.json").read_text())["results"]
-    options = BuildOptions(should_split=maximum_depth, split=cyclic_axis)
-    plr = construct(plr_jax.Euclidean((0.0, 0.0)), ((0.0, 0.0), (1.0, 1.0)), max_depth=6, options=options)
-    assert base64.b64decode(results["plr_base64"]) == plr.to_bytes() and results["bytes"] == plr.num_bytes
+    assert_close(figures.surface(0, smoke=False), results_of("figures")["surface"])
