@@ -181,7 +181,7 @@ def _measure_map(
     for budget in tqdm(budgets, desc=name, disable=None):
         oracle = Oracle(exact)
         ours = {
-            name: _timed(partial(_plr, leaf, oracle, workspace, budget, seed), oracle, 0)()
+            name: _timed(partial(make_plr, leaf, oracle, workspace, budget, seed), oracle, 0)()
             for name, leaf in _PLRS.items()
         }
         x_train, at_train = (part[: ours["PLR, planes"][1]] for part in samples)
@@ -201,7 +201,7 @@ def _measure_map(
     return rows, skipped
 
 
-def _plr(leaf: str, oracle: Oracle, workspace: Workspace, budget: int, seed: int) -> Rival:
+def make_plr(leaf: str, oracle: Oracle, workspace: Workspace, budget: int, seed: int) -> Rival:
     distance_fn = oracle.exact if leaf == "cone" else oracle
     plr = construct(distance_fn, workspace.bounds, leaf=leaf, max_bytes=budget, seed=seed)
     return Rival(plr.num_bytes, plr, True)

@@ -100,13 +100,12 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
 # one another, ``sqrt(d1**2 + d2**2)``.
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
-LEAVES, SMOKE_LEAVES = 512, 64
 MAX_BYTES, SMOKE_BYTES = 6_144, 1_024
 _SAMPLES_OF_JOINT = 64
 
 
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
-    points, turns, leaves = ([1, 1_000], 2, SMOKE_LEAVES) if smoke else ([1, 1_000, 1_000_000], 15, LEAVES)
+    points, turns = ([1, 1_000], 2) if smoke else ([1, 1_000, 1_000_000], 15)
     sizes = (SMOKE_BYTES, 2_000, 20, 1_000) if smoke else (MAX_BYTES, 100_000, NUM_STEPS, 20_000)
     return {
         "plane": _plane(points, turns, seed, *sizes),
@@ -125,7 +124,7 @@ def _plane(
     rivals, skipped = make_all(makers(plr, exact, num_samples, num_steps, seed))
     contenders = {"PLR, planes": Rival(plr.num_bytes, plr, True), **rivals}
     x_free = problem.workspace.sample_free(num_tests, POINT_SEED + seed)
-    rows = {name: {"bytes": rival.num_bytes, **_errors(rival, exact, x_free)} for name, rival in contenders.items()}
+    rows = {name: {"bytes": rival.num_bytes, **errors(rival, exact, x_free)} for name, rival in contenders.items()}
     times = {n: interleaved(_calls(contenders, _points(n, 2, seed)), turns) for n in points}
     nanoseconds = {
         name: {str(n): [1e9 / n * s for s in seconds[name]] for n, seconds in times.items()}
@@ -175,7 +174,7 @@ def _points(n: int, dim: int, seed: int) -> Float[np.ndarray, "n dim"]:
     return np.random.default_rng(POINT_SEED + seed).random((n, dim)).astype(np.float32)
 
 
-def _errors(rival: Rival, exact: Callable, x: Float[np.ndarray, "n dim"]) -> dict[str, float]:
+def errors(rival: Rival, exact: Callable, x: Float[np.ndarray, "n dim"]) -> dict[str, float]:
     report = metrics.error_map(lambda x: rival.on_host(np.asarray(x, np.float32)), exact, x)
     return {"mean": report.mean, "max": report.max, "unanswered": report.num_unanswered}
 
@@ -206,7 +205,7 @@ def _joint(num_points: int, turns: int, num_leaves: int, seed: int) -> dict[str,
     return {
         **size_of(plr),
         "points": num_points,
-        "rows": {name: _errors(rival, distance, q[:100_000]) for name, rival in contenders.items()},
+        "rows": {name: errors(rival, distance, q[:100_000]) for name, rival in contenders.items()},
         "nanoseconds": {name: [1e9 / num_points * s for s in times] for name, times in seconds.items()},
         "skipped": skipped,
     }

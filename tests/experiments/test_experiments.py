@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import figures, paper_query, readme_tables, table1, threshold
+from experiments import figures, paper_query, portable, readme_tables, table1, threshold
 from experiments._browser import chromium
 from experiments._nearest_vertex import NearestVertex
 from experiments._runner import RESULTS
-from plr_jax import Roadmap
+from experiments.benchmarks import _accuracy, _query
+from experiments.benchmarks._maps import load_map
+from plr_jax import Roadmap, VisibilityGraph, construct
 
 pytestmark = pytest.mark.full
 
@@ -72,11 +74,45 @@ def results_of(name):
 
 
 def assert_close(found, told):
-    """Numbers agree to 2 %, names and files exactly; seconds do not count."""
+    """Numbers agree to 2 %, names and files exactly; seconds and sizes of compiled code do not count."""
     assert found.keys() == told.keys()
-    for key in found.keys() - {"seconds"}:
+    for key in found.keys() - {"seconds", "c_bytes"}:
         is_number = isinstance(told[key], int | float)
         assert found[key] == (pytest.approx(told[key], rel=0.02) if is_number else told[key]), key
+
+
+@pytest.mark.parametrize(("name", "leaf"), [("maze", "continuous"), ("floor_plan", "smooth"), ("maze", "cone")])
+def test_table_of_leaves_has_bytes_and_errors_of_this_code(name, leaf, tmp_path):
+    results, (workspace, goal) = results_of("portable")["leaves"], load_map(name)
+    (told,) = (row for row in results["rows"] if (row["map"], row["leaf"]) == (name, leaf))
+    x = workspace.sample_free(results["points"], 0)
+    found = portable.leaf_row(VisibilityGraph(workspace, goal), leaf, x, tmp_path / "header")
+    assert_close({"map": name, **found}, told)
+
+
+@pytest.mark.parametrize("name", ["maze", "den312d"])
+def test_tables_of_rivals_and_speed_have_bytes_and_errors_of_this_code(name):
+    results, loaded = results_of("benchmark"), load_map(name)
+    if loaded is None:
+        pytest.skip("PLR_JAX_DATA names no folder with this map")
+    workspace, goal = loaded
+    exact = VisibilityGraph(workspace, goal)
+    told = {row["contender"]: row for row in results["accuracy"]["maps"][name] if row["budget"] == 6_144}
+    x, distance = _accuracy.reachable_points(workspace, exact, results["accuracy"]["points"], _accuracy.POINT_SEED)
+    for contender, leaf in (("PLR, planes", "plane"), ("PLR, continuous", "continuous")):
+        plr = _accuracy.make_plr(leaf, _accuracy.Oracle(exact), workspace, 6_144, 0)
+        found = {"bytes": plr.num_bytes, "resident_bytes": plr.answer.resident_bytes}
+        assert_close(found, {key: told[contender][key] for key in found})
+        assert_close(_accuracy.summary(np.abs(plr.on_host(x) - distance)), told[contender]["free"])
+    if name == "maze":
+        plane = results["query"]["plane"]["rows"]
+        plr = _accuracy.make_plr("cone", _accuracy.Oracle(exact), workspace, 6_144, 0)
+        assert_close(_accuracy.summary(np.abs(plr.on_host(x) - distance)), told["PLR, cones"]["free"])
+        plr = construct(exact, workspace.bounds, max_bytes=_query.MAX_BYTES, seed=0)
+        grid = _query.makers(plr, exact, 100_000, 0, 0)["grid, JAX"]()
+        x = workspace.sample_free(20_000, _query.POINT_SEED)
+        for contender, name in ((_accuracy.Rival(plr.num_bytes, plr, True), "PLR, planes"), (grid, "grid, JAX")):
+            assert_close({"bytes": contender.num_bytes, **_query.errors(contender, exact, x)}, plane[name])
 
 
 @pytest.mark.parametrize("name", table1.SCENES)
