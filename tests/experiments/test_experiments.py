@@ -111,8 +111,8 @@ def test_tables_of_rivals_and_speed_have_bytes_and_errors_of_this_code(name):
         plr = construct(exact, workspace.bounds, max_bytes=_query.MAX_BYTES, seed=0)
         grid = _query.makers(plr, exact, 100_000, 0, 0)["grid, JAX"]()
         x = workspace.sample_free(20_000, _query.POINT_SEED)
-        for contender, name in ((_accuracy.Rival(plr.num_bytes, plr, True), "PLR, planes"), (grid, "grid, JAX")):
-            assert_close({"bytes": contender.num_bytes, **_query.errors(contender, exact, x)}, plane[name])
+        for rival, row in ((_accuracy.Rival(plr.num_bytes, plr, True), "PLR, planes"), (grid, "grid, JAX")):
+            assert_close({"bytes": rival.num_bytes, **_query.errors(rival, exact, x)}, plane[row])
 
 
 @pytest.mark.parametrize("name", table1.SCENES)
