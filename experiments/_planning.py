@@ -39,6 +39,7 @@ SCENES: dict[str, Callable[[], Problem]] = {
 
 NONE, STRAIGHT, POINT_PLR, PLR, EXACT = HEURISTICS = ("none", "straight line", "PLR, point robots", "PLR", "exact")
 LATTICE = "lattice"  # the planner's own choice
+BL_ALONE = ("bl",)  # the paper's search: no LaCAM, and no robots one after the other
 
 
 class Built(NamedTuple):
@@ -110,13 +111,13 @@ def plan_and_check(
 
 
 def solve(
-    problem: Problem, heuristic: str, plr_bytes: int = PLR_BYTES
+    problem: Problem, heuristic: str, plr_bytes: int = PLR_BYTES, options: BLOptions | None = None
 ) -> tuple[Solution, Float[np.ndarray, "steps robots dof"]]:
-    """BL's first path under a heuristic, to nine decimals, and how it was found.
+    """The planner's first path under a heuristic, to nine decimals, and how it was found.
 
     A path that is missing, or not valid when rounded, is an error, and ends the experiment.
     """
-    solution, _ = plan(problem, build(problem, heuristic, plr_bytes).heuristic, BLOptions())
+    solution, _ = plan(problem, build(problem, heuristic, plr_bytes).heuristic, options or BLOptions())
     if solution.path is None:
         raise RuntimeError(f"The scene was not solved: {solution.status}.")
     path = np.round(solution.path, 9)
