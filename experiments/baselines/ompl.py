@@ -69,6 +69,7 @@ class Done:
     samples: Float[np.ndarray, "nodes robots 3"]
     num_checked: int
     num_free: int
+    python_seconds: float  # of OMPL's calls of Python: what C++ would save
 
 
 Message: TypeAlias = Ready | Found | Done
@@ -110,8 +111,10 @@ def ompl_plan(
         with the best path until then. Statistics: ``num_nodes`` and the solution's samples are the vertices
         of the planner's graph at the end (of its last restart; AORRTC clears its own);
         ``num_children_scored`` and ``num_children_valid`` count the motions and states tested, and those that
-        were free; ``seconds`` are those of ``"compile"`` and ``"plan"``. Each path in ``history`` is cheaper
-        than the last by at least 0.2 %, so that the cost is within that of the planner's own best.
+        were free; ``seconds`` are those of ``"compile"``, ``"plan"`` and, within the latter, ``"python"``: OMPL
+        calls each test of a motion and BIT*'s costs through Python, which C++ would save. Each path in
+        ``history`` is cheaper than the last by at least 0.2 %, so that the cost is within that of the planner's
+        own best.
 
     Raises:
         ImportError: If OMPL or Numba is not installed.
@@ -152,7 +155,7 @@ def trial(task: Task, problem: Problem, module: str) -> Solution:
 def _solution(problem: Problem, planner: str, messages: list[Message], interrupted: bool) -> Solution:
     """What a worker's messages amount to."""
     path, cost, history, seconds = None, np.inf, [], {"compile": 0.0, "plan": 0.0}
-    done = Done(False, 0.0, np.zeros((0, len(problem.robots), 3)), 0, 0)
+    done = Done(False, 0.0, np.zeros((0, len(problem.robots), 3)), 0, 0, 0.0)
     for message in messages:
         if isinstance(message, Ready):
             seconds["compile"] = message.compile_seconds
@@ -164,7 +167,7 @@ def _solution(problem: Problem, planner: str, messages: list[Message], interrupt
             if candidate is not None and path_cost(problem, candidate) < cost:
                 path, cost = candidate, path_cost(problem, candidate)
                 history.append((message.seconds, cost))
-    seconds["plan"] = max(seconds["plan"], done.seconds)
+    seconds |= {"plan": max(seconds["plan"], done.seconds), "python": done.python_seconds}
     status = Status.SOLVED if done.finished and path is not None else Status.TIME_LIMIT
     samples = done.samples[..., : problem.dof]
     stats = Stats(len(samples), 0, done.num_checked, done.num_free, seconds, tuple(history))

@@ -19,11 +19,12 @@ from ompl import base, geometric
 from ompl import util as ompl_util
 
 from experiments.baselines.ompl import Done, Found, Message, Ready, Task
-from experiments.baselines.ompl_motions import Scene, configurations_of, is_free, is_motion_free
+from experiments.baselines.ompl_motions import Scene, configurations_of, is_always_free, is_free, is_motion_free
 
 Send: TypeAlias = Callable[[Message], None]
 
 _LEAST_IMPROVEMENT = 0.002  # by which a path is cheaper than the last one reported, as a share
+_NUM_TIMED, _NUM_TIMINGS = 1_000, 20  # calls of Python that are timed at once, and how often; the least time counts
 
 
 class _Motions(base.MotionValidator):
@@ -46,16 +47,16 @@ class _Length(base.OptimizationObjective):
 
     def __init__(self, information: Any):
         super().__init__(information)
-        self._distance = information.distance
+        self._distance, self.num_calls = information.distance, 0
 
     def stateCost(self, state: Any) -> Any:
         return base.Cost(0.0)
 
     def motionCost(self, first: Any, last: Any) -> Any:
+        self.num_calls += 1
         return base.Cost(self._distance(first, last))
 
-    def motionCostHeuristic(self, first: Any, last: Any) -> Any:
-        return base.Cost(self._distance(first, last))
+    motionCostHeuristic = motionCost
 
 
 def _length(information: Any) -> Any:
@@ -88,6 +89,7 @@ class _Setup:
     task: Task
     scene: Scene
     information: Any
+    start: Any
     definition: Any
     planner: Any
     objective: Any
@@ -152,7 +154,12 @@ def _trial(task: Task, send: Send) -> Done:
 
     finished = _PLANS[task.planner](setup, report, begin + task.time_limit)
     seconds = time.perf_counter() - begin
-    return Done(finished or best <= task.cost_target, seconds, setup.samples(), scene.num_checked, scene.num_free)
+    python_seconds = scene.num_checked * seconds_a_test(setup.information.getStateSpace(), setup.start)
+    if isinstance(setup.objective, _Length):
+        num_calls, path = setup.objective.num_calls, _resting_path(setup.information, setup.start)
+        python_seconds += num_calls * _seconds_a_call(lambda: path.cost(setup.objective))
+    finished = finished or best <= task.cost_target
+    return Done(finished, seconds, setup.samples(), scene.num_checked, scene.num_free, python_seconds)
 
 
 def is_news(cost: float, best: float, task: Task) -> bool:
@@ -237,7 +244,7 @@ def _setup(task: Task) -> _Setup:
         longest = _RANGES[task.planner] * float((task.hi - task.lo).max())
         planner.setRange(min(longest, 0.2 * space.getMaximumExtent()))
     planner.setup()
-    return _Setup(task, scene, information, definition, planner, objective)
+    return _Setup(task, scene, information, ends[0], definition, planner, objective)
 
 
 def information_of(space: Any, kernel: Callable[..., bool], addresses: Sequence[int]) -> Any:
@@ -256,6 +263,24 @@ def information_of(space: Any, kernel: Callable[..., bool], addresses: Sequence[
     information.setMotionValidator(_Motions(information, kernel, addresses))
     information.setup()
     return information
+
+
+def seconds_a_test(space: Any, state: Any) -> float:
+    """Time OMPL's call of a motion test in Python, without the test: C++ checks a path by a test of nothing."""
+    return _seconds_a_call(_resting_path(information_of(space, is_always_free, [0]), state).check)
+
+
+def _resting_path(information: Any, state: Any) -> Any:
+    return geometric.PathGeometric(information, [state] * _NUM_TIMED)
+
+
+def _seconds_a_call(call_all: Callable[[], Any]) -> float:
+    times = []
+    for _ in range(_NUM_TIMINGS):  # the first one compiles
+        begin = time.perf_counter()
+        call_all()
+        times.append(time.perf_counter() - begin)
+    return min(times) / _NUM_TIMED
 
 
 def require_same(read: Any, written: Any) -> None:

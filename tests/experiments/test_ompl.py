@@ -81,7 +81,7 @@ def test_invalid_paths_are_dropped():
 
     def found(*paths):
         messages = [Found(float(seconds), path) for seconds, path in enumerate(paths)]
-        messages = [Ready(0.5), *messages, Done(True, 9.0, np.zeros((4, 1, 3)), 10, 6)]
+        messages = [Ready(0.5), *messages, Done(True, 9.0, np.zeros((4, 1, 3)), 10, 6, 2.0)]
         with pytest.warns(UserWarning, match="is not valid and was dropped: Robot 0 collides with obstacle 0"):
             return ompl_module._solution(problem, "RRTstar", messages, False)
 
