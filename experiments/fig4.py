@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from experiments._planning import BL_ALONE, PLR_BYTES, POINT_PLR, SCENES, SMOKE_BYTES, STRAIGHT, solve
+from experiments._planning import PLR_BYTES, POINT_PLR, SCENES, SMOKE_BYTES, STRAIGHT, solve
 from experiments._runner import run
-from plr_jax import BLOptions, Problem, plot
+from plr_jax import Problem, plot
 
 COLUMNS = ("single door", "cross 3", "four rooms 4")
 ROWS = (POINT_PLR, STRAIGHT)
@@ -25,8 +25,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     plr_bytes, columns = (SMOKE_BYTES, COLUMNS[:2]) if smoke else (PLR_BYTES, COLUMNS)
 
     def samples_of(name: str, heuristic: str) -> list[Any]:
-        solution, _ = solve(SCENES[name](), heuristic, plr_bytes, BLOptions(searchers=BL_ALONE))
-        return np.round(solution.samples, 4).tolist()
+        return np.round(solve(SCENES[name](), heuristic, plr_bytes)[0].samples, 4).tolist()
 
     samples = {name: {heuristic: samples_of(name, heuristic) for heuristic in ROWS} for name in columns}
     return {"plr_bytes": plr_bytes, "samples": samples}

@@ -1,4 +1,4 @@
-"""Renders the tables of README.md and experiments/README.md from the results files.
+"""Renders the tables of README.md, experiments/README.md and a page on the paper from the results files.
 
 A table stands between ``<!-- table:NAME -->`` and ``<!-- /table -->``.
 
@@ -20,19 +20,20 @@ from experiments._runner import RESULTS, read
 
 README = Path(__file__).parent.parent / "README.md"
 ALL_RESULTS = Path(__file__).parent / "README.md"
+PAPER = Path(__file__).parent / "paper_team.md"
 _TABLE = re.compile(r"(<!-- table:(\w+) -->\n).*?(<!-- /table -->)", re.DOTALL)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.readme_tables", description="Render the tables of both README files."
+        prog="python -m experiments.readme_tables", description="Render the tables of all pages."
     )
     # Every experiment has a --smoke; here it means the same as --check.
     parser.add_argument(
         "--check", "--smoke", action="store_true", help="change nothing; fail if a table is out of date"
     )
     arguments = parser.parse_args()
-    for page in (README, ALL_RESULTS):
+    for page in (README, ALL_RESULTS, PAPER):
         text = page.read_text(encoding="utf-8")
         rendered = render(text)
         if arguments.check and rendered != text:
@@ -113,9 +114,10 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "descent": (uses.descent, "descent"),
     "trajectory": (uses.trajectory, "trajectory"),
     "placement": (uses.placement, "placement"),
-    "table2": (uses.table2, "table2", "race"),
+    "table2": (uses.table2, "table2"),
     "heuristics": (uses.heuristics, "table2"),
     "race": (uses.race, "race"),
+    "sba_star": (uses.sba_star, "sba_star"),
     "teams": (uses.teams, "teams"),
     "pedestrians": (uses.pedestrians, "pedestrians", "hard_points"),
     "scale": (uses.scale, "scale"),

@@ -1,16 +1,15 @@
 """Table II of the paper: BL under heuristics from none to the exact distances, and RRT*, over perturbed variants.
 
 A run is of one scene, one variant of its starts and goals, and one heuristic; it ends at the first path, shortened.
-Under a heuristic, best-first search goes alone, as in the paper; "lattice" is ``bl_plan(problem)``, all of its searches
-by the costs along the lattices. RRT* is OMPL's; it ends at a path that costs no more than BL's first path, before
-shortening, under PLRs of points, or at the limit. Before a scene's runs, another variant of it is planned under each
-heuristic, so that everything is compiled, and the map is known; of each variant, "lattice" comes first, to which its
-starts and goals are new. The heuristics get the first few variants, RRT* the first three. BL's nodes, costs and paths
-depend on the seeds alone, but for runs that a limit ended; seconds, and all of RRT*, do not. Every path is checked by
-``validate``. The race with other planners is ``experiments.race``.
+Under a heuristic, best-first search goes alone, as in the paper; "lattice" is ``bl_plan(problem)``, with all of its
+searches, by the costs along the lattices. RRT* is OMPL's; it ends at a path that costs no more than BL's first path,
+before shortening, under PLRs of points, or at the limit. Before a scene's runs, another variant of it is planned
+under each heuristic, so that everything is compiled, and the map is known; of each variant, "lattice" comes first, to
+which its starts and goals are new. The heuristics get the first few variants, RRT* the first three. BL's nodes, costs
+and paths depend on the seeds alone, but for runs that a limit ended; seconds, and all of RRT*, do not. Every path is
+checked by ``validate``. The race with other planners is ``experiments.race``.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 from tqdm import tqdm
@@ -18,13 +17,11 @@ from tqdm import tqdm
 from experiments._planning import (
     BL_ALONE,
     HEURISTICS,
-    LATTICE,
     NONE,
     PLR_BYTES,
     POINT_PLR,
     SCENES,
     SMOKE_BYTES,
-    Built,
     build,
     is_valid,
     lower_bound,
@@ -36,11 +33,9 @@ from plr_jax import BLOptions, Problem, Solution, scenes
 
 NUM_STARTS, NUM_STARTS_UNDER_HEURISTICS = 20, 5
 TIME_LIMIT = 60.0
-# Without a heuristic, or by RRT*, teams are out of reach: a few starts and seconds show it.
+# Without a heuristic, or by RRT*, most teams are out of reach: a few starts and seconds show it.
 NUM_STARTS_FEW, TIME_LIMIT_NONE = 3, 20.0
-RRT_STAR = "RRT*"
-SEARCHERS = (BL_ALONE, ("lacam", "bl"))  # under a heuristic, and by the planner's own choice
-PHASES = ("lattice", "heuristic", "search", "replan", "shorten")
+LATTICE, RRT_STAR = "lattice", "RRT*"  # rows that are not of BL under a heuristic
 
 # Seconds and samples; None where the paper has none.
 PAPER: dict[str, dict[str, tuple[float, int] | None]] = {
@@ -68,33 +63,26 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     return results | {"rows": [row for name in names for row in measure_scene(name, results)]}
 
 
-def renew(results: dict[str, Any], name: str) -> dict[str, Any]:
-    """The rows of one scene measured again."""
-    if name not in SCENES:
-        raise SystemExit(f"--only must be one of {', '.join(SCENES)}, got {name!r}.")
-    rows = {(row["scene"], row["heuristic"]): row for row in [*results["rows"], *measure_scene(name, results)]}
-    return {**results, "rows": list(rows.values())}
-
-
 def measure_scene(name: str, settings: dict[str, Any]) -> list[dict[str, Any]]:
     """One row a heuristic: what is common to its runs, and a list over the seeds of everything measured."""
     runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in (LATTICE, *HEURISTICS, RRT_STAR)}
     scene, seeds, plr_bytes = SCENES[name](), settings["seeds"], settings["plr_bytes"]
-    alone = len(scene.robots) == 1
-    limits = dict.fromkeys(runs, TIME_LIMIT) | {RRT_STAR: settings["seconds_rrt_star"]}
-    limits[NONE] = TIME_LIMIT if alone else settings["seconds_none"]
+    limits = {
+        **dict.fromkeys(runs, TIME_LIMIT),
+        NONE: settings["seconds_none"],
+        RRT_STAR: settings["seconds_rrt_star"],
+    }
     known = scenes.perturbed(scene, 1000 + seeds[0])
     for heuristic in (LATTICE, *HEURISTICS):
-        options = BLOptions(searchers=SEARCHERS[heuristic == LATTICE], time_limit=1.0)
-        plan(known, build(known, heuristic, plr_bytes).heuristic, options)
+        run_of(known, heuristic, plr_bytes, 1.0)
     for i, seed in enumerate(tqdm(seeds, desc=name, delay=3, disable=None)):
         problem = scenes.perturbed(scene, seed)
         bound = lower_bound(problem)
         for heuristic in (LATTICE, *HEURISTICS) if i < settings["starts_under_heuristics"] else (LATTICE,):
-            if heuristic != NONE or alone or i < settings["starts_few"]:
-                options = BLOptions(searchers=SEARCHERS[heuristic == LATTICE], time_limit=limits[heuristic])
-                measured = measure(problem, build(problem, heuristic, plr_bytes), bound, options)
-                runs[heuristic].append({"seed": seed, **measured})
+            if heuristic != NONE or i < settings["starts_few"]:
+                solution, seconds = run_of(problem, heuristic, plr_bytes, limits[heuristic])
+                found = {"seed": seed, "seconds": round(seconds, 5), **outcome(problem, solution, bound)}
+                runs[heuristic].append(found)
         if i < settings["starts_few"]:
             target = runs[POINT_PLR][-1]["first_path_cost"]
             runs[RRT_STAR].append({"seed": seed, **rrt_star(problem, bound, seed, limits[RRT_STAR], target)})
@@ -109,6 +97,13 @@ def measure_scene(name: str, settings: dict[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
+def run_of(problem: Problem, heuristic: str, plr_bytes: int, limit: float) -> tuple[Solution, float]:
+    """BL alone under a heuristic, or ``bl_plan`` by its own choice."""
+    if heuristic == LATTICE:
+        return plan(problem, None, BLOptions(time_limit=limit))
+    return plan(problem, build(problem, heuristic, plr_bytes), BLOptions(searchers=BL_ALONE, time_limit=limit))
+
+
 def rrt_star(problem: Problem, bound: float, seed: int, limit: float, target: float) -> dict[str, Any]:
     """A run of RRT*; its seconds are those to the target, None without."""
     solution = ompl_plan(problem, "RRTstar", seed=seed, time_limit=limit, cost_target=target)
@@ -120,30 +115,12 @@ def rrt_star(problem: Problem, bound: float, seed: int, limit: float, target: fl
     }
 
 
-def measure(problem: Problem, built: Built, bound: float, options: BLOptions) -> dict[str, Any]:
-    """A run."""
-    solution, seconds = plan(problem, built.heuristic, options)
-    return {
-        **outcome(problem, solution, bound),
-        "seconds": round(seconds, 5),
-        "seconds_oracle": round(built.oracle_seconds, 4),
-        "seconds_plr": round(built.plr_seconds, 4),
-        **{f"seconds_{phase}": round(solution.stats.seconds.get(phase, 0.0), 5) for phase in PHASES},
-    }
-
-
 def outcome(problem: Problem, solution: Solution, bound: float) -> dict[str, Any]:
     """What a run found, and how much it did for it."""
-    stats = solution.stats
-    first_seconds, first_cost = stats.history[0] if stats.history else (None, None)
+    first_seconds, first_cost = solution.stats.history[0] if solution.solved else (None, None)
     return {
-        "status": solution.status.name,
-        "found_by": stats.found_by,
         "valid": is_valid(problem, solution),
-        "nodes": stats.num_nodes,
-        "expansions": stats.num_expansions,
-        "children_scored": stats.num_children_scored,
-        "children_valid": stats.num_children_valid,
+        "nodes": solution.stats.num_nodes,
         "lower_bound": round(bound, 6),
         "cost": round(solution.cost, 6) if solution.solved else None,
         "cost_over_bound": round(solution.cost / bound, 5) if solution.solved else None,
@@ -153,4 +130,4 @@ def outcome(problem: Problem, solution: Solution, bound: float) -> dict[str, Any
 
 
 if __name__ == "__main__":
-    run("table2", "Table II: BL under every heuristic: nodes, seconds, cost and success.", compute, renew=renew)
+    run("table2", "Table II: BL under every heuristic: nodes, seconds, cost and success.", compute)

@@ -10,7 +10,7 @@ import pickle
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,7 +18,7 @@ from jaxtyping import Float
 from ompl import base, geometric
 from ompl import util as ompl_util
 
-from experiments.baselines.ompl import Done, Found, Message, Ready, Task
+from experiments.baselines.ompl import Done, Found, Message, Task
 from experiments.baselines.ompl_motions import Scene, configurations_of, is_always_free, is_free, is_motion_free
 
 Send: TypeAlias = Callable[[Message], None]
@@ -56,7 +56,8 @@ class _Length(base.OptimizationObjective):
         self.num_calls += 1
         return base.Cost(self._distance(first, last))
 
-    motionCostHeuristic = motionCost
+    def motionCostHeuristic(self, first: Any, last: Any) -> Any:
+        return self.motionCost(first, last)
 
 
 def _length(information: Any) -> Any:
@@ -89,7 +90,6 @@ class _Setup:
     task: Task
     scene: Scene
     information: Any
-    start: Any
     definition: Any
     planner: Any
     objective: Any
@@ -130,15 +130,25 @@ def serve(trial: Callable[[Task, Send], Done]) -> None:
     task: Task = pickle.load(sys.stdin.buffer)
     ompl_util.RNG.setSeed(task.seed + 1)  # 0 is no seed to OMPL
     ompl_util.setLogLevel(ompl_util.LOG_ERROR)
-    send(trial(task, send))
+    done = trial(task, send)
+    send(replace(done, seconds_a_call=_seconds_a_call(task)))
     os._exit(0)  # past the bindings' report on what they leak at exit
+
+
+def _seconds_a_call(task: Task) -> float:
+    """Time OMPL's calls of motion tests in Python, without the tests: it checks a path by a test of nothing."""
+    information, times = information_of(plane_of(task), is_always_free, [0]), []
+    path = geometric.PathGeometric(information, [information.allocState()] * _NUM_TIMED)
+    for _ in range(_NUM_TIMINGS):  # the first one compiles
+        begin = time.perf_counter()
+        path.check()
+        times.append(time.perf_counter() - begin)
+    return min(times) / _NUM_TIMED
 
 
 def _trial(task: Task, send: Send) -> Done:
     """Plan, and report each path that is cheaper."""
-    begin = time.perf_counter()
     setup = _setup(task)
-    send(Ready(time.perf_counter() - begin))
     begin, best, scene = time.perf_counter(), np.inf, setup.scene
 
     def report(cost: float) -> bool:
@@ -154,12 +164,8 @@ def _trial(task: Task, send: Send) -> Done:
 
     finished = _PLANS[task.planner](setup, report, begin + task.time_limit)
     seconds = time.perf_counter() - begin
-    python_seconds = scene.num_checked * seconds_a_test(setup.information.getStateSpace(), setup.start)
-    if isinstance(setup.objective, _Length):
-        num_calls, path = setup.objective.num_calls, _resting_path(setup.information, setup.start)
-        python_seconds += num_calls * _seconds_a_call(lambda: path.cost(setup.objective))
-    finished = finished or best <= task.cost_target
-    return Done(finished, seconds, setup.samples(), scene.num_checked, scene.num_free, python_seconds)
+    finished, num_costs = finished or best <= task.cost_target, getattr(setup.objective, "num_calls", 0)
+    return Done(finished, seconds, setup.samples(), scene.num_checked, scene.num_free, num_costs)
 
 
 def is_news(cost: float, best: float, task: Task) -> bool:
@@ -244,7 +250,7 @@ def _setup(task: Task) -> _Setup:
         longest = _RANGES[task.planner] * float((task.hi - task.lo).max())
         planner.setRange(min(longest, 0.2 * space.getMaximumExtent()))
     planner.setup()
-    return _Setup(task, scene, information, ends[0], definition, planner, objective)
+    return _Setup(task, scene, information, definition, planner, objective)
 
 
 def information_of(space: Any, kernel: Callable[..., bool], addresses: Sequence[int]) -> Any:
@@ -263,24 +269,6 @@ def information_of(space: Any, kernel: Callable[..., bool], addresses: Sequence[
     information.setMotionValidator(_Motions(information, kernel, addresses))
     information.setup()
     return information
-
-
-def seconds_a_test(space: Any, state: Any) -> float:
-    """Time OMPL's call of a motion test in Python, without the test: C++ checks a path by a test of nothing."""
-    return _seconds_a_call(_resting_path(information_of(space, is_always_free, [0]), state).check)
-
-
-def _resting_path(information: Any, state: Any) -> Any:
-    return geometric.PathGeometric(information, [state] * _NUM_TIMED)
-
-
-def _seconds_a_call(call_all: Callable[[], Any]) -> float:
-    times = []
-    for _ in range(_NUM_TIMINGS):  # the first one compiles
-        begin = time.perf_counter()
-        call_all()
-        times.append(time.perf_counter() - begin)
-    return min(times) / _NUM_TIMED
 
 
 def require_same(read: Any, written: Any) -> None:

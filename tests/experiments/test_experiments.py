@@ -19,7 +19,7 @@ pytestmark = pytest.mark.full
 ROOT = Path(__file__).parents[2]
 SCRIPTS = sorted({path.stem for path in (ROOT / "experiments").glob("[!_]*.py")} - {"readme_tables"})
 # One quick section of each family of experiments; all others run by: python -m experiments.NAME --smoke.
-FAMILIES = """fig1, trace, benchmark oracle, proofs astar, solve speed_map,
+FAMILIES = """fig1, fig4, table2, race, sba_star, trace, benchmark oracle, proofs astar, solve speed_map,
 compare_summaries maze_straight_line maze_polygon,
 teams unseen, portable query, first_answers one_query, grid_distance rooms, shaping learning, costs estimates,
 cost_distance mountain, volumes volumes, living maps doors, lifelong replanned, fleets, pedestrians, scale"""
@@ -44,7 +44,7 @@ def test_scripts_and_committed_results_match():
         record, script = json.loads((RESULTS / f"{name}.json").read_text()), import_module(f"experiments.{name}")
         assert record["experiment"] == name and not record["smoke"]
         assert record["results"].keys() <= getattr(script, "SECTIONS", record["results"]).keys()
-    page = (ROOT / "experiments" / "README.md").read_text()
+    page = readme_tables.ALL_RESULTS.read_text() + readme_tables.PAPER.read_text()
     for path in RESULTS.iterdir():
         assert path.stem in SCRIPTS if path.suffix == ".json" else f"](results/{path.name})" in page, path.name
 
@@ -52,7 +52,9 @@ def test_scripts_and_committed_results_match():
 def test_readme_tables_hold_the_committed_results(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["readme_tables", "--check"])
     readme_tables.main()
-    pages = readme_tables.README.read_text() + readme_tables.ALL_RESULTS.read_text()
+    pages = "".join(
+        page.read_text() for page in (readme_tables.README, readme_tables.ALL_RESULTS, readme_tables.PAPER)
+    )
     assert all(f"<!-- table:{name} -->" in pages for name in readme_tables.TABLES)
     old = tmp_path / "README.md"
     old.write_text("<!-- table:descent -->\nold\n<!-- /table -->\n")
