@@ -129,7 +129,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
         Search(problem, heuristic, seed, min(most, 200)).run()  # compiles
         runs = [measure(problem, heuristic, seed + i, most, bound) for i in range(num_seeds)]
         row = {"scene": name, "heuristic": kind, **{key: [one[key] for one in runs] for key in runs[0]}}
-        blind = row if kind == NONE else blind
+        blind = row if kind == NONE else blind  # heuristics begin with none
         rows.append({**row, "p_value": float(mannwhitneyu(row["vertices"], blind["vertices"]).pvalue)})
     return {"max_vertices": most, "plr_bytes": plr_bytes, "seeds": num_seeds, "rows": rows}
 
