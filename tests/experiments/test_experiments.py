@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import plr_jax
-from experiments import readme_tables, table1
+from experiments import _planning, readme_tables, sba_star, table1, table2
 from experiments._runner import RESULTS
 from plr_jax import BuildOptions, VisibilityGraph, construct, cyclic_axis, maximum_depth, metrics, scenes
 
@@ -100,3 +100,26 @@ def test_fig1_shows_the_file_of_this_code():
     options = BuildOptions(should_split=maximum_depth, split=cyclic_axis)
     plr = construct(plr_jax.Euclidean((0.0, 0.0)), ((0.0, 0.0), (1.0, 1.0)), max_depth=6, options=options)
     assert base64.b64decode(results["plr_base64"]) == plr.to_bytes() and results["bytes"] == plr.num_bytes
+
+
+@pytest.mark.parametrize("heuristic", [table2.LATTICE, _planning.POINT_PLR])
+@pytest.mark.parametrize("name", ["single door", "cross 3"])
+def test_table2_has_nodes_and_costs_of_this_code(name, heuristic):
+    results = json.loads((RESULTS / "table2.json").read_text())["results"]
+    told = next(row for row in results["rows"] if (row["scene"], row["heuristic"]) == (name, heuristic))
+    problem = scenes.perturbed(_planning.SCENES[name](), told["seed"][0])
+    solution, _ = table2.run_of(problem, heuristic, results["plr_bytes"], told["time_limit"])
+    found = table2.outcome(problem, solution, _planning.lower_bound(problem))
+    for key in ("nodes", "cost_over_bound", "first_path_cost"):
+        assert found[key] == pytest.approx(told[key][0], rel=0.02), key
+
+
+@pytest.mark.parametrize("heuristic", [_planning.NONE, _planning.STRAIGHT])
+def test_sba_star_has_vertices_and_costs_of_this_code(heuristic):
+    results = json.loads((RESULTS / "sba_star.json").read_text())["results"]
+    told, problem = next(row for row in results["rows"] if row["heuristic"] == heuristic), scenes.single_door()
+    options = (results["max_vertices"], _planning.lower_bound(problem))
+    for seed in range(2):
+        found = sba_star.measure(problem, _planning.build(problem, heuristic), seed, *options)
+        for key in ("vertices", "cost_over_bound"):
+            assert found[key] == pytest.approx(told[key][seed], rel=0.02), key
