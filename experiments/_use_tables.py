@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments._tables import formatted, in_time, markdown, nodes_of, or_dash, spread, verdict
+from experiments._tables import formatted, in_time, markdown, nodes_of, or_dash, scenes_by_winner, spread, verdict
 
 _IN_BETWEEN = "four rooms 2", "four rooms 3", "cross 2", "crowd 25"
 """Scenes whose smaller and larger siblings say as much; they are in the tables of all results."""
@@ -28,11 +28,13 @@ def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
         cells = [f"{results['paper'].get(name, {'plr': '-'})['plr'][0]}", spread(row["seconds"], ".2f")]
         cells += [f"{same['new_map']:.2f}", spread(row["cost_over_bound"], ".3f")]
         table.append([name, *cells, in_time(same["best"])])
+    winners = [scenes_by_winner(race["summary"], "first_path", key) for key in ("sooner", "sooner_on_new_map")]
+    first = "ours sooner in {}, OMPL's in {}; on new maps in {} and {}"
+    first = first.format(*(len(each[who]) for each in winners for who in ("ours", "OMPL")))
     return markdown(table, numbers=5) + (
-        f"\nMedians (worst) of {len(results['seeds'])} variants of each scene, {len(race['seeds'])} where a new map, "
-        f"OMPL, door or crowd is concerned. OMPL had {race['limit']['least']:g} s, or {race['limit']['factor']:g} "
-        f"times our time if that is more. First path on a known map: {verdict(race['summary'], 'first_path')}. "
-        f"On a new map: {verdict(race['summary'], 'first_path', 'sooner_on_new_map')}.\n"
+        f"\nMedians (worst) of {len(results['seeds'])} variants; {len(race['seeds'])} on new maps, of OMPL, door and "
+        f"crowd. OMPL: within {race['limit']['least']:g} s, or {race['limit']['factor']:g} times our time. First "
+        f"path of {len(race['summary'])} scenes: {first} (sign test, 5 %).\n"
     )
 
 
