@@ -160,10 +160,9 @@ def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
     """
     result: dict[str, Any] = {"scene": entries[0]["scene"], "variants": len(entries)}
     for mark, factor in MARKS.items():
-        best, native = (np.array([best_of(entry, factor, share)[1] for entry in entries]) for share in (0.0, 1.0))
-        winners = [
-            best_of(entry, factor)[0] for entry, seconds in zip(entries, best, strict=True) if seconds < np.inf
-        ]
+        first = [best_of(entry, factor) for entry in entries]
+        best = np.array([seconds for _, seconds in first])
+        native = np.array([best_of(entry, factor, 1.0)[1] for entry in entries])
         known, new = (np.array([entry["ours"][each][mark] for entry in entries]) for each in ("known_map", "new_map"))
         result[mark] = {
             "ours": float(np.median(known)),
@@ -173,7 +172,7 @@ def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
             "sooner": int((known < best).sum()),
             "sooner_on_new_map": int((new < best).sum()),
             "sooner_than_without_python": int((known < native).sum()),
-            "winners": Counter(winners),
+            "winners": Counter(winner for winner, seconds in first if seconds < np.inf),
         }
     return result
 
