@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -38,32 +38,19 @@ SCENES: dict[str, Callable[[], Problem]] = {
 }
 
 NONE, STRAIGHT, POINT_PLR, PLR, EXACT = HEURISTICS = ("none", "straight line", "PLR, point robots", "PLR", "exact")
-LATTICE = "lattice"  # the planner's own choice
+BL_ALONE = ("bl",)  # the paper's search: no LaCAM, and no robots one after the other
 
 
-class Built(NamedTuple):
-    """A heuristic, and the seconds that its exact distances and its PLRs took."""
-
-    heuristic: HeuristicFn | None
-    oracle_seconds: float
-    plr_seconds: float
-
-
-def build(problem: Problem, name: str, plr_bytes: int = PLR_BYTES) -> Built:
-    """A heuristic of :data:`HEURISTICS` for a problem, its PLRs of so many bytes each, or none."""
-    if name == LATTICE:
-        return Built(None, 0.0, 0.0)
+def build(problem: Problem, name: str, plr_bytes: int = PLR_BYTES) -> HeuristicFn:
+    """A heuristic of :data:`HEURISTICS` for a problem, its PLRs of so many bytes each."""
     if name == NONE:
-        return Built(zero(), 0.0, 0.0)
+        return zero()
     if name == STRAIGHT:
-        return Built(straight_line(problem), 0.0, 0.0)
-    began = time.perf_counter()
+        return straight_line(problem)
     oracles = robot_distance_fns(problem, inflated=name != POINT_PLR)
-    middle = time.perf_counter()
     if name == EXACT:
-        return Built(sum_of_distances(oracles), middle - began, 0.0)
-    plrs = [construct(oracle, problem.workspace.bounds, max_bytes=plr_bytes) for oracle in oracles]
-    return Built(sum_of_distances(plrs), middle - began, time.perf_counter() - middle)
+        return sum_of_distances(oracles)
+    return sum_of_distances([construct(oracle, problem.workspace.bounds, max_bytes=plr_bytes) for oracle in oracles])
 
 
 def lower_bound(problem: Problem, inflated: bool = True) -> float:
@@ -112,11 +99,11 @@ def plan_and_check(
 def solve(
     problem: Problem, heuristic: str, plr_bytes: int = PLR_BYTES
 ) -> tuple[Solution, Float[np.ndarray, "steps robots dof"]]:
-    """BL's first path under a heuristic, to nine decimals, and how it was found.
+    """The first path of BL alone under a heuristic, to nine decimals, and how it was found.
 
     A path that is missing, or not valid when rounded, is an error, and ends the experiment.
     """
-    solution, _ = plan(problem, build(problem, heuristic, plr_bytes).heuristic, BLOptions())
+    solution, _ = plan(problem, build(problem, heuristic, plr_bytes), BLOptions(searchers=BL_ALONE))
     if solution.path is None:
         raise RuntimeError(f"The scene was not solved: {solution.status}.")
     path = np.round(solution.path, 9)

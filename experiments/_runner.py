@@ -27,7 +27,6 @@ _PACKAGES = (
 
 Compute = Callable[[int, bool], dict[str, Any]]
 Draw = Callable[[dict[str, Any], Path], list[Path]]
-Renew = Callable[[dict[str, Any], str], dict[str, Any]]
 
 
 class Section(NamedTuple):
@@ -42,7 +41,6 @@ def run(
     purpose: str | None,
     measured: Compute | Mapping[str, Section],
     draw: Draw = lambda results, output: [],
-    renew: Renew | None = None,
 ) -> None:
     """Run one experiment from the command line: measure, write ``<name>.json``, draw from that file alone.
 
@@ -52,10 +50,9 @@ def run(
         measured: Takes the seed and whether this is the smallest setting, and gives results fit for JSON; or sections
             that do so, each written as soon as it is measured, of which ``--only`` names some.
         draw: Takes the results as read back and the output folder; gives the pictures it wrote. Sections have theirs.
-        renew: Takes results and the name that ``--only`` has; gives results with that part measured again.
     """
     sections = measured if isinstance(measured, Mapping) else None
-    arguments = _arguments(name, purpose, sections, renew)
+    arguments = _arguments(name, purpose, sections)
     # The smallest setting must never replace results that are committed.
     fresh = Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke and not arguments.output else RESULTS
     output = arguments.output or fresh
@@ -68,8 +65,6 @@ def run(
                 old = read(output, name)["results"] if (output / f"{name}.json").exists() else {}
                 kept = {each: part if each == section else old[each] for each in measured if each in {*old, section}}
                 yield section, kept
-        elif renew is not None and arguments.only is not None:
-            yield arguments.only, renew(read(output, name)["results"], arguments.only)
         else:
             yield WHOLE, measured(arguments.seed, arguments.smoke)
 
@@ -91,9 +86,7 @@ def run(
         print(f"wrote {path}")
 
 
-def _arguments(
-    name: str, purpose: str | None, sections: Mapping[str, Section] | None, renew: Renew | None
-) -> argparse.Namespace:
+def _arguments(name: str, purpose: str | None, sections: Mapping[str, Section] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=f"python -m experiments.{name}", description=purpose)
     parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
@@ -101,11 +94,8 @@ def _arguments(
     parser.add_argument(
         "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
     )
-    again = "measure these again, and keep the others as they are"
     if sections is not None:
-        parser.add_argument("--only", nargs="+", choices=list(sections), help=again)
-    elif renew is not None:
-        parser.add_argument("--only", metavar="PART", help=again)
+        parser.add_argument("--only", nargs="+", choices=list(sections), help="measure only these again")
     return parser.parse_args()
 
 

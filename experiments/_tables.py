@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 
 def spread(values: list[float | None], form: str) -> str:
@@ -18,14 +19,9 @@ def or_dash(value: float | None, form: str) -> str:
     return "-" if value is None else f"{value:{form}}"
 
 
-def num_solved(row: dict[str, Any]) -> int:
-    """How many runs of a row of Table II found a path."""
-    return sum(cost is not None for cost in row["cost"])
-
-
 def nodes_of(row: dict[str, Any]) -> str:
     """Median nodes of the runs of a row; ``>`` where most of them ended without a path."""
-    more = "> " if 2 * num_solved(row) < len(row["seed"]) else ""
+    more = "> " if 2 * sum(map(bool, row["valid"])) < len(row["seed"]) else ""
     return f"{more}{np.median(row['nodes']):,.0f}"
 
 
@@ -36,15 +32,39 @@ def mean_and_largest(errors: dict[str, Any] | None) -> str:
     return f"{errors['mean']:.2g} ({errors['max']:.2g}){'*' if errors['unanswered'] else ''}"
 
 
-def at_least(total: dict[str, Any], key: str) -> str:
-    """A number of a race's summary; ``>`` where it is that of the limit."""
-    return f"{'> ' if total['at_least'] else ''}{two_digits(total[key])}"
-
-
 def two_digits(value: float) -> str:
     """Return the value rounded down to two significant digits, so that a claim stays true."""
     scale = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.floor(value / scale + 1e-9) * scale:,.6g}"
+
+
+def in_time(seconds: list[float | None]) -> str:
+    """The median over runs, with the number that found a path if not all did; only this number if half did not."""
+    known = [each for each in seconds if each is not None]
+    count = f"{len(known)} of {len(seconds)}"
+    if 2 * len(known) <= len(seconds):
+        return count
+    middle = np.median([np.inf if each is None else each for each in seconds])
+    return f"{middle:.2g}" + ("" if len(known) == len(seconds) else f" ({count})")
+
+
+def scenes_by_winner(summaries: list[dict[str, Any]], mark: str, key: str = "sooner") -> dict[str, list[str]]:
+    """The scenes of a race in which we, OMPL, or neither was sooner to a mark, by a sign test of the runs at 5 %."""
+    scenes: dict[str, list[str]] = {"ours": [], "OMPL": [], "tie": []}
+    for total in summaries:
+        count, runs = total[mark][key], total["variants"]
+        winner = "tie" if binomtest(count, runs).pvalue >= 0.05 else "ours" if 2 * count > runs else "OMPL"
+        scenes[winner].append(total["scene"])
+    return scenes
+
+
+def verdict(summaries: list[dict[str, Any]], mark: str, key: str = "sooner") -> str:
+    """In how many scenes we were sooner, and the names of the scenes in which we were not."""
+    ours, ompl, ties = scenes_by_winner(summaries, mark, key).values()
+    parts = [f"ours in {len(ours)} of {len(summaries)} scenes"]
+    for who, names in (("OMPL's", ompl), ("neither", ties)):
+        parts += [f"{who} in {', '.join(names)}"] if names else []
+    return "; ".join(parts)
 
 
 def as_text(results: Any, name: str) -> str:

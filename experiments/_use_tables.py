@@ -1,99 +1,121 @@
 """Tables of README files about what distances are used for: planning, paths, files on their way."""
 
+import itertools
 from typing import Any
 
 import numpy as np
 
-from experiments._tables import at_least, formatted, markdown, nodes_of, num_solved, or_dash, spread
+from experiments._tables import formatted, in_time, markdown, nodes_of, or_dash, scenes_by_winner, spread, verdict
 
 _IN_BETWEEN = "four rooms 2", "four rooms 3", "cross 2", "crowd 25"
 """Scenes whose smaller and larger siblings say as much; they are in the tables of all results."""
+_IN_PAPER = "none", "plr", "rrt_star"
 _SHOWN = 6_144  # bytes; the results have other sizes too
 
 
 def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
     """Seconds and costs of ``bl_plan``, the paper's seconds, and those of the best of OMPL."""
-    table = [["scene", "paper, s", "`bl_plan`, s", "cost / bound", "best of OMPL, s"]]
+    table = [["scene", "paper, s", "`bl_plan`, s", "on a new map, s", "cost / bound", "best of OMPL, s"]]
     rows = {row["scene"]: row for row in results["rows"] if row["heuristic"] == "lattice"}
     for total in race["summary"]:
         if (name := total["scene"]) in _IN_BETWEEN:
             continue
-        trials = [trial for trial in race["trials"] if trial["scene"] == name]
+        trials, same = [trial for trial in race["trials"] if trial["scene"] == name], total["same_cost"]
         row = rows.get(name) or {
-            "seconds": [trial["ours"]["seconds"] for trial in trials],
+            "seconds": [trial["ours"]["known_map"]["same_cost"] for trial in trials],
             "cost_over_bound": [trial["ours"]["cost"] / trial["lower_bound"] for trial in trials],
         }
-        cells = [f"{results['paper'].get(name, {}).get('plr', '-')}", spread(row["seconds"], ".2f")]
-        table.append([name, *cells, spread(row["cost_over_bound"], ".3f"), at_least(total["same_cost"], "best")])
-    sooner = sum(total["first_path"]["best"] < total["first_path"]["ours"] for total in race["summary"])
-    first = f"In {sooner} of" if sooner else "In all"
-    who = "OMPL's first path came before ours" if sooner else "our first path came before OMPL's"
-    variants, starts = len(results["seeds"]), len(race["seeds"])
-    return markdown(table, numbers=4) + (
-        f"\nMedians (worst) of {variants} variants of each scene; {starts} of door and crowd. Paper: with its "
-        "planner, on its hardware. Bound: the sum of the robots' exact distances, without turns. OMPL: the best of "
-        "its planners, for the team at once or robot by robot, until its path costs no more than ours "
-        f"({starts} variants). `> t`: no such path within t seconds. {first} {len(race['summary'])} scenes, on "
-        f"which we tuned the planner, {who} (medians, known map); in other tight scenes or on new maps, OMPL's may "
-        "come first.\n"
+        cells = [f"{results['paper'].get(name, {'plr': '-'})['plr'][0]}", spread(row["seconds"], ".2f")]
+        cells += [f"{same['new_map']:.2f}", spread(row["cost_over_bound"], ".3f")]
+        table.append([name, *cells, in_time(same["best"])])
+    winners = [scenes_by_winner(race["summary"], "first_path", key) for key in ("sooner", "sooner_on_new_map")]
+    first = "ours sooner in {}, OMPL's in {}; on new maps in {} and {}"
+    first = first.format(*(len(each[who]) for each in winners for who in ("ours", "OMPL")))
+    return markdown(table, numbers=5) + (
+        f"\nMedians (worst) of {len(results['seeds'])} variants; {len(race['seeds'])} on new maps, of OMPL, door and "
+        f"crowd. OMPL: within {race['limit']['least']:g} s, or {race['limit']['factor']:g} times our time. First "
+        f"path of {len(race['summary'])} scenes: {first} (sign test, 5 %).\n"
     )
 
 
-def table2(results: dict[str, Any], race: dict[str, Any]) -> str:
-    """Table II, one row a scene: the paper's seconds, ours, nodes under PLRs and under less, and the best of OMPL."""
-    head = ["scene", "paper s", "s", "first path s", "cost / bound", "under PLRs: s", "cost / bound", "nodes"]
-    rows = [[*head, "best of OMPL s", "times ours"]]
+def table2(results: dict[str, Any]) -> str:
+    """Table II: seconds and samples in the paper, then of BL without and with PLRs, of RRT*, and of ``bl_plan``."""
     runs = {(row["scene"], row["heuristic"]): row for row in results["rows"]}
-    summaries = {total["scene"]: total["same_cost"] for total in race["summary"]}
-    lattice = [row for row in results["rows"] if row["heuristic"] == "lattice"]
-    for ours in lattice:
-        name, of_plrs = ours["scene"], runs[ours["scene"], "PLR"]
-        best = summaries.get(name)
-        rows.append(
-            [
-                name,
-                f"{results['paper'].get(name, {}).get('plr', '-')}",
-                *(spread(ours[key], ".3f") for key in ("seconds", "first_path_seconds", "cost_over_bound")),
-                *(spread(of_plrs[key], ".3f") for key in ("seconds", "cost_over_bound")),
-                spread(of_plrs["nodes"], ",.0f"),
-                *((at_least(best, "best"), at_least(best, "ratio")) if best else ("-", "-")),
-            ]
-        )
-    none = results["teams_without_heuristic"]
-    return markdown(rows, numbers=len(rows[0]) - 1) + (
-        f"\nMedians, and in brackets the worst, of {len(results['seeds'])} perturbed starts and goals; "
-        f"{sum(map(num_solved, lattice))} of {sum(len(row['seed']) for row in lattice)} were solved. Searches with a "
-        f"heuristic run from {results['starts_under_heuristics']} of the starts. Each robot's PLR has "
-        f"{results['plr_bytes']:,} bytes and is built before the clock starts. Searches of teams without a heuristic "
-        f"run for {none['seconds']:g} s from {none['starts']} of the starts. Best of OMPL: seconds to a path that "
-        f"costs no more than ours, medians over {len(race['seeds'])} of the starts; >: most trials found none within "
-        "the limit. Bound: the sum of the exact distances of the robots, each alone, without turns.\n"
+    head = ["scene", "paper: BL", "paper: BL, PLR", "paper: RRT*", "BL s", "BL, PLR: s", "samples", "cost / bound"]
+    first = "first_path_seconds"
+    table = [[*head, "RRT*: first path s", "as BL, PLR s", "samples", "`bl_plan` s", "cost / bound"]]
+
+    for name in dict.fromkeys(scene for scene, _ in runs):
+        blind, plr, rrt_star, ours = (runs[name, each] for each in ("none", "PLR, point robots", "RRT*", "lattice"))
+        paper = results["paper"].get(name, {})
+        cells = [name, *("{} s ({:,})".format(*cell) if (cell := paper.get(key)) else "-" for key in _IN_PAPER)]
+        cells += [in_time(blind[first]), in_time(plr[first]), f"{np.median(plr['nodes']):,.0f}"]
+        cells += [f"{np.median(np.divide(plr['first_path_cost'], plr['lower_bound'])):.3f}"]
+        cells += [in_time(rrt_star[first]), in_time(rrt_star["seconds"]), f"{np.median(rrt_star['nodes']):,.0f}"]
+        table.append([*cells, *(spread(ours[key], ".3f") for key in ("seconds", "cost_over_bound"))])
+    shares = [share for row in results["rows"] for share in row.get("python_share", [])]
+    return markdown(table, numbers=len(table[0]) - 1) + (
+        f"\nMedians, and in brackets the worst, of {len(results['seeds'])} variants for `bl_plan`, "
+        f"{results['starts_under_heuristics']} for BL with PLRs, {results['starts_few']} for RRT* and BL "
+        f"without. Limits: {results['seconds_none']:g} s for BL without PLRs, "
+        f"{results['seconds_rrt_star']:g} s for RRT*. Calls of Python are {min(shares):.0%} to {max(shares):.0%} of "
+        f"RRT*'s time. Each PLR has {results['plr_bytes']:,} bytes.\n"
     )
 
 
 def heuristics(results: dict[str, Any]) -> str:
     """Nodes under every heuristic, scene by scene."""
-    names = list(dict.fromkeys(row["heuristic"] for row in results["rows"]))
+    searches = [row for row in results["rows"] if row["heuristic"] != "RRT*"]
+    names = list(dict.fromkeys(row["heuristic"] for row in searches))
     rows = [["nodes", *names]]
-    for scene in dict.fromkeys(row["scene"] for row in results["rows"]):
-        rows.append([scene, *(nodes_of(row) for row in results["rows"] if row["scene"] == scene)])
+    for scene in dict.fromkeys(row["scene"] for row in searches):
+        rows.append([scene, *(nodes_of(row) for row in searches if row["scene"] == scene)])
     return markdown(rows, numbers=len(names))
 
 
 def race(results: dict[str, Any]) -> str:
     """Our seconds and those of OMPL's best planner, to any path, to 5 % more than ours in the end, and to no more."""
-    marks = {"first_path": "first path", "cost_5_percent_more": "5 % more", "same_cost": "same cost"}
-    rows = [["scene", *(f"{name}: {who}" for name in marks.values() for who in ("ours s", "best s", "times ours"))]]
-    for total in results["summary"]:
-        parts = [total[mark] for mark in marks]
-        cells = [(f"{part['ours']:.2g}", at_least(part, "best"), at_least(part, "ratio")) for part in parts]
-        rows.append([total["scene"], *(text for three in cells for text in three)])
-    limit = results["limit"]
-    return markdown(rows, numbers=9) + (
-        f"\nMedians over {len(results['seeds'])} starts, with one trial for each planner. The limit is "
-        f"{limit['least']:g} to {limit['largest']:g} s, or {limit['ours']:g} times our seconds if that is more. "
-        ">: most trials found no path within the limit, and the ratio uses the limit. Same cost: our seconds run to "
-        "the end of the call.\n"
+    marks = {"first_path": "first", "cost_5_percent_more": "5 % more", "same_cost": "same cost"}
+    summaries, limit = results["summary"], results["limit"]
+    rows = []
+    for total, (mark, name) in itertools.product(summaries, marks.items()):
+        row = {key: in_time(total[mark][key]) for key in ("best", "without_python")}
+        rows.append({**total[mark], **row, "scene": total["scene"], "path": name})
+    table = formatted(
+        rows,
+        *(("scene", "{scene}"), ("path", "{path}"), ("ours s", "{ours:.2g}"), ("on a new map s", "{new_map:.2g}")),
+        *(("best of OMPL s", "{best}"), ("without Python s", "{without_python}"), ("ours sooner", "{sooner}")),
+        *(("on a new map", "{sooner_on_new_map}"), ("than without Python", "{sooner_than_without_python}")),
+        words=2,
+    )
+    attempts = [attempt for trial in results["trials"] for attempt in trial["ompl"].items()]
+    shares = {name: [each["python_share"] for planner, each in attempts if planner == name] for name, _ in attempts}
+    python = ", ".join(f"{name} {min(each):.0%} to {max(each):.0%}" for name, each in shares.items())
+    return table + (
+        f"\nMedians over {len(results['seeds'])} starts. Limit: {limit['least']:g} s, or {limit['factor']:g} times "
+        f"our time if that is more. Calls of Python, share of a trial's time: {python}. First path, sooner: "
+        f"{verdict(summaries, 'first_path')}; than OMPL without Python: "
+        f"{verdict(summaries, 'first_path', 'sooner_than_without_python')}; on a new map: "
+        f"{verdict(summaries, 'first_path', 'sooner_on_new_map')}. Same cost: {verdict(summaries, 'same_cost')}.\n"
+    )
+
+
+def sba_star(results: dict[str, Any]) -> str:
+    """Vertices, seconds and costs of SBA*'s first path under each heuristic."""
+    table = formatted(
+        (
+            row
+            | {"p": row["p_value"], "s": np.median(row["seconds"]), "vertices": spread(row["vertices"], ",.0f")}
+            | {"cost": spread(row["cost_over_bound"], ".2f"), "solved": sum(map(bool, row["valid"]))}
+            for row in results["rows"]
+        ),
+        *(("scene", "{scene}"), ("heuristic", "{heuristic}"), ("solved", "{solved}"), ("vertices", "{vertices}")),
+        *(("p", "{p:.2g}"), ("s", "{s:.2g}"), ("cost / bound", "{cost}")),
+        words=2,
+    )
+    return table + (
+        f"\nMedians (largest) over {results['seeds']} seeds, to the first path or {results['max_vertices']:,} "
+        f"vertices. Each PLR has {results['plr_bytes']:,} bytes.\n"
     )
 
 

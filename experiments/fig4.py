@@ -1,4 +1,7 @@
-"""Fig. 4 of the paper: where BL places its samples under PLRs; and, for comparison, under straight lines."""
+"""Fig. 4 of the paper: where BL places its samples under PLRs; and, for comparison, under straight lines.
+
+BL searches alone, and the PLRs summarize the distances of points, as in the paper.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -7,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.figure import Figure
 
-from experiments._planning import PLR, PLR_BYTES, SCENES, SMOKE_BYTES, STRAIGHT, solve
+from experiments._planning import PLR_BYTES, POINT_PLR, SCENES, SMOKE_BYTES, STRAIGHT, solve
 from experiments._runner import run
 from plr_jax import Problem, plot
 
 COLUMNS = ("single door", "cross 3", "four rooms 4")
-ROWS = (PLR, STRAIGHT)
+ROWS = (POINT_PLR, STRAIGHT)
 _APART = 0.09  # how far the samples of robots that share a lattice are moved, so that none hides another's
 _DOT = 9.0  # square points
 
@@ -22,8 +25,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     plr_bytes, columns = (SMOKE_BYTES, COLUMNS[:2]) if smoke else (PLR_BYTES, COLUMNS)
 
     def samples_of(name: str, heuristic: str) -> list[Any]:
-        solution, _ = solve(SCENES[name](), heuristic, plr_bytes)
-        return np.round(solution.samples, 4).tolist()
+        return np.round(solve(SCENES[name](), heuristic, plr_bytes)[0].samples, 4).tolist()
 
     samples = {name: {heuristic: samples_of(name, heuristic) for heuristic in ROWS} for name in columns}
     return {"plr_bytes": plr_bytes, "samples": samples}
@@ -54,4 +56,4 @@ def moved_apart(problem: Problem, samples: Float[np.ndarray, "n robots dof"]) ->
 
 
 if __name__ == "__main__":
-    run("fig4", "Samples that BL places in three scenes, under PLRs and under straight lines.", compute, draw)
+    run("fig4", "Samples that BL alone places in three scenes, under PLRs and under straight lines.", compute, draw)

@@ -1,47 +1,48 @@
 """The race: how long the planners of OMPL take to paths as good as ours, on the scenes of Table II and in crowds.
 
 For each variant of a scene's starts and goals, ``bl_plan(problem)`` plans once, and each planner of OMPL then gets
-one trial that ends when its path costs no more, or at a limit: a hundred times our seconds, but no less than 4 s and
-no more than 8 s, or four times our seconds if that is more. For slow scenes the limit, not a planner, sets the ratio.
-A trial that ends there stays in the results as "not within" it. OMPL plans for the joint space, and for each robot in
-turn among those planned before (prioritised; discs only).
+one trial that ends when its path costs no more, or at a limit: 2 s, or twice our seconds if that is more. OMPL plans
+for the joint space, and for each robot in turn among those planned before (prioritized; discs only). If a planner
+finds no path in the first variants of a scene, it is left out of the others.
 
-Our seconds are those of one call, shortening included; the team was planned from its goals to its starts before, so
-that everything is compiled and the map is known, but no starts and goals. OMPL's begin when its process has started
-and compiled. Every path counted is put through ``validate``, our first ones included. Three marks are compared: the
-first path; one that costs at most 5 % more than ours in the end; and one that costs no more. ``bl_plan`` is then
-asked to improve its path for a while, which draws its part of cost over time.
+Our seconds are those of one call, shortening included. The map is known: the team was planned from its goals to its
+starts before. On a new map, our seconds begin before the ``Workspace`` is made. OMPL's begin when its process has
+started and compiled; OMPL prepares nothing for a map. Its tests of motions, and BIT*'s costs, are calls of Python.
+The seconds "without Python" leave out the share of the trial's time that C++ would save.
+
+Every path counted is put through ``validate``, our first ones included. Three marks are compared: the first path; one
+that costs at most 5 % more than ours in the end; and one that costs no more.
 """
 
+import itertools
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from tqdm import tqdm
 
 from experiments._planning import SCENES, is_valid, lower_bound, plan, plan_and_check, reversed_team
 from experiments._runner import run
-from experiments.baselines.ompl import ompl_plan, ompl_prioritized
-from plr_jax import BLOptions, Problem, Solution, scenes
+from experiments.baselines.ompl import PRIORITIZED, ompl_plan
+from plr_jax import BLOptions, Problem, Solution, Workspace, scenes
 
-PRIORITIZED = "prioritized"
 PLANNERS = ("RRTstar", "RRTConnect", "AORRTC", "BITstar", PRIORITIZED)
 CROWDS: dict[str, Callable[[int], Problem]] = {
     "door 20": lambda seed: scenes.perturbed(scenes.door(20), seed),
     "crowd 25": lambda seed: scenes.crowd(25, seed),
     "crowd 50": lambda seed: scenes.crowd(50, seed),
 }
-NUM_STARTS = 3
-LIMIT_FACTOR, LEAST_LIMIT, LARGEST_LIMIT, LEAST_FACTOR = 100.0, 4.0, 8.0, 4.0
-IMPROVE_SECONDS = 2.0
+NUM_STARTS = 20
+NUM_FIRST = 3  # variants in which all planners run, and which are drawn
+LEAST_LIMIT, LIMIT_FACTOR = 2.0, 2.0  # seconds of a trial at least, and in our seconds
 
 OURS = "bl_plan"
-MARKS = ("first_path", "cost_5_percent_more", "same_cost")
+MARKS = {"first_path": np.inf, "cost_5_percent_more": 1.05, "same_cost": 1.0}  # costs, over our cost
 _STYLES = {
     OURS: ("#D55E00", OURS, 2.2),
     "RRTConnect": ("#0072B2", "RRT-Connect, simplified, restarted", 1.1),
@@ -58,78 +59,72 @@ _ROUNDING = 1e-5  # of costs in a history
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     names = ["single door"] if smoke else [*SCENES, *CROWDS]
     seeds = [seed] if smoke else list(range(seed, seed + NUM_STARTS))
-    largest, improve = (0.5, 0.2) if smoke else (LARGEST_LIMIT, IMPROVE_SECONDS)
-    variants = [(name, start) for name in names for start in seeds]
-    trials = [race(*variant, largest, improve) for variant in tqdm(variants, desc="race", delay=3, disable=None)]
+    least, trials = 0.5 if smoke else LEAST_LIMIT, []
+    for name in tqdm(names, desc="race", delay=3, disable=None):
+        first = [race(name, start, PLANNERS, least) for start in seeds[:NUM_FIRST]]
+        able = tuple(each for each in PLANNERS if any(entry["ompl"][each]["history_cost"] for entry in first))
+        trials.append([*first, *(race(name, start, able, least) for start in seeds[NUM_FIRST:])])
     return {
         "seeds": seeds,
-        "planners": list(PLANNERS),
-        "limit": {
-            "factor": LIMIT_FACTOR,
-            "least": min(LEAST_LIMIT, largest),
-            "largest": largest,
-            "ours": LEAST_FACTOR,
-        },
-        "improve_seconds": improve,
-        "summary": [summary([entry for entry in trials if entry["scene"] == name]) for name in names],
-        "trials": trials,
+        "limit": {"least": least, "factor": LIMIT_FACTOR},
+        "summary": [summary(entries) for entries in trials],
+        "trials": [entry for entries in trials for entry in entries],
     }
 
 
-def race(name: str, seed: int, largest_limit: float, improve_seconds: float) -> dict[str, Any]:
-    """All planners on one variant of a scene."""
+def race(name: str, seed: int, planners: tuple[str, ...], least: float) -> dict[str, Any]:
+    """Run some planners on one variant of a scene."""
     problem = CROWDS[name](seed) if name in CROWDS else scenes.perturbed(SCENES[name](), seed)
-    bound = lower_bound(problem)
-    ours = ours_of(problem, improve_seconds)
-    limit = float(np.clip(LIMIT_FACTOR * ours["seconds"], min(LEAST_LIMIT, largest_limit), largest_limit))
-    limit = max(limit, LEAST_FACTOR * ours["seconds"])
-    planners = PLANNERS if problem.dof == 2 else PLANNERS[:-1]
+    ours = ours_of(problem)
+    limit = max(least, LIMIT_FACTOR * ours["known_map"]["same_cost"])
     return {
         "scene": name,
         "seed": seed,
-        "lower_bound": round(bound, 6),
+        "lower_bound": round(lower_bound(problem), 6),
         "limit": round(limit, 3),
         "ours": ours,
         "ompl": {planner: trial(problem, planner, seed, limit, ours["cost"]) for planner in planners},
     }
 
 
-def ours_of(problem: Problem, improve_seconds: float) -> dict[str, Any]:
-    """Our first path, shortened, after a plan for the team on its way back; then better ones."""
-    plan(reversed_team(problem), None, BLOptions())
+def ours_of(problem: Problem) -> dict[str, Any]:
+    """Our first path, shortened, on a known map and on a new one."""
+    plan(reversed_team(problem), None, BLOptions(time_limit=1.0))
     solution, seconds, valid = plan_and_check(problem, None, BLOptions())
     if not solution.solved:
         raise RuntimeError(f"We did not set a cost for the others to reach: {solution.status}.")
-    history = solution.stats.history
-    # No path costs as little as the bound of straight lines, so that this goes on until the time is over.
-    improved, _ = plan(problem, None, BLOptions(cost_factor=1e-9, time_limit=improve_seconds))
+    began, old = perf_counter(), problem.workspace
+    workspace = Workspace(old.bounds, old.obstacles, squeeze=old.squeeze)
+    team = Problem(workspace, problem.robots, problem.starts, problem.goals, problem.rotation_weight)
+    prepared = perf_counter() - began
+    on_new_map, seconds_on_new_map = plan(team, None, BLOptions())
     return {
-        "seconds": round(seconds, 5),
-        "near_seconds": round(next(found for found, cost in history if cost <= 1.05 * solution.cost), 5),
-        "first_path_seconds": round(history[0][0], 5),
-        "found_by": solution.stats.found_by,
+        "known_map": seconds_to_marks(solution, seconds),
+        "new_map": seconds_to_marks(on_new_map, seconds_on_new_map, prepared),
         "cost": round(solution.cost, 9),
         "valid": valid,
-        "improved_cost": round(improved.cost, 9) if improved.solved else None,
-        "improved_valid": is_valid(problem, improved),
-        **history_of(improved),
+        "new_map_valid": is_valid(team, on_new_map),
+        **history_of(solution),
     }
+
+
+def seconds_to_marks(solution: Solution, seconds: float, prepared: float = 0.0) -> dict[str, float]:
+    """Return our seconds to each of the marks, of which the last ends with the call."""
+    within = [factor * solution.cost for factor in MARKS.values()]
+    reached = [next(found for found, cost in solution.stats.history if cost <= most) for most in within[:-1]]
+    return {mark: round(prepared + found, 5) for mark, found in zip(MARKS, [*reached, seconds], strict=True)}
 
 
 def trial(problem: Problem, planner: str, seed: int, limit: float, target: float) -> dict[str, Any]:
     """One trial of one of OMPL's planners."""
-    if planner == PRIORITIZED:
-        solution = ompl_prioritized(problem, seed=seed, time_limit=limit, cost_target=target)
-    else:
-        solution = ompl_plan(problem, planner, seed=seed, time_limit=limit, cost_target=target)
-    reached = [seconds for seconds, cost in solution.stats.history if cost <= target]
+    if planner == PRIORITIZED and problem.dof == 3:
+        return {"valid": None, "tests": 0, "python_share": 0.0, "history_seconds": [], "history_cost": []}
+    solution = ompl_plan(problem, planner, seed=seed, time_limit=limit, cost_target=target)
+    stats = solution.stats
     return {
-        "seconds": round(reached[0], 5) if reached else None,
-        "first_path_seconds": round(solution.stats.history[0][0], 5) if solution.solved else None,
-        "cost": round(solution.cost, 9) if solution.solved else None,
         "valid": is_valid(problem, solution),
-        "seconds_compile": round(solution.stats.seconds["compile"], 3),
-        "vertices": solution.stats.num_nodes,
+        "tests": stats.num_children_scored,
+        "python_share": round(stats.seconds["python"] / stats.seconds["plan"], 4),
         **history_of(solution),
     }
 
@@ -142,97 +137,72 @@ def history_of(solution: Solution) -> dict[str, list[float]]:
     }
 
 
-def best_of(entry: dict[str, Any], factor: float) -> tuple[str | None, float]:
-    """OMPL's first planner to a path of so many times our cost at most, and when; None and the limit if none."""
-    times = {}
-    for planner, attempt in entry["ompl"].items():
-        history = zip(attempt["history_seconds"], attempt["history_cost"], strict=True)
-        reached = [seconds for seconds, cost in history if cost <= factor * entry["ours"]["cost"] + _ROUNDING]
-        if reached:
-            times[planner] = reached[0]
-    winner = min(times, key=times.__getitem__, default=None)
-    return winner, entry["limit"] if winner is None else times[winner]
+def reached_at(attempt: dict[str, Any], cost: float) -> float:
+    """Return the seconds of a trial to a path of at most this cost, ``inf`` without one."""
+    reached = (np.array(attempt["history_cost"]) <= cost + _ROUNDING).nonzero()[0]
+    return attempt["history_seconds"][reached[0]] if len(reached) else np.inf
+
+
+def best_of(entry: dict[str, Any], factor: float, without_python: float = 0.0) -> tuple[str, float]:
+    """Return OMPL's first planner to a path of so many times our cost, and its seconds, or those without Python."""
+    seconds = {
+        planner: reached_at(attempt, factor * entry["ours"]["cost"]) * (1 - without_python * attempt["python_share"])
+        for planner, attempt in entry["ompl"].items()
+    }
+    winner = min(seconds, key=seconds.__getitem__)
+    return winner, seconds[winner]
 
 
 def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
-    """Medians over the variants of one scene; where no planner was within the limit, the limit counts."""
+    """Our medians over the variants of one scene, for each mark, and in how many variants we came first.
+
+    In each variant, the best of OMPL's planners counts.
+    """
     result: dict[str, Any] = {"scene": entries[0]["scene"], "variants": len(entries)}
-    keys = ("first_path_seconds", "near_seconds", "seconds")
-    for name, key, factor in zip(MARKS, keys, (np.inf, 1.05, 1.0), strict=True):
-        ours = np.array([entry["ours"][key] for entry in entries])
-        best = [best_of(entry, factor) for entry in entries]
-        winners = [winner for winner, _ in best if winner]
-        times = np.array([seconds for _, seconds in best])
-        result[name] = {
-            "ours": float(np.median(ours)),
-            "best": float(np.median(times)),
-            "winners": winners,
-            "at_least": 2 * len(winners) <= len(entries),
-            "ratio": float(np.median(times / ours)),
+    for mark, factor in MARKS.items():
+        first = [best_of(entry, factor) for entry in entries]
+        best = np.array([seconds for _, seconds in first])
+        native = np.array([best_of(entry, factor, 1.0)[1] for entry in entries])
+        known, new = (np.array([entry["ours"][each][mark] for entry in entries]) for each in ("known_map", "new_map"))
+        result[mark] = {
+            "ours": float(np.median(known)),
+            "new_map": float(np.median(new)),
+            "best": [each if np.isfinite(each) else None for each in best.tolist()],
+            "without_python": [each if np.isfinite(each) else None for each in native.tolist()],
+            "sooner": int((known < best).sum()),
+            "sooner_on_new_map": int((new < best).sum()),
+            "sooner_than_without_python": int((known < native).sum()),
+            "winners": Counter(winner for winner, seconds in first if seconds < np.inf),
         }
     return result
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """Cost over time, one panel a scene, one line a planner and variant."""
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for entry in results["trials"]:
-        groups.setdefault(entry["scene"], []).append(entry)
-    columns = min(_COLUMNS, len(groups))
-    rows = -(-len(groups) // columns)
+    """Draw cost over time in the first variants, one panel a scene, one line a planner and variant."""
+    first = [entry for entry in results["trials"] if entry["seed"] in results["seeds"][:NUM_FIRST]]
+    names = list(dict.fromkeys(entry["scene"] for entry in first))
+    columns = min(_COLUMNS, len(names))
+    rows = -(-len(names) // columns)
     figure = Figure(figsize=(2.75 * columns + 0.4, 2.3 * rows + 0.9), layout="constrained", facecolor="white")
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for ax in axes.flat[len(groups) :]:
-        ax.set_axis_off()
-    for ax, (name, entries) in zip(axes.flat, groups.items(), strict=False):
-        for entry in entries:
-            add_lines(ax, entry, results["improve_seconds"])
-        ax.set_title(name, fontsize=10)
-        style_panel(ax)
-    for ax in axes[:, 0]:
-        ax.set_ylabel("cost over lower bound", fontsize=9)
-    for ax in axes[-1]:
-        ax.set_xlabel("time", fontsize=9)
-    handles = [Line2D([], [], color=color, lw=width) for color, _, width in _STYLES.values()]
-    labels = [label for _, label, _ in _STYLES.values()]
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns + 1, frameon=False, fontsize=9)
+    for ax, name in itertools.zip_longest(axes.flat, names):
+        ax.set(xscale="log", yscale="log", ylim=(_LEAST_EXCESS, 4.0), title=name, visible=name is not None)
+        ax.grid(True, color="#e4e4e4", lw=0.6)
+    for entry, (planner, (color, _, width)) in itertools.product(first, _STYLES.items()):
+        attempt = entry["ours"] if planner == OURS else entry["ompl"][planner]
+        if costs := attempt["history_cost"]:
+            seconds = attempt["history_seconds"]
+            is_over = costs[-1] <= entry["ours"]["cost"] + _ROUNDING  # else the trial went on to the limit
+            end = seconds[-1] if is_over else entry["limit"]
+            excess = np.maximum(np.array([*costs, costs[-1]]) / entry["lower_bound"] - 1, _LEAST_EXCESS)
+            ax = axes.flat[names.index(entry["scene"])]
+            ax.step([*seconds, end], excess, where="post", color=color, lw=width)
+    figure.supxlabel("seconds")
+    figure.supylabel("cost over lower bound, less 1")
+    handles = [Line2D([], [], color=color, lw=width, label=label) for color, label, width in _STYLES.values()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns + 1, frameon=False)
     figure.savefig(output / "race.png", dpi=150)
     return [output / "race.png"]
-
-
-def style_panel(ax: Axes) -> None:
-    ticks = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-    ax.set(xscale="log", yscale="log", ylim=(_LEAST_EXCESS, 4.0))
-    ax.set_xticks([0.001, 0.01, 0.1, 1, 10], ["1 ms", "10 ms", "0.1 s", "1 s", "10 s"])
-    ax.set_yticks(ticks, [f"+{100 * tick:.3g} %" for tick in ticks])
-    ax.tick_params(which="minor", left=False, bottom=False)
-    ax.grid(True, which="major", color="#e4e4e4", lw=0.6)
-    ax.tick_params(labelsize=8)
-    ax.spines[["top", "right"]].set_visible(False)
-
-
-def add_lines(ax: Axes, entry: dict[str, Any], improve_seconds: float) -> None:
-    """Cost of each planner's best path so far, to the end of its trial; a dot where it reached our cost."""
-    for planner, attempt in entry["ompl"].items():
-        reached = attempt["seconds"]
-        add_line(ax, planner, attempt, entry["lower_bound"], entry["limit"] if reached is None else reached)
-        if reached is not None:
-            excess = excess_of(attempt["history_cost"][-1:], entry["lower_bound"])
-            ax.plot([reached], excess, "o", color=_STYLES[planner][0], ms=3.5, zorder=5)
-    add_line(ax, OURS, entry["ours"], entry["lower_bound"], improve_seconds)
-
-
-def add_line(ax: Axes, name: str, attempt: dict[str, Any], bound: float, end: float) -> None:
-    seconds, costs = attempt["history_seconds"], attempt["history_cost"]
-    if costs:
-        color, _, width = _STYLES[name]
-        excess = excess_of([*costs, costs[-1]], bound)
-        end = max(end, seconds[-1])
-        ax.step([*seconds, end], excess, where="post", color=color, lw=width, zorder=4 if name == OURS else 3)
-
-
-def excess_of(costs: list[float], bound: float) -> Float[np.ndarray, " n"]:
-    return np.maximum(np.array(costs) / bound - 1, _LEAST_EXCESS)
 
 
 if __name__ == "__main__":

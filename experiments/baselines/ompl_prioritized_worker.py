@@ -1,6 +1,27 @@
 """One trial of prioritized planning: ``python -m experiments.baselines.ompl_prioritized_worker``.
 
 The task comes in and messages go out as with ``ompl_worker``.
+
+OMPL's RRT-Connect plans for one robot after the other. Each robot gets a path in OMPL's space of position and time,
+at speeds up to 1, among the robots that were planned for before it, which move along their paths. A robot that finds
+no path in its share of the time comes first in the next order, which begins anew. All robots arrive at the same time,
+a horizon: nobody has to find a way around robots at rest at their goals, though a path may well rest anywhere.
+Horizons of several lengths are tried in turn. In every other attempt, OMPL's simplifier shortens each path before the
+next robot is planned for.
+
+From then on, robots are planned for again, each among all others, and their paths simplified, while that helps; then
+another order begins. Replanned robots depart and arrive at random times and rest before and after, where they can:
+without that, all would be on their way, and in each other's, all the time.
+
+OMPL's distance in space and time, infinite where a robot would be too slow, guides RRT-Connect, with motions of at
+most a fifth of the bounds' longer side. Paths are simplified in the product of the plane and the time, with nearly
+all weight on the plane, as OMPL's simplifier needs a metric. A whole motion is tested at once by compiled code,
+exactly.
+
+References:
+    Erdmann, Lozano-Pérez: On multiple moving objects. Algorithmica 2, 1987.
+    Bennewitz, Burgard, Thrun: Finding and optimizing solvable priority schemes for decoupled path planning
+    techniques for teams of mobile robots. Robotics and Autonomous Systems 41, 2002.
 """
 
 import itertools
@@ -13,7 +34,7 @@ import numpy as np
 from jaxtyping import Float
 from ompl import base, geometric
 
-from experiments.baselines.ompl import Done, Found, Ready, Task
+from experiments.baselines.ompl import Done, Found, Task
 from experiments.baselines.ompl_motions import Scene
 from experiments.baselines.ompl_tracks import Track, Traffic, is_free, is_motion_free_among, row_of
 from experiments.baselines.ompl_worker import Send, information_of, is_news, plane_of, require_same, serve
@@ -148,13 +169,11 @@ class _Trial:
 
 def run(task: Task, send: Send) -> Done:
     """Plan, and report each path that is cheaper."""
-    begin = time.perf_counter()
     scenes = [Scene(size[None], task.walls, task.tolerance) for size in task.sizes]
     perimeter = 2 * float((task.hi - task.lo).sum())
     planners = [_Planner(task, scenes, horizon * perimeter) for horizon in _HORIZONS]
     for planner in planners:
         planner.check()
-    send(Ready(time.perf_counter() - begin))
     trial = _Trial(task, send)
     _search(trial, planners)
     checked, free = sum(scene.num_checked for scene in scenes), sum(scene.num_free for scene in scenes)

@@ -10,7 +10,7 @@ import pickle
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -18,12 +18,13 @@ from jaxtyping import Float
 from ompl import base, geometric
 from ompl import util as ompl_util
 
-from experiments.baselines.ompl import Done, Found, Message, Ready, Task
-from experiments.baselines.ompl_motions import Scene, configurations_of, is_free, is_motion_free
+from experiments.baselines.ompl import Done, Found, Message, Task
+from experiments.baselines.ompl_motions import Scene, configurations_of, is_always_free, is_free, is_motion_free
 
 Send: TypeAlias = Callable[[Message], None]
 
 _LEAST_IMPROVEMENT = 0.002  # by which a path is cheaper than the last one reported, as a share
+_NUM_TIMED, _NUM_TIMINGS = 1_000, 20  # calls of Python that are timed at once, and how often; the least time counts
 
 
 class _Motions(base.MotionValidator):
@@ -46,16 +47,17 @@ class _Length(base.OptimizationObjective):
 
     def __init__(self, information: Any):
         super().__init__(information)
-        self._distance = information.distance
+        self._distance, self.num_calls = information.distance, 0
 
     def stateCost(self, state: Any) -> Any:
         return base.Cost(0.0)
 
     def motionCost(self, first: Any, last: Any) -> Any:
+        self.num_calls += 1
         return base.Cost(self._distance(first, last))
 
     def motionCostHeuristic(self, first: Any, last: Any) -> Any:
-        return base.Cost(self._distance(first, last))
+        return self.motionCost(first, last)
 
 
 def _length(information: Any) -> Any:
@@ -128,15 +130,25 @@ def serve(trial: Callable[[Task, Send], Done]) -> None:
     task: Task = pickle.load(sys.stdin.buffer)
     ompl_util.RNG.setSeed(task.seed + 1)  # 0 is no seed to OMPL
     ompl_util.setLogLevel(ompl_util.LOG_ERROR)
-    send(trial(task, send))
+    done = trial(task, send)
+    send(replace(done, seconds_a_call=_seconds_a_call(task)))
     os._exit(0)  # past the bindings' report on what they leak at exit
+
+
+def _seconds_a_call(task: Task) -> float:
+    """Time OMPL's calls of motion tests in Python, without the tests: it checks a path by a test of nothing."""
+    information, times = information_of(plane_of(task), is_always_free, [0]), []
+    path = geometric.PathGeometric(information, [information.allocState()] * _NUM_TIMED)
+    for _ in range(_NUM_TIMINGS):  # the first one compiles
+        begin = time.perf_counter()
+        path.check()
+        times.append(time.perf_counter() - begin)
+    return min(times) / _NUM_TIMED
 
 
 def _trial(task: Task, send: Send) -> Done:
     """Plan, and report each path that is cheaper."""
-    begin = time.perf_counter()
     setup = _setup(task)
-    send(Ready(time.perf_counter() - begin))
     begin, best, scene = time.perf_counter(), np.inf, setup.scene
 
     def report(cost: float) -> bool:
@@ -152,7 +164,8 @@ def _trial(task: Task, send: Send) -> Done:
 
     finished = _PLANS[task.planner](setup, report, begin + task.time_limit)
     seconds = time.perf_counter() - begin
-    return Done(finished or best <= task.cost_target, seconds, setup.samples(), scene.num_checked, scene.num_free)
+    finished, num_costs = finished or best <= task.cost_target, getattr(setup.objective, "num_calls", 0)
+    return Done(finished, seconds, setup.samples(), scene.num_checked, scene.num_free, num_costs)
 
 
 def is_news(cost: float, best: float, task: Task) -> bool:

@@ -152,7 +152,7 @@ def _plan_by_robots(seed: int, smoke: bool) -> Curve:
 
 def _plan_seconds(problem: Problem, num_runs: int, plr_bytes: int) -> float:
     """Seconds of BL with PLRs, which are there already."""
-    heuristic = _planning.build(problem, _planning.PLR, plr_bytes).heuristic
+    heuristic = _planning.build(problem, _planning.PLR, plr_bytes)
     _planning.plan(problem, heuristic, BLOptions(searchers=("bl",)))
     runs = [_planning.plan(problem, heuristic, BLOptions(searchers=("bl",))) for _ in range(num_runs)]
     if not runs[0][0].solved:

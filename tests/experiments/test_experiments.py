@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import figures, paper_query, portable, readme_tables, table1, threshold
+from experiments import _planning, figures, paper_query, portable, readme_tables, sba_star, table1, table2, threshold
 from experiments._browser import chromium
 from experiments._nearest_vertex import NearestVertex
 from experiments._runner import RESULTS
 from experiments.benchmarks import _accuracy, _query
 from experiments.benchmarks._maps import load_map
-from plr_jax import Roadmap, VisibilityGraph, construct
+from plr_jax import Roadmap, VisibilityGraph, construct, scenes
 
 pytestmark = pytest.mark.full
 
@@ -170,3 +170,26 @@ def test_threshold_has_bytes_and_errors_of_this_code():
 
 def test_fig1_shows_the_file_of_this_code():
     assert_close(figures.surface(0, smoke=False), results_of("figures")["surface"])
+
+
+@pytest.mark.parametrize("heuristic", [table2.LATTICE, _planning.POINT_PLR])
+@pytest.mark.parametrize("name", ["single door", "cross 3"])
+def test_table2_has_nodes_and_costs_of_this_code(name, heuristic):
+    results = results_of("table2")
+    told = next(row for row in results["rows"] if (row["scene"], row["heuristic"]) == (name, heuristic))
+    problem = scenes.perturbed(_planning.SCENES[name](), told["seed"][0])
+    solution, _ = table2.run_of(problem, heuristic, results["plr_bytes"], told["time_limit"])
+    found = table2.outcome(problem, solution, _planning.lower_bound(problem))
+    for key in ("nodes", "cost_over_bound", "first_path_cost"):
+        assert found[key] == pytest.approx(told[key][0], rel=0.02), key
+
+
+@pytest.mark.parametrize("heuristic", [_planning.NONE, _planning.STRAIGHT])
+def test_sba_star_has_vertices_and_costs_of_this_code(heuristic):
+    results = results_of("sba_star")
+    told, problem = next(row for row in results["rows"] if row["heuristic"] == heuristic), scenes.single_door()
+    options = (results["max_vertices"], _planning.lower_bound(problem))
+    for seed in range(2):
+        found = sba_star.measure(problem, _planning.build(problem, heuristic), seed, *options)
+        for key in ("vertices", "cost_over_bound"):
+            assert found[key] == pytest.approx(told[key][seed], rel=0.02), key

@@ -5,7 +5,7 @@ import pytest
 from robot_helpers import random_motions
 
 from experiments.baselines import ompl as ompl_module
-from experiments.baselines.ompl import Done, Found, Ready, ompl_plan, task_of
+from experiments.baselines.ompl import Done, Found, ompl_plan, task_of
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, validate
 from plr_jax.collision.team import motions_apart
 from plr_jax.collision.walls import MotionTest
@@ -81,9 +81,9 @@ def test_invalid_paths_are_dropped():
 
     def found(*paths):
         messages = [Found(float(seconds), path) for seconds, path in enumerate(paths)]
-        messages = [Ready(0.5), *messages, Done(True, 9.0, np.zeros((4, 1, 3)), 10, 6)]
+        messages = [*messages, Done(True, 9.0, np.zeros((4, 1, 3)), 10, 6)]
         with pytest.warns(UserWarning, match="is not valid and was dropped: Robot 0 collides with obstacle 0"):
-            return ompl_module._solution(problem, "RRTstar", messages, False)
+            return ompl_module._solution(problem, "RRTstar", messages)
 
     solution = found(far_over, over, through)
     assert [seconds for seconds, _ in solution.stats.history] == [0.0, 1.0]
