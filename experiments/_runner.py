@@ -7,7 +7,7 @@ import platform
 import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -51,42 +51,32 @@ def run(
             that do so, each written as soon as it is measured, of which ``--only`` names some.
         draw: Takes the results as read back and the output folder; gives the pictures it wrote. Sections have theirs.
     """
-    sections = measured if isinstance(measured, Mapping) else None
-    arguments = _arguments(name, purpose, sections)
+    is_divided = isinstance(measured, Mapping)
+    sections = measured if is_divided else {WHOLE: Section(measured, draw)}
+    arguments = _arguments(name, purpose, list(sections) if is_divided else [])
     # The smallest setting must never replace results that are committed.
     fresh = Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke and not arguments.output else RESULTS
-    output = arguments.output or fresh
-
-    def results_so_far() -> Iterator[tuple[str, dict[str, Any]]]:
-        if isinstance(measured, Mapping):
-            for section in arguments.only or measured:
-                print(f"== {section}", flush=True)
-                part = measured[section].measure(arguments.seed, arguments.smoke)
-                old = read(output, name)["results"] if (output / f"{name}.json").exists() else {}
-                kept = {each: part if each == section else old[each] for each in measured if each in {*old, section}}
-                yield section, kept
-        else:
-            yield WHOLE, measured(arguments.seed, arguments.smoke)
-
-    began = time.perf_counter()
-    if not arguments.draw:
-        commit, today = commit_of_code(), date.today().isoformat()
-        for part, results in results_so_far():
-            now = time.perf_counter()
-            about = {"commit": commit, "date": today, "minutes": round((now - began) / 60, 1)}
-            is_kept = part != WHOLE and (output / f"{name}.json").exists()
-            measured_parts = {**(read(output, name)["measured"] if is_kept else {}), part: about}
-            record = {"experiment": name, "smoke": arguments.smoke, "seed": arguments.seed, **_environment()}
-            print(f"wrote {write(output, name, {**record, 'measured': measured_parts, 'results': results})}")
-            began = now
+    output, commit, today = arguments.output or fresh, commit_of_code(), date.today().isoformat()
+    for part in [] if arguments.draw else arguments.only or sections:
+        print(f"== {part}", flush=True)
+        began = time.perf_counter()
+        found = sections[part].measure(arguments.seed, arguments.smoke)
+        about = {"commit": commit, "date": today, "minutes": round((time.perf_counter() - began) / 60, 1)}
+        is_kept = is_divided and (output / f"{name}.json").exists()
+        old = read(output, name) if is_kept else {"measured": {}, "results": {}}
+        parts = {**old["results"], part: found}
+        record = {"experiment": name, "smoke": arguments.smoke, "seed": arguments.seed, **_environment()}
+        record["measured"] = {**old["measured"], part: about}
+        record["results"] = {each: parts[each] for each in sections if each in parts} if is_divided else found
+        print(f"wrote {write(output, name, record)}")
     results = read(output, name)["results"]
     print(as_text(results, name))
-    drawn = [(draw, results)] if sections is None else [(sections[each].draw, part) for each, part in results.items()]
-    for path in (path for draws, part in drawn for path in draws(part, output)):
-        print(f"wrote {path}")
+    for part, found in (results if is_divided else {WHOLE: results}).items():
+        for path in sections[part].draw(found, output):
+            print(f"wrote {path}")
 
 
-def _arguments(name: str, purpose: str | None, sections: Mapping[str, Section] | None) -> argparse.Namespace:
+def _arguments(name: str, purpose: str | None, sections: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog=f"python -m experiments.{name}", description=purpose)
     parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
@@ -94,8 +84,7 @@ def _arguments(name: str, purpose: str | None, sections: Mapping[str, Section] |
     parser.add_argument(
         "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
     )
-    if sections is not None:
-        parser.add_argument("--only", nargs="+", choices=list(sections), help="measure only these again")
+    parser.add_argument("--only", nargs="+", choices=sections, help="measure only these sections again")
     return parser.parse_args()
 
 

@@ -235,8 +235,7 @@ def _table(oracle: ReedsShepp, columns: int, rows: int, turns: int) -> np.ndarra
 
 
 def _looked_up(lengths: np.ndarray, x: np.ndarray, exact: np.ndarray, folder: Path) -> dict[str, float]:
-    turns = 72 if len(lengths) == np.prod(SHAPE) else 8
-    rows = 201 if turns == 72 else 21
+    rows, turns = SHAPE[1:] if len(lengths) == np.prod(SHAPE) else (21, 8)
     numbers = {"per_radian": repr(turns / (2 * np.pi)), "per_radius": repr((rows - 1) / REACH)}
     code = _LOOKUP.format(turns=turns, rows=rows, reach=REACH, **numbers)
     function = CompiledHeader(code, "table", np.float32, 3, folder)

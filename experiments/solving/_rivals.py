@@ -15,8 +15,6 @@ from scipy.sparse.csgraph import dijkstra
 from plr_jax import Box, ConfigurationSpace, FreeTest, GridField, MotionCost, Roadmap, SeesBoxes
 from plr_jax.geometry import graph as graphs
 
-Configurations = Float[np.ndarray, "n dof"]
-
 
 @dataclass
 class Tests:
