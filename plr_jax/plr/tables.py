@@ -223,7 +223,7 @@ def build_pages(
     leaf_of_slot[start[block[pair]] + np.sum(slot << (gaps + below), axis=1)] = leaf[pair]
     leaf_of_slot[: len(cells)] = np.arange(len(cells))
     mask = np.sum(((1 << shape) - 1) << (page_bits - shape + below), axis=1)
-    words = padded((start << page_bits.sum()) | mask, 1 << block_bits.sum())
+    words = padded((start << page_bits.sum()) | mask, 1 << int(block_bits.sum()))
     place = ((1 << page_bits) - 1) << (FRACTION_BITS - bits), FRACTION_BITS - bits - below, page_bits.sum() + 0 * bits
     pages = Pages(jax.device_put(words.astype(np.uint32)), jax.device_put(np.stack(place).astype(np.uint32)))
     return pages, block_bits, leaf_of_slot, slots

@@ -185,8 +185,9 @@ def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
 
 
-# A round splits up to half of the leaves, or all if they are few, before all values are fitted again.
-_MOST_SPLIT, _FEW_LEAVES = 0.5, 64
+# A round splits up to half of the leaves before all values are fitted again; all of them while they are fewer than one
+# in 32 of the splits that the limits allow.
+_MOST_SPLIT, _FIRST = 0.5, 1 / 32
 # A round makes at most 0.4 of the splits that the limits allow, since errors change when adjacent leaves are split:
 # last rounds that split many leaves would leave some of them with several times the error of the others. It splits
 # at least one in 32 leaves. If the byte limit allows to split less than one in 50, growth ends.
@@ -247,7 +248,7 @@ class _Rounds:
             if now.is_full or room < _WORTH_A_ROUND * len(now):
                 room = 0
         number = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
-        share = 1.0 if len(now) < _FEW_LEAVES else _MOST_SPLIT
+        share = 1.0 if len(now) < _FIRST * room else _MOST_SPLIT
         number = min(number, int(np.ceil(share * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))
