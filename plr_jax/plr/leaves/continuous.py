@@ -185,8 +185,8 @@ def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
 
 
-# A round splits up to half of the leaves before all values are fitted again; all of them while they are fewer than one
-# in 32 of the splits that the limits allow.
+# A round splits up to half of the leaves before all values are fitted again. It splits all of them while they are
+# fewer than one in 32 of the splits that the limits allow.
 _MOST_SPLIT, _FIRST = 0.5, 1 / 32
 # A round makes at most 0.4 of the splits that the limits allow, since errors change when adjacent leaves are split:
 # last rounds that split many leaves would leave some of them with several times the error of the others. It splits
