@@ -117,7 +117,7 @@ def small(seed: int, smoke: bool) -> dict[str, Any]:
         lambda free: jax.tree.leaves(grid_distance(free, None, moves=4)),
         (free[:few],),
     )
-    held = jax.eval_shape(jax.vmap(grid_distance), free, goals)
+    held = jax.eval_shape(lambda *given: jax.tree.leaves(jax.vmap(grid_distance)(*given)), free, goals)
     num_bytes = sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(held)) / number
     rows = timed(calls | rivals(free, goals, few))
     versions = versions_of("jaxmarl", "minimax-lib", "jaxgmg")
