@@ -261,13 +261,13 @@ def leaves(seed: int, smoke: bool) -> dict[str, Any]:
             oracle = VisibilityGraph(problem.workspace, problem.goals[0])
             x = problem.workspace.sample_free(num_points, seed)
             for leaf in LEAVES:
-                rows.append({"map": name, **leaf_row(oracle, leaf, x, Path(folder) / name)})
+                rows.append({"map": name, **leaf_row(oracle, leaf, x, seed, Path(folder) / name)})
                 print(rows[-1], flush=True)
     return {"points": num_points, "budget": LEAF_BYTES, "rows": rows}
 
 
-def leaf_row(oracle: VisibilityGraph, leaf: str, x: np.ndarray, folder: Path) -> dict[str, Any]:
-    plr = construct(oracle, oracle.workspace.bounds, leaf=leaf, max_bytes=LEAF_BYTES, certified=True)
+def leaf_row(oracle: VisibilityGraph, leaf: str, x: np.ndarray, seed: int, folder: Path) -> dict[str, Any]:
+    plr = construct(oracle, oracle.workspace.bounds, leaf=leaf, max_bytes=LEAF_BYTES, certified=True, seed=seed)
     sizes, error = section_bytes(object_for_size(plr, folder)), error_map(plr, oracle, x)
     row = {"leaf": leaf, "leaves": plr.num_leaves, "bytes": plr.num_bytes}
     row |= {"resident_bytes": plr.resident_bytes, "c_bytes": sizes["code"] + sizes["data"]}

@@ -18,9 +18,9 @@ from plr_jax.plr.tree import Cells
 FRACTION_BITS = 23  # mantissa bits of a 32-bit float
 WORD_BITS = 32
 _MIN_CLASS = 8  # smallest size class of a file, 256 bytes
-_SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, log2 of slots); MAX_FLAT_BITS for more leaves
+_SLOT_BITS = ((2**10, 14), (2**12, 16))  # (most leaves, log2 of slots); _MAX_FLAT_BITS for more leaves
 MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
-MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
+_MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
 _DEEP_BITS = 28  # most halvings, summed over the axes, for more leaves than MOST_ROWS or more than two axes
 _PAGED_DEPTH = 14  # most halvings along an axis of tables with pages, so that blocks and pages stay small
 # Log2 of the largest number of entries of lookup tables, per byte of the file, and least and largest value of it.
@@ -117,7 +117,7 @@ def rows_of_class(of_class: int, least_bytes: int | float) -> int:
 
 def slot_bits_of_rows(rows: int) -> int:
     """Return log2 of the least size, after padding, of a lookup table for a file with room for ``rows`` leaves."""
-    return next((bits for most, bits in _SLOT_BITS if rows <= most), MAX_FLAT_BITS)
+    return next((bits for most, bits in _SLOT_BITS if rows <= most), _MAX_FLAT_BITS)
 
 
 def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_deep: bool) -> int:
@@ -127,7 +127,7 @@ def max_axis_depth(dim: int, of_class: int | None, least_bytes: int | float, is_
     """
     rows = None if of_class is None else rows_of_class(of_class, least_bytes)
     if rows is None or rows > MOST_ROWS or dim > 2:
-        return max(1, min(MAX_FLAT_BITS, _DEEP_BITS // dim))
+        return max(1, min(_MAX_FLAT_BITS, _DEEP_BITS // dim))
     return max(slot_bits_of_rows(rows) // dim, _PAGED_DEPTH if is_deep else 0)
 
 

@@ -88,7 +88,7 @@ def test_table_of_leaves_has_bytes_and_errors_of_this_code(name, leaf, tmp_path)
     results, (workspace, goal) = results_of("portable")["leaves"], load_map(name)
     (told,) = (row for row in results["rows"] if (row["map"], row["leaf"]) == (name, leaf))
     x = workspace.sample_free(results["points"], 0)
-    found = portable.leaf_row(VisibilityGraph(workspace, goal), leaf, x, tmp_path / "header")
+    found = portable.leaf_row(VisibilityGraph(workspace, goal), leaf, x, 0, tmp_path / "header")
     assert_close({"map": name, **found}, told)
 
 

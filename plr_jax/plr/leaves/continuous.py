@@ -195,7 +195,7 @@ _SHARE_OF_ROOM, _LEAST_SPLIT, _WORTH_A_ROUND = 0.4, 1 / 32, 1 / 50
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
 _VOLUME_POWER = 0.25
 # Values are rounded to the mean error: more leaves reduce the error further than more digits. Near the byte limit,
-# continuous leaves aim at rounding to twice the mean error; values are rounded to at most this multiple.
+# continuous leaves aim at rounding to twice the mean error: beyond 1.8 times, growth ends, and 3 times is the limit.
 _MOST_MEAN_ERRORS, _FULL = 3.0, 1.8
 _SMALLEST_STEP = 2.0**-22  # in units of the largest distance: the resolution of 32-bit floats
 # Weight of the difference between a value and its prediction, relative to the samples of a cell: so small that it
@@ -210,7 +210,7 @@ class _FittedPartition:
     fit: CellFit
     stored: StoredValues
     num_bytes: int
-    is_full: bool  # whether values had to be rounded more than usual to fit into the byte limit
+    is_full: bool  # whether values had to be rounded so coarsely to fit into the byte limit that growth ends
 
     def __len__(self) -> int:
         return len(self.fit)
