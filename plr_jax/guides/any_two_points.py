@@ -23,7 +23,7 @@ distance = pairs(x, y)  # (n,); the batches are broadcast
 lower, upper = pairs.bounds(x[:3], y[:3])  # proven
 
 goals = pairs.prepared(y)  # goals that are queried many times; also inside jit
-distance = pairs(x, goals)  # large batches take about half the time, a fifth on large maps
+distance = pairs(x, goals)  # large batches take less time
 
 plr = pairs.to(y[0])  # the distance to one goal, a PLR with cone leaves
 print(plr(x[:3]), plr_jax.VisibilityGraph(workspace, y[0]).between(x[:3], y[:3]))
