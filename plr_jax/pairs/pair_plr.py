@@ -103,10 +103,10 @@ class PairPLR(FileBacked):
     def prepared(self, goals: ArrayLike) -> PreparedGoals:
         """Compute the distances of goals ``(..., 2)`` to all corners, for use as second points of many calls.
 
-        Large batches then take less time. The result takes 4 bytes per goal and corner. It works under ``jax.jit`` and
-        ``jax.vmap``. Answers differ from unprepared ones by rounding, and have no gradient in goals, which have 32
-        bits. With ``outside="clamp"``, distances are still ``inf`` to a goal outside the domain. Pairs of other maps
-        must not use these goals. ``ValueError`` as for a call.
+        Large batches then take less time. The result takes 4 bytes per goal and corner. It works under ``jax.jit``
+        and ``jax.vmap``. Answers differ from unprepared ones by rounding, and have no gradient in goals, which have
+        32 bits. With ``outside="clamp"``, distances are still ``inf`` to a goal outside the domain. Pairs of other
+        maps must not use these goals. ``ValueError`` as for a call.
         """
         goals = self._from_middle("goals", goals)
         if is_on_one_host(goals, self.file) and self._are_few(_PAIRS_A_GOAL * prod(goals.shape[:-1])):
