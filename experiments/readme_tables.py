@@ -102,6 +102,7 @@ TABLES: dict[str, tuple[Callable[..., str], *tuple[str, ...]]] = {
     "trace": (distances.trace, "trace"),
     "solve_plane": (distances.solve_plane, "solve.plane"),
     "solve_speed": (distances.solve_speed, "solve.speed_map"),
+    "volumes": (distances.volumes, "volumes.volumes"),
     "solve_bodies": (distances.solve_bodies, "solve.bodies"),
     "solve_cars": (distances.solve_cars, "solve.cars"),
     "solve_nodes": (distances.solve_nodes, "solve.nodes"),
