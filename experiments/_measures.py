@@ -37,4 +37,4 @@ def relative_errors(found: np.ndarray, truth: np.ndarray) -> dict[str, float | N
 def peak_megabytes() -> float:
     """The most memory that this process had; ``getrusage`` counts what the one that started it had."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text("ascii").splitlines())
-    return int(status["VmHWM"].split()[0]) / 1e3
+    return int(status["VmHWM"].split()[0]) * 1024 / 1e6

@@ -1,4 +1,4 @@
-"""The one runner of all experiments: command line, results file with the record of where it ran, pictures."""
+"""Run an experiment from the command line: measure, write a results file, draw its pictures."""
 
 import argparse
 import json
@@ -30,7 +30,7 @@ Draw = Callable[[dict[str, Any], Path], list[Path]]
 
 
 class Section(NamedTuple):
-    """A part of an experiment, which is measured and kept by itself; some have pictures."""
+    """A part of an experiment with its own measurement and, for some, pictures."""
 
     measure: Compute
     draw: Draw = lambda results, output: []
@@ -47,16 +47,15 @@ def run(
     Args:
         name: Name of the script, and of its results file.
         purpose: What ``--help`` says.
-        measured: Takes the seed and whether this is the smallest setting, and gives results fit for JSON; or sections
-            that do so, each written as soon as it is measured, of which ``--only`` names some.
-        draw: Takes the results as read back and the output folder; gives the pictures it wrote. Sections have theirs.
+        measured: ``measure(seed, smoke)`` returns results fit for JSON; or named sections that do so. Each section is
+            written as soon as it is measured; ``--only`` selects some.
+        draw: Takes the results as read back and the output folder; returns the pictures it wrote. Not of sections.
     """
     is_divided = isinstance(measured, Mapping)
     sections = measured if is_divided else {WHOLE: Section(measured, draw)}
     arguments = _arguments(name, purpose, list(sections) if is_divided else [])
-    # The smallest setting must never replace results that are committed.
-    fresh = Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke and not arguments.output else RESULTS
-    output, commit, today = arguments.output or fresh, commit_of_code(), date.today().isoformat()
+    output = arguments.output or (Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke else RESULTS)
+    commit, today = commit_of_code(), date.today().isoformat()
     for part in [] if arguments.draw else arguments.only or sections:
         print(f"== {part}", flush=True)
         began = time.perf_counter()
@@ -64,8 +63,13 @@ def run(
         about = {"commit": commit, "date": today, "minutes": round((time.perf_counter() - began) / 60, 1)}
         is_kept = is_divided and (output / f"{name}.json").exists()
         old = read(output, name) if is_kept else {"measured": {}, "results": {}}
+        setting = {"smoke": arguments.smoke, "seed": arguments.seed}
+        if is_kept and any(old[key] != value for key, value in setting.items()):
+            raise SystemExit(
+                f"Other sections were measured with another --seed or --smoke: see {output}/{name}.json."
+            )
         parts = {**old["results"], part: found}
-        record = {"experiment": name, "smoke": arguments.smoke, "seed": arguments.seed, **_environment()}
+        record = {"experiment": name, **setting, **_environment()}
         record["measured"] = {**old["measured"], part: about}
         record["results"] = {each: parts[each] for each in sections if each in parts} if is_divided else found
         print(f"wrote {write(output, name, record)}")
@@ -89,7 +93,7 @@ def _arguments(name: str, purpose: str | None, sections: list[str]) -> argparse.
 
 
 def commit_of_code() -> str:
-    """The commit that is checked out, with a plus if the code differs from it; ``"unknown"`` outside a clone."""
+    """The commit checked out, with a plus if tracked code differs from it; ``"unknown"`` outside a clone."""
 
     def git(*words: str) -> subprocess.CompletedProcess:
         return subprocess.run(["git", *words], cwd=RESULTS, capture_output=True, text=True, check=False)
@@ -100,7 +104,7 @@ def commit_of_code() -> str:
 
 
 def _environment() -> dict[str, Any]:
-    """Where results come from: versions, device, cores, number types."""
+    """Return versions, device, number of cores and number types."""
     import jax
 
     def version_of(package: str) -> str:

@@ -225,6 +225,7 @@ def large(seed: int, smoke: bool) -> dict[str, Any]:
     }
 
 
+SECTIONS = {each.__name__: Section(each) for each in (errors, bounds, mountain, large)}
+
 if __name__ == "__main__":
-    SECTIONS = {"errors": errors, "bounds": bounds, "mountain": mountain, "large": large}
-    run("cost_distance", __doc__, {name: Section(measure) for name, measure in SECTIONS.items()})
+    run("cost_distance", __doc__, SECTIONS)

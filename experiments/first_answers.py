@@ -361,11 +361,7 @@ def pair_queries(seed: int, smoke: bool) -> dict[str, Any]:
     return {"pairs": num_pairs, "rows": rows}
 
 
+SECTIONS = {each.__name__: Section(each) for each in (fresh, certified, one_query, pair_queries)}
+
 if __name__ == "__main__":
-    SECTIONS = {
-        "fresh": Section(fresh),
-        "certified": Section(certified),
-        "one_query": Section(one_query),
-        "pair_queries": Section(pair_queries),
-    }
     run("first_answers", __doc__, SECTIONS)

@@ -4,7 +4,7 @@ In A*, a node is done once it is expanded. In a continuous space, another sample
 promises less, the more samples are near the vertex, and the more of them were rejected. So the key of a vertex is its
 cost estimate over the chance that a sample near it is new and free. The search follows Persson and Sharf,
 "Sampling-based A* algorithm for robot path-planning", IJRR 33(13), 2014, without their anytime and annealing
-schedules; the density of a vertex is a smooth count of the samples near it.
+schedules; the density of a vertex grows from 0 to 1 with the samples in the tree that are near it.
 
 A run is of one scene as published, one heuristic and one seed. It ends at its first path, or at a number of vertices.
 Vertices and costs depend on the seed alone; seconds do not. Every path is checked by ``validate``.

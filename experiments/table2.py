@@ -1,13 +1,14 @@
 """Table II of the paper: BL under heuristics from none to the exact distances, and RRT*, over perturbed variants.
 
-A run is of one scene, one variant of its starts and goals, and one heuristic; it ends at the first path, shortened.
-Under a heuristic, best-first search goes alone, as in the paper; "lattice" is ``bl_plan(problem)``, with all of its
-searches, by the costs along the lattices. RRT* is OMPL's; it ends at a path that costs no more than BL's first path,
+A run has one scene, one variant of its starts and goals, and one heuristic; it ends at the first path, shortened.
+Under a heuristic, only best-first search runs, as in the paper. "lattice" is ``bl_plan(problem)`` with all of its
+searches and the costs along its lattices. RRT* is OMPL's. It ends at a path that costs no more than BL's first path,
 before shortening, under PLRs of points, or at the limit. Before a scene's runs, another variant of it is planned
-under each heuristic, so that everything is compiled, and the map is known; of each variant, "lattice" comes first, to
-which its starts and goals are new. The heuristics get the first few variants, RRT* the first three. BL's nodes, costs
-and paths depend on the seeds alone, but for runs that a limit ended; seconds, and all of RRT*, do not. Every path is
-checked by ``validate``. The race with other planners is ``experiments.race``.
+under each heuristic, so that everything is compiled, and the map is known. "lattice" is the first to plan each
+variant, so that nothing is cached for its starts and goals. Heuristics plan the first five variants, RRT* and
+searches without a heuristic the first three. BL's nodes, costs and paths depend on the seeds alone, except in runs
+that a limit ended; seconds, and all of RRT*, do not. Every path is checked by ``validate``. The race with other
+planners is ``experiments.race``.
 """
 
 from typing import Any
@@ -32,9 +33,11 @@ from experiments.baselines.ompl import ompl_plan
 from plr_jax import BLOptions, Problem, Solution, scenes
 
 NUM_STARTS, NUM_STARTS_UNDER_HEURISTICS = 20, 5
-TIME_LIMIT = 60.0
-# Without a heuristic, or by RRT*, most teams are out of reach: a few starts and seconds show it.
-NUM_STARTS_FEW, TIME_LIMIT_NONE = 3, 20.0
+TIME_LIMIT = 60.0  # seconds
+# Without a heuristic, or by RRT*, most teams are out of reach: few variants show it.
+NUM_STARTS_FEW = 3
+TIME_LIMIT_NONE = 20.0  # without a heuristic
+_WARM_UP = 1.0
 LATTICE, RRT_STAR = "lattice", "RRT*"  # rows that are not of BL under a heuristic
 
 # Seconds and samples; None where the paper has none.
@@ -64,7 +67,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
 
 
 def measure_scene(name: str, settings: dict[str, Any]) -> list[dict[str, Any]]:
-    """One row a heuristic: what is common to its runs, and a list over the seeds of everything measured."""
+    """Return a row for each heuristic; its lists run over the seeds."""
     runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in (LATTICE, *HEURISTICS, RRT_STAR)}
     scene, seeds, plr_bytes = SCENES[name](), settings["seeds"], settings["plr_bytes"]
     limits = {
@@ -74,7 +77,7 @@ def measure_scene(name: str, settings: dict[str, Any]) -> list[dict[str, Any]]:
     }
     known = scenes.perturbed(scene, 1000 + seeds[0])
     for heuristic in (LATTICE, *HEURISTICS):
-        run_of(known, heuristic, plr_bytes, 1.0)
+        run_of(known, heuristic, plr_bytes, _WARM_UP)
     for i, seed in enumerate(tqdm(seeds, desc=name, delay=3, disable=None)):
         problem = scenes.perturbed(scene, seed)
         bound = lower_bound(problem)
@@ -98,25 +101,26 @@ def measure_scene(name: str, settings: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def run_of(problem: Problem, heuristic: str, plr_bytes: int, limit: float) -> tuple[Solution, float]:
-    """BL alone under a heuristic, or ``bl_plan`` by its own choice."""
+    """Plan by BL alone under a heuristic, or by ``bl_plan`` with its default options."""
     if heuristic == LATTICE:
         return plan(problem, None, BLOptions(time_limit=limit))
     return plan(problem, build(problem, heuristic, plr_bytes), BLOptions(searchers=BL_ALONE, time_limit=limit))
 
 
-def rrt_star(problem: Problem, bound: float, seed: int, limit: float, target: float) -> dict[str, Any]:
-    """A run of RRT*; its seconds are those to the target, None without."""
+def rrt_star(problem: Problem, bound: float, seed: int, limit: float, target: float | None) -> dict[str, Any]:
+    """Plan by RRT*; ``seconds`` is the time to a path of at most the target's cost, or None."""
     solution = ompl_plan(problem, "RRTstar", seed=seed, time_limit=limit, cost_target=target)
-    stats, found = solution.stats, solution.stats.seconds
+    stats, phases = solution.stats, solution.stats.seconds
+    is_reached = target is not None and solution.solved and solution.cost <= target
     return {
         **outcome(problem, solution, bound),
-        "seconds": round(stats.history[-1][0], 5) if solution.solved and solution.cost <= target else None,
-        "python_share": round(found["python"] / found["plan"], 4),
+        "seconds": round(stats.history[-1][0], 5) if is_reached else None,
+        "python_share": round(phases["python"] / phases["plan"], 4),
     }
 
 
 def outcome(problem: Problem, solution: Solution, bound: float) -> dict[str, Any]:
-    """What a run found, and how much it did for it."""
+    """Return whether the path is valid, its costs, and the number of nodes."""
     first_seconds, first_cost = solution.stats.history[0] if solution.solved else (None, None)
     return {
         "valid": is_valid(problem, solution),

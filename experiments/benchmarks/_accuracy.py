@@ -1,4 +1,24 @@
-"""What several figures of experiments have in common."""
+"""Error at equal bytes: PLRs beside all else that can hold a distance function, map by map.
+
+Errors are over random free points, and over those near walls, with a clearance below 1 % of the map's smaller side.
+What each method is given:
+
+- PLRs of cones, of planes and of continuous leaves: a budget of bytes. They query the oracle as often as they like.
+  These queries are counted, except for cones, which ask what whole cells see.
+- Coded grid, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to
+  half a million (``samples`` in the results, with the nodes of all grids).
+- Coded grid: distances at nodes, rounded to multiples of a step, predicted from their neighbors and compressed by
+  LZMA. Of 41 numbers of nodes, that of least error at the samples is kept. Nodes in obstacles take the value of the
+  nearest free node.
+- Linear trees: one, two or four, whichever fit the samples best. The network is trained for 40,000 steps and stored
+  in 16-bit floats. There is none at the largest budget, where this would take minutes.
+- scikit-fmm: its own field, at nodes that fill the bytes; it asks no oracle. Its nodes in obstacles hold no number,
+  so points beside them get no answer.
+
+A loaded PLR takes more memory than its file. So beside each PLR, a grid of 32-bit numbers is measured that fills
+the memory of the loaded PLR. Seconds of building exclude the oracle's, except for cones, whose builder calls the
+exact distance itself.
+"""
 
 import time
 from collections.abc import Callable
@@ -99,28 +119,6 @@ def _ends(rows: list[dict[str, Any]]) -> list[tuple[str, float, float, str]]:
     last = {row["contender"]: row for row in rows if row["contender"] in _STYLES and row["free"]["mean"]}
     return [(name, row["bytes"], row["free"]["mean"], _STYLES[name][0]) for name, row in last.items()]
 
-
-# Error at equal bytes: PLRs against everything else that can hold a distance function, map by map.
-#
-# All are judged over the same random free points, and again over those near walls: with a clearance below 1 % of the
-# map's smaller side. What each is given:
-#
-# - The PLRs, of cones, of planes and of continuous leaves: a budget of bytes. They ask the oracle as often as they
-#   like, which is counted; cones ask it what whole cells see, which is not.
-# - Coded grid, linear trees, network: as many samples, at random free points, as the PLR of planes asked for, up to
-#   half a million (``samples`` in the results, with the nodes of all grids).
-# - Coded grid: distances at nodes, rounded to multiples of a step, predicted from their neighbors and compressed by
-#   LZMA. Among 41 numbers of nodes, the best at the samples is taken. Nodes in obstacles take the value of the
-#   nearest free node.
-# - Of the trees, one, two or four are kept, whichever are nearest to the samples. The network is trained for 40,000
-#   steps and stored in 16-bit floats. There is none at the largest budget, where this would take minutes.
-# - scikit-fmm: its own field, at nodes that fill the bytes; it asks no oracle. Its nodes in obstacles hold no number,
-#   so points beside them get no answer.
-#
-# A loaded PLR takes more memory than its file. So beside each PLR, a grid of 32-bit numbers is measured that fills
-# the memory of the loaded PLR.
-#
-# Seconds of building are without the oracle's, but for cones, which the exact distance itself answers for cells.
 
 POINT_SEED, TRAINING_SEED = 1_000, 2_000
 _MAPS = ("maze", "thin_maze", "arena", "den312d")

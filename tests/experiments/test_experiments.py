@@ -1,4 +1,4 @@
-"""Experiments run at their smallest, one of each family; committed results are those of this code."""
+"""Every experiment runs at its smallest setting; committed results are those of this code."""
 
 import json
 import os
@@ -35,7 +35,8 @@ def test_all_sections_of_an_experiment_run_at_their_smallest(name, tmp_path, mon
     assert record["smoke"] and record["experiment"] == name
     assert {"versions", "device", "cores", "dtype", "seed"} <= record.keys()
     assert all(part["date"] for part in record["measured"].values())
-    assert all(record["results"].values()) or "PLR_JAX_DATA" not in os.environ
+    if "PLR_JAX_DATA" in os.environ:
+        assert all(record["results"].values())  # no part was skipped
     parts = set(options[1:]) or set(script.get("SECTIONS", ["whole"]))
     assert record["measured"].keys() == parts
 
@@ -130,7 +131,7 @@ def test_table1_has_bytes_and_errors_of_this_code(name):
 
 
 def test_paper_query_has_bytes_and_errors_of_this_code(tmp_path):
-    """Compute the rows of PLRs, of lookups in trees, and of few searches again; code sizes depend on the compiler."""
+    """Compute the rows of PLRs and of lookups in trees again; code sizes depend on the compiler."""
     results, roadmap = (
         results_of("paper_query"),
         Roadmap.from_workspace(paper_query.WORKSPACE, paper_query.GOAL, 1_000),

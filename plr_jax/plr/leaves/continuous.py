@@ -257,15 +257,15 @@ class _Rounds:
         priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
         leaf, axis = np.zeros((2, 0), np.int64)
-        for start in range(0, len(best), max(number, 1)):  # continue if depth limits exclude some leaves
-            some = best[start : start + number - len(leaf)] if number else best[:0]
+        start = 0
+        while start < len(best) and len(leaf) < number:  # go on if depth limits exclude some leaves
+            some = best[start : start + number - len(leaf)]
+            start += len(some)
             axis_of_some = np.asarray(self._rules.split(fit[some]))
             check_rules(fit[some], error[some], axis_of_some)
             _, axis_of_some = urgent_first(fit[some], error[some], axis_of_some)
             may_split = is_within_depth(fit.cells[some], axis_of_some, limits)
             leaf, axis = np.append(leaf, some[may_split]), np.append(axis, axis_of_some[may_split])
-            if len(leaf) >= number:
-                break
         return leaf, axis
 
     def fit_leaves(self, fit: CellFit) -> _FittedPartition:
