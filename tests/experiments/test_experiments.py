@@ -141,7 +141,7 @@ def test_paper_query_has_bytes_and_errors_of_this_code(tmp_path):
     rows = {(row["method"], row["query"]): row for row in results["goal"]}
     for contender in (
         *paper_query.summaries(paper_query.SUMMARISED, 0, tmp_path),
-        *(each for each in paper_query.roadmap_contenders(nearest, a_star, 0) if each.equal is None),
+        *(each for each in paper_query.roadmap_contenders(nearest, a_star, 0) if each.vectorized is None),
     ):
         row = rows[contender.method, contender.query]
         found = paper_query.errors(contender, paper_query.prepared_graph(), x)
@@ -154,9 +154,9 @@ def test_searches_in_a_roadmap_agree_with_its_tree():
     roadmap = Roadmap.from_workspace(paper_query.WORKSPACE, paper_query.GOAL, 200)
     nearest, x = NearestVertex(roadmap), paper_query.WORKSPACE.sample_free(20, seed=1)
     for contender in paper_query.roadmap_contenders(nearest, paper_query.AStar(roadmap), 0):
-        if contender.equal is not None:
+        if contender.vectorized is not None:
             found = np.concatenate([contender.answer(point[None]) for point in x])
-            np.testing.assert_allclose(found, contender.equal(x))
+            np.testing.assert_allclose(found, contender.vectorized(x))
     pairs = np.concatenate([x, x[::-1]], axis=1)
     a_star, table = paper_query.pair_contenders(nearest, paper_query.AStar(roadmap), 0)
     np.testing.assert_allclose(a_star.answer(pairs), table.answer(pairs), rtol=1e-6)
