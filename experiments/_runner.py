@@ -64,9 +64,7 @@ def run(name: str, purpose: str | None, measured: Compute | Mapping[str, Section
         old = read(output, name) if is_kept else {"measured": {}, "results": {}}
         setting = {"smoke": arguments.smoke, "seed": arguments.seed}
         if is_kept and any(old[key] != value for key, value in setting.items()):
-            raise SystemExit(
-                f"Other sections were measured with another --seed or --smoke: see {output}/{name}.json."
-            )
+            raise SystemExit(f"Other sections have another --seed or --smoke: see {output}/{name}.json.")
         results = {**old["results"], part: found}
         record = {"experiment": name, **setting, **_environment()}
         record["measured"] = {**old["measured"], part: about}
@@ -84,9 +82,7 @@ def _arguments(name: str, purpose: str | None, sections: list[str]) -> argparse.
     parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     parser.add_argument("--draw", action="store_true", help="measure nothing; draw from the results file")
-    parser.add_argument(
-        "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
-    )
+    parser.add_argument("--output", type=Path, help="results folder (default: experiments/results; new for --smoke)")
     parser.add_argument("--only", nargs="+", choices=sections, help="measure only these sections again")
     return parser.parse_args()
 
