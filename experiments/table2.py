@@ -71,11 +71,10 @@ def measure_scene(name: str, settings: dict[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each heuristic; its lists run over the seeds."""
     runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in (LATTICE, *HEURISTICS, RRT_STAR)}
     scene, seeds, plr_bytes = SCENES[name](), settings["seeds"], settings["plr_bytes"]
-    few = settings["starts_few"]
     limits = dict.fromkeys(runs, TIME_LIMIT)
     limits |= {NONE: settings["seconds_none"], RRT_STAR: settings["seconds_rrt_star"]}
     num_runs = dict.fromkeys(runs, settings["starts_under_heuristics"])
-    num_runs |= {LATTICE: len(seeds), NONE: few, RRT_STAR: few}
+    num_runs |= {LATTICE: len(seeds), NONE: settings["starts_few"], RRT_STAR: settings["starts_few"]}
     known = scenes.perturbed(scene, 1000 + seeds[0])
     for heuristic in (LATTICE, *HEURISTICS):
         run_of(known, heuristic, plr_bytes, _WARM_UP)
