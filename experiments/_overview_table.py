@@ -18,7 +18,7 @@ def overview(
     jit: dict[str, Any],
     race: dict[str, Any],
 ) -> str:
-    """Return one row for each comparison with other tools, with a link to the section that has the details."""
+    """Return one row for each comparison with other tools, with a link to its section or results file."""
     cones, error, other = cones_and_best_rival(benchmark["accuracy"], _MAP, _BYTES)
     nanoseconds = {name: each["1000000"][0] for name, each in benchmark["query"]["plane"]["nanoseconds"].items()}
     faster = nanoseconds["grid, JAX"] / nanoseconds["PLR, planes"]
@@ -82,7 +82,7 @@ def overview(
             f"**ours** for each stored number, by a finer march; scikit-fmm in time, {two_digits(slower)} times. In "
             f"equal CPU seconds, **ours** with 8 KB on {better[0]} fields, on {better[1]} if its marches are "
             "extrapolated",
-            "[without an oracle](#without-an-oracle)",
+            "[costs.json](results/costs.json)",
         ],
         [
             "distances after a map change, den520d",
@@ -91,7 +91,7 @@ def overview(
             f"LPA*, one path: {changes['LPA*']['ms']:.0f} ms; "
             f"scikit-fmm, all cells: {changes['scikit-fmm']['ms']:.1f} ms",
             "LPA* for one path, scikit-fmm for cells, **ours** for any point",
-            "[without an oracle](#without-an-oracle)",
+            "[living.json](results/living.json)",
         ],
         [
             "4-connected distances inside `jit`, mazes of 11 x 11, levels a CPU second",

@@ -99,7 +99,7 @@ def cost_distance(
         result.distance, result.nearest, result.path((500, 100))
 
     Distances are costs of paths, on average about 0.1 % above the least; the largest excess in our experiments is
-    2.2 % of the mean distance. The search for paths takes about 4 kB of memory a cell. Over more than 2 million cells
+    2.2 % of the mean distance. The search for paths takes kilobytes of memory a cell. Over more than 2 million cells
     a front marches instead, in 100 bytes a cell, with the errors of scikit-fmm: 0.1 to 0.3 % on average where costs
     change slowly, 0.5 to 7 % where they jump.
 
@@ -117,7 +117,7 @@ def cost_distance(
         slope_cost: With heights, the factor of the cost at each slope, rise over run along the path: a function of
             arrays, or ``"tobler"``, a hiker's seconds per horizontal meter.
         from_sources: With heights, whether paths lead from the sources to the cells instead of to the sources.
-        bounds: Whether to prove bounds, for costs that are constant in each cell; takes 3 to 4 s for 160,000 cells.
+        bounds: Whether to prove bounds, for costs that are constant in each cell; takes about 5 s for 160,000 cells.
         max_bytes: If given, the result has a PLR of at most so many bytes.
 
     Raises:

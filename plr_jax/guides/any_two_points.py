@@ -2,7 +2,7 @@
 
 | what changes | use | answer |
 | --- | --- | --- |
-| both points, among polygons | `plr_jax.construct_pairs` | within 3e-7 of the map's width, except beside walls |
+| both points, among polygons | `plr_jax.construct_pairs` | within 4e-7 of the map's width, except beside walls |
 | both cells of a grid | `plr_jax.construct_grid_pairs` | exact number of steps |
 | both points, any metric | `plr_jax.construct_metric_pairs` | approximate |
 | a fixed list of goals | `plr_jax.construct_many`, `plr_jax.stack` | by one PLR for each goal |
@@ -29,7 +29,7 @@ plr = pairs.to(y[0])  # the distance to one goal, a PLR with cone leaves
 print(plr(x[:3]), plr_jax.VisibilityGraph(workspace, y[0]).between(x[:3], y[:3]))
 ```
 
-`prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget makes queries faster, not more exact. The workspace
+`prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget does not make queries more exact. The workspace
 may have at most 8,192 corners. Points closer to a wall than 4e-6 of the map's width may see past the wall's end: see
 `plr_jax.construct_pairs`. `plr_jax.save` and `plr_jax.load` write and read pairs like PLRs.
 
@@ -47,7 +47,7 @@ print(steps((3.5, 3.5), (3.5, 28.5)), steps.bounds((3.5, 3.5), (3.5, 28.5)))
 
 goals, positions = np.array([[3.5, 3.5], [28.5, 3.5]]), np.array([[3.5, 28.5], [9.5, 9.5]])
 print(steps.window(goals, positions, radius=5).shape)  # (agents, 11, 11): steps to each agent's goal
-to_dock = steps.to((3.5, 3.5))  # a plr_jax.pairs.DistanceToCell: one goal, several times as fast
+to_dock = steps.to((3.5, 3.5))  # a plr_jax.pairs.DistanceToCell: one goal
 graph = plr_jax.GridGraph(free, goal=(3.5, 3.5))  # the same distances, found by search on the host
 assert (to_dock(positions) == graph(positions)).all()
 ```
@@ -71,7 +71,7 @@ print(metric((0.6, -0.2), (1.0, 0.5)), great_circle(np.array([[0.6, -0.2]]), np.
 # A list of goals
 
 Oracles made by `with_goal` share the corners of the map. `plr_jax.construct_many` builds their cones together, with
-errors about as large as those of `construct`; with `certified=True`, proven errors are mostly smaller.
+mostly smaller mean errors than those of `construct`; with `certified=True`, proven errors are mostly smaller, too.
 `plr_jax.stack` combines PLRs into one function, a `plr_jax.PLRStack`.
 
 ```python

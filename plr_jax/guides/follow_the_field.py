@@ -89,8 +89,8 @@ which refuses targets on walls.
 # Gradient
 
 The gradient of a PLR points away from the goal. It has length 1 in leaves that are cones, and about 1 in other
-leaves. Shortest paths touch corners, so steps along the raw gradient end in walls at corners. Keep a distance from
-walls, for example with `workspace.inflate(radius)`, or use `descend`. `oracle.directions(x)` returns exact
+leaves. Shortest paths touch corners, so steps along the raw gradient may end in walls at corners. Keep a distance
+from walls, for example with `workspace.inflate(radius)`, or use `descend`. `oracle.directions(x)` returns exact
 directions.
 
 ```python

@@ -166,7 +166,7 @@ class GridPairs:
         return distances_around(self.tables, goals, positions, radius=int(radius))
 
     def to(self, goal: ArrayLike) -> DistanceToCell:
-        """Return the faster distance function of one goal, a point ``(2,)`` in a free cell, else ``ValueError``."""
+        """Return the distance function of one goal, a point ``(2,)`` in a free cell, else ``ValueError``."""
         goal = as_finite_point("The goal", goal, 2)
         if not np.isfinite(self(goal, goal)):
             raise ValueError(f"The goal must be in a free cell of the grid, got {goal.tolist()}.")

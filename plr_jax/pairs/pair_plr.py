@@ -243,7 +243,7 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     bytes would not help. If interrupted (Ctrl-C), the result has the partition so far, with a
     ``ConstructionInterrupted`` warning. Reference: "all-pairs" in Section II of the paper.
 
-    With ``w`` the width of the domain, distances are within 3e-7 w of the exact ones for any budget, except right
+    With ``w`` the width of the domain, distances are within 4e-7 w of the exact ones for any budget, except right
     beside walls:
 
     - Within 4e-6 w of a wall, a point may see around the wall's end: distances may be 2e-5 w too small.
