@@ -14,7 +14,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.faces import eliminate_constraints, face_points, resolve_constraints
+from plr_jax.plr.leaf_faces import eliminate_constraints, face_points, resolve_constraints
 
 _MOST_WEIGHTS_OF_NODE = 2**8  # in the equations of nodes that hang on several cells
 _QUADRATURE = {1: np.array([1, 1]) / 2, 2: np.array([1, 4, 1]) / 6}

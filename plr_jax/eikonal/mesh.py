@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import spread
-from plr_jax.plr.faces import SharedFaces, shared_faces, touching_leaves
+from plr_jax.plr.leaf_faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, UInt32
 
 from plr_jax._arrays import padded_size
 from plr_jax._compiled import part_by_part, pytree
-from plr_jax.pairs.hiding import Flags, Points, Rows, is_across_occluder, updated
+from plr_jax.pairs.occlusion import Flags, Points, Rows, is_across_occluder, updated
 from plr_jax.pairs.portable import crossings, winding
 from plr_jax.pairs.tables import NO_WAY, STEEPEST, PairTables
 from plr_jax.plr.query import lookup

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, UInt16, UInt32
 from plr_jax._arrays import padded, ragged_indices, size_in_eighths
 from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.hiding import NearWalls, occluders_of
+from plr_jax.pairs.occlusion import NearWalls, occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, Scene
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types

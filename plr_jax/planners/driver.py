@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from plr_jax._problem import Problem, makespan, motion_costs, path_cost
 from plr_jax._types import BoundingFn, HeuristicFn
-from plr_jax.collision.team import JointMotionTest
+from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
 from plr_jax.planners._solution import (
     SEARCHERS,

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice
 

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, straight_costs
-from plr_jax.collision.team import JointMotionTest
+from plr_jax.collision.motions import JointMotionTest
 from plr_jax.collision.walls import IgnoredByCache, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot

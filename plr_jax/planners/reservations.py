@@ -12,7 +12,7 @@ from jaxtyping import Int
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import take_ragged
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget
 from plr_jax.planners.lattice import JointLattice, State
 

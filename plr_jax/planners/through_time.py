@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, row_times, straight_costs
-from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles
+from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots.robot import between
 

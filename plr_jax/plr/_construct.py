@@ -17,7 +17,6 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
 from plr_jax.plr._file import DecodedFile, cut_off_leaves, encode, filled_coefficients
 from plr_jax.plr._proof import certificate_of
-from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.folding import Folding, folding_of
@@ -38,6 +37,7 @@ from plr_jax.plr.sampling import (
     reach_of,
     sample_pattern,
 )
+from plr_jax.plr.source_cache import SourceCache
 from plr_jax.plr.tree import Cells, grown_domain
 
 if TYPE_CHECKING:
@@ -236,9 +236,9 @@ def _build_leaves(
     require_integer("num_samples", num_samples, model.min_samples(domain.dim))
 
     # 2. Wrap the distance function: cell sources, workers, folded points.
-    memory = None
+    cache = None
     if answers_for_cells and domain.dim == 2:
-        memory = CellMemory(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
+        cache = SourceCache(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
     weight_fn = options.weight_fn
     if options.executor is not None:
         distance_fn = ParallelOracle(distance_fn, options.executor)
@@ -253,7 +253,7 @@ def _build_leaves(
             sample_pattern(domain.dim, min(each * int(num_samples), _MAX_SAMPLES), margin, int(seed))
             for each in (factor, max(factor, _DENSE_FACTOR))
         )
-        sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, rule, memory, reach)
+        sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, rule, cache, reach)
         seen = sampler(Cells.root(domain.dim)).reachable
         if reach is not None or seen.sum() > few_samples(domain.dim):
             break
@@ -264,9 +264,9 @@ def _build_leaves(
     contents = DecodedFile(domain, model, tree, stored, folding=folding, cut_off=cut_off)
 
     # 4. Prove its error bounds.
-    if proof is not Proof.NONE and memory is not None:
+    if proof is not Proof.NONE and cache is not None:
         try:
-            certificate = certificate_of(contents, memory.sources_of_leaves(tree), proof)
+            certificate = certificate_of(contents, cache.sources_of_leaves(tree), proof)
             contents = replace(contents, certificate=certificate)
         except KeyboardInterrupt:
             message = "Interrupted during the proof: the PLR is complete, but has no certificate."
@@ -423,7 +423,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
         )
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
-    visible = CellMemory(plr.domain, root).sources_of_leaves(plr._contents.tree)
+    visible = SourceCache(plr.domain, root).sources_of_leaves(plr._contents.tree)
     proven = replace(plr._contents, certificate=certificate_of(plr._contents, visible, proof), straight=None)
     return plr_of_leaves(proven).with_label(plr.label)
 

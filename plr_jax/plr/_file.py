@@ -12,9 +12,9 @@ from plr_jax.geometry.reach import Reach
 from plr_jax.plr.certificate import Certificate, Proof, StraightBound, read_proof, write_proof
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import Container, Layer
-from plr_jax.plr.faces import neighbor_of_largest_contact
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.frame import FRACTION_BITS, LARGEST, Corner, table_corners
+from plr_jax.plr.leaf_faces import neighbor_of_largest_contact
 from plr_jax.plr.leaves import Cone, code_of_leaf, leaf_of_code, read_goals, write_goals
 from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel
 from plr_jax.plr.tree import Tree

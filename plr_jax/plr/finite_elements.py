@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import Distances, Points
-from plr_jax.plr.faces import (
+from plr_jax.plr.leaf_faces import (
     SharedFaces,
     check_num_weights,
     corner_parents,

@@ -14,8 +14,8 @@ from plr_jax._types import DistanceFn, Distances, Points, ReachFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.reach import BoxTest, Reach
-from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.folding import Folding
+from plr_jax.plr.source_cache import SourceCache, distances_in_cells
 from plr_jax.plr.tree import Cells, Rows
 
 # The longest side of a cell is at most 2**3 times its shortest, in fractions of the domain. That suffices for thin
@@ -225,7 +225,7 @@ class Sampler:
     dense_pattern: Pattern  # for cells where few samples reach the goal
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
-    memory: CellMemory | None = None  # if there is one, it computes distances in cells instead of distance_fn
+    cache: SourceCache | None = None  # if there is one, it computes distances in cells instead of distance_fn
     reach: Reach | None = None  # if known
     is_sparse: bool = False  # whether little of the domain reaches the goal
 
@@ -235,10 +235,10 @@ class Sampler:
         if pattern.reaches_beyond:
             points = self.domain.wrapped(points)
         x = points.reshape(-1, cells.dim)
-        if self.memory is None or pattern.reaches_beyond:
+        if self.cache is None or pattern.reaches_beyond:
             distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
         else:
-            distance = distances_in_cells(self.memory.sources(cells), points)
+            distance = distances_in_cells(self.cache.sources(cells), points)
         reachable = np.isfinite(distance)
         weight = reachable.astype(np.float64)
         if self.weight_fn is not None:
@@ -277,7 +277,7 @@ class Sampler:
         knows free space from which the goal can be reached.
         """
         fit = self(Cells.root(self.domain.dim))
-        has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
+        has_pieces = pieces_suffice and self.cache is not None and len(self.cache.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces or fit.urgent_axis[0] >= 0):
             raise ValueError(
                 "distance_fn found nothing reachable: it must be finite somewhere in the domain, but was inf at all "
@@ -328,9 +328,9 @@ def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
     """Fit the cells in which some free space, but no sample, reaches the goal, by planes tangent to the distance."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
-    if sampler.memory is None or not len(unseen):
+    if sampler.cache is None or not len(unseen):
         return fit
-    visible = sampler.memory.sources(fit.cells[unseen])
+    visible = sampler.cache.sources(fit.cells[unseen])
     order = np.lexsort((-areas(visible.pieces), visible.cell))
     first = order[np.append(True, np.diff(visible.cell[order]) > 0)[: len(order)]]
     cell, middle = unseen[visible.cell[first]], visible.center[first]

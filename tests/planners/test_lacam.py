@@ -8,7 +8,7 @@ from planner_helpers import hallway, reachable, search_budget
 from team_helpers import TEAMS, search_of, team_of
 
 from plr_jax import scenes
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners import Status, lacam
 from plr_jax.planners.lacam import PIBT, Moves
 

@@ -18,7 +18,6 @@ from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.faces import SharedFaces, face_points, shared_faces
 from plr_jax.plr.finite_elements import (
     MAX_DIM_OF_ORDER,
     POWERS,
@@ -32,6 +31,7 @@ from plr_jax.plr.finite_elements import (
 )
 from plr_jax.plr.frame import LARGEST, Corner
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
+from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
 from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, tree_of

@@ -119,10 +119,10 @@ class Plane(LinearLeafModel):
         def nodes_of(fit: CellFit, bound: Float[np.ndarray, " cells"]) -> Nodes:
             fit = fill_unsampled_planes(fit, sampler)
             planes = np.column_stack([fit.center, fit.half])
-            if by_proof and sampler.memory is not None:
+            if by_proof and sampler.cache is not None:
                 planes_or_zero = np.where(np.isfinite(planes), planes, 0.0)
                 functions = LeafFunctions(self, *fit.cells.boxes(sampler.domain), planes_or_zero)
-                priority = functions.largest_errors(sampler.memory.sources(fit.cells))
+                priority = functions.largest_errors(sampler.cache.sources(fit.cells))
             else:
                 priority = np.asarray(rules.should_split(fit), float)
             return nodes_of_fit(fit, planes, bound, priority, np.asarray(rules.split(fit)), limits)

@@ -20,11 +20,11 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.geometry.reach import Reach
 from plr_jax.plr.best_partition import BoxLevel, PricedTree, PriceSearch
-from plr_jax.plr.cell_memory import distances_in_cells
 from plr_jax.plr.certificate import Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import CUT_OFF, ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
+from plr_jax.plr.source_cache import distances_in_cells
 from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
 _MOST_TRIED = 4

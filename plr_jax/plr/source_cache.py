@@ -12,7 +12,7 @@ _POINTS_AT_ONCE = 1 << 16  # pairs of a convex piece of free space and a point t
 _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at once
 
 
-class CellMemory:
+class SourceCache:
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
         self._parts: list[CellSources] = []

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from plr_jax._arrays import as_number, as_numbers, require_function, require_integer, shortened
 from plr_jax._problem import Problem, motion_costs, row_times, settled_pose, straight_costs
 from plr_jax._types import ArrayLike
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import (
     BLOptions,
     Solution,
