@@ -56,15 +56,15 @@ def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
     places = np.flatnonzero(corner_cells(free))
     number = np.full(free.size, -1, np.int32)
     number[places] = np.arange(len(places))
-    found = [np.zeros(0, np.int64)]
+    pairs = [np.zeros(0, np.int64)]
     for sector in _sectors(free, connectivity):
         corners = np.logical_or.reduce(list(sector.blocked.values()))
         for corner, width, aside in _scan(sector, corners, corners):
             last = number[sector.cells(corner, aside, width - 1)]  # no run continues past a corner
             other = (last >= 0) & (last != corner)
             ends = corner[other], last[other]
-            found.append(np.minimum(*ends) * len(places) + np.maximum(*ends))
-    return np.divmod(np.unique(np.concatenate(found)), max(len(places), 1))
+            pairs.append(np.minimum(*ends) * len(places) + np.maximum(*ends))
+    return np.divmod(np.unique(np.concatenate(pairs)), max(len(places), 1))
 
 
 def taut_corners(
@@ -74,7 +74,7 @@ def taut_corners(
     from scipy.sparse import csr_array
 
     # 1. Collect runs of cells that are taut at a corner: corner, first cell, step, number of cells.
-    found = [np.zeros((4, 0), np.int64)]
+    runs = [np.zeros((4, 0), np.int64)]
     for sector in _sectors(free, connectivity):
         # Paths from cells past a corner can bend at it ("taut") if the cells are further ahead and a blocked diagonal
         # is ahead, or further aside and one is aside. A diagonal step goes ahead as well.
@@ -82,7 +82,7 @@ def taut_corners(
         at = {along: cells[sector.row, sector.column] for along, cells in blocked.items()}
         ahead, aside = blocked[1, 1] | blocked[-1, 1], blocked[1, 1] | blocked[1, -1]
         # Whether cells are taut at a corner: those straight ahead, straight aside, and both ahead and aside.
-        if_ahead, if_aside, if_both = (at[one] | at[other] for one, other in _TAUT)
+        if_ahead, if_aside, if_both = (at[diagonal] | at[other_diagonal] for diagonal, other_diagonal in _TAUT)
         straight = if_both if sector.slanted else if_aside
         for corner, width, rows in _scan(sector, ahead, ahead | aside if sector.slanted else aside):
             if rows:
@@ -93,8 +93,8 @@ def taut_corners(
             length = np.where(goes_on, width, 1) - begin
             some = length > 0
             first = sector.cells(corner[some], rows, begin[some])
-            found.append(np.stack([corner[some], first, np.full(len(first), sector.column_step), length[some]]))
-    taut = np.concatenate(found, axis=1)
+            runs.append(np.stack([corner[some], first, np.full(len(first), sector.column_step), length[some]]))
+    taut = np.concatenate(runs, axis=1)
     if taut[3].sum() > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
     corner, first, step, length = taut[:, np.argsort(taut[0], kind="stable")]
@@ -173,8 +173,8 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
     corner, aside = np.arange(len(row)), 0
     width = to_blocked[row, column]
     while len(corner):
-        own = int(aside == 0)  # the corner itself ends nothing
-        end, later = (steps[row, column + own] + own for steps in (to_end, to_later))
+        offset = int(aside == 0)  # the corner itself ends nothing
+        end, later = (steps[row, column + offset] + offset for steps in (to_end, to_later))
         yield corner, np.minimum(width, end + 1), aside
         width = np.minimum.reduce([width, end + 1, later, to_illegal[row, column]])
         aside += 1
@@ -363,11 +363,11 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
     ancestor, length = (np.zeros(first[-1], np.int32) for _ in range(2))
     for corner in reversed(order):
         progress.update()
-        own = slice(first[corner], first[corner + 1])
-        ancestor[own.stop - 1] = corner
+        entries = slice(first[corner], first[corner + 1])
+        ancestor[entries.stop - 1] = corner
         if not uppers[corner]:
             continue
-        above = slice(own.start, own.stop - 1)
+        above = slice(entries.start, entries.stop - 1)
         ancestor[above] = ancestor[first[parent[corner]] : first[parent[corner] + 1]]
         nearby = np.array(list(uppers[corner]))
         lengths = np.fromiter(uppers[corner].values(), np.int64, len(nearby))
@@ -375,8 +375,8 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
         places = np.arange(depth[corner])
         of_neighbor = first[nearby][:, None] + places
         of_ancestor = first[ancestor[above]] + depth[nearby][:, None]
-        over = length[np.where(places <= depth[nearby][:, None], of_neighbor, of_ancestor)] + lengths[:, None]
-        length[above] = np.minimum(over.min(axis=0), FAR)
+        via_neighbor = length[np.where(places <= depth[nearby][:, None], of_neighbor, of_ancestor)] + lengths[:, None]
+        length[above] = np.minimum(via_neighbor.min(axis=0), FAR)
     return CornerLabels(*map(jnp.asarray, (first.astype(np.int32), ancestor, length)))
 
 
@@ -384,12 +384,12 @@ def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.nda
     place = np.empty(len(order), np.int64)
     place[order[::-1]] = np.arange(len(order))
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)
-    for known, corner in enumerate(reversed(order)):
+    for n, corner in enumerate(reversed(order)):
         progress.update()
-        distances[known, known] = 0
+        distances[n, n] = 0
         nearby = uppers[corner]
         if nearby:
             lengths = np.fromiter(nearby.values(), np.int32, len(nearby))
-            over = distances[place[list(nearby)], :known] + lengths[:, None]
-            distances[known, :known] = distances[:known, known] = np.minimum(over.min(axis=0), _NO_PATH)
+            via_neighbor = distances[place[list(nearby)], :n] + lengths[:, None]
+            distances[n, :n] = distances[:n, n] = np.minimum(via_neighbor.min(axis=0), _NO_PATH)
     return distances[np.ix_(place, place)]

@@ -104,10 +104,10 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
         return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
     # No diagonal step of the parallelogram between the cells may be illegal, or no cell of the line blocked.
     # Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
-    way = q - p
-    transposed = xp.abs(way[:, 0]) > xp.abs(way[:, 1])
-    mirrored = way[:, 0] * way[:, 1] < 0
-    straight = (way == 0).any(axis=1)
+    offset = q - p
+    transposed = xp.abs(offset[:, 0]) > xp.abs(offset[:, 1])
+    mirrored = offset[:, 0] * offset[:, 1] < 0
+    straight = (offset == 0).any(axis=1)
     rows, columns = sight.shape
     width = xp.where(transposed, rows, columns)
     (row, column), (other_row, other_column) = (xp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
@@ -186,7 +186,7 @@ _BLOCKS_AT_ONCE = 2**20
 _SORTED_BITS = 18  # bits of the index of a pair among those sorted together
 _CHUNK = 1024  # pairs per chunk
 _MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
-_MOST_TOLD = 2**7 - 1  # larger numbers of blocks count as this in sorting
+_MOST_SORTED = 2**7 - 1  # larger numbers of blocks count as this in sorting
 _WORD = 32  # bits of a word
 _ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
 # Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step.
@@ -249,10 +249,10 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, " co
 
     A straight step has the length ``STRAIGHT[connectivity]``.
     """
-    every = jnp.arange(len(tables.row), dtype=jnp.int32)
-    cells = jnp.broadcast_to(goal, (len(every), 2))
+    all_corners = jnp.arange(len(tables.row), dtype=jnp.int32)
+    cells = jnp.broadcast_to(goal, (len(all_corners), 2))
     return _least_around(
-        tables, cells, lambda corners: tables.distances.between(every[:, None], corners), every.shape
+        tables, cells, lambda corners: tables.distances.between(all_corners[:, None], corners), all_corners.shape
     )
 
 
@@ -271,18 +271,18 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
     seen = sees(tables.sight, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
-        length, first, then = _most_likely(tables, p, q, seen)
-        return _least_of_those_left(tables, _Left(p, first), _Left(q, then), length)
-    first, then = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_TOLD) for cells in (p, q))
-    chunks = _sorted_chunks(first * (_MOST_TOLD + 1) + then)
-    found = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], seen[chunk]), chunks)
-    length, *left = (jnp.zeros(len(p), one.dtype).at[chunks].set(one) for one in found)
-    first, then = (lax.population_count(blocks).astype(jnp.int32) for blocks in left)
-    chunks = _sorted_chunks(first * then)
+        length, blocks_p, blocks_q = _most_likely(tables, p, q, seen)
+        return _least_over_blocks(tables, _OpenBlocks(p, blocks_p), _OpenBlocks(q, blocks_q), length)
+    num_p, num_q = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_SORTED) for cells in (p, q))
+    chunks = _sorted_chunks(num_p * (_MOST_SORTED + 1) + num_q)
+    by_chunk = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], seen[chunk]), chunks)
+    length, *blocks = (jnp.zeros(len(p), column.dtype).at[chunks].set(column) for column in by_chunk)
+    num_p, num_q = (lax.population_count(bits).astype(jnp.int32) for bits in blocks)
+    chunks = _sorted_chunks(num_p * num_q)
 
     def of_chunk(chunk: Int32[Array, " size"]) -> Int32[Array, " size"]:
-        ends = _Left(p[chunk], left[0][chunk]), _Left(q[chunk], left[1][chunk])
-        return _least_of_those_left(tables, *ends, length[chunk])
+        ends = _OpenBlocks(p[chunk], blocks[0][chunk]), _OpenBlocks(q[chunk], blocks[1][chunk])
+        return _least_over_blocks(tables, *ends, length[chunk])
 
     return length.at[chunks].set(lax.map(of_chunk, chunks))
 
@@ -338,7 +338,7 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
     return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, none)
 
 
-class _Left(NamedTuple):
+class _OpenBlocks(NamedTuple):
     cells: Cells
     blocks: _Blocks  # a bit for each of a cell's first 32 blocks of four corners: whether it is still to try
 
@@ -346,9 +346,9 @@ class _Left(NamedTuple):
         return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
 
     def word(self, tables: GridTables, number: _Scalar) -> _Blocks:
-        behind = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
-        every = jnp.where(behind == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - behind, _WORD - 1))
-        return jnp.where(number == 0, self.blocks, every)
+        num_bits = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
+        all_bits = jnp.where(num_bits == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - num_bits, _WORD - 1))
+        return jnp.where(number == 0, self.blocks, all_bits)
 
     def corners(self, tables: GridTables, number: _Scalar, bits: _Blocks) -> _Corners:
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
@@ -356,15 +356,15 @@ class _Left(NamedTuple):
         return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
 
 
-def _least_of_those_left(tables: GridTables, left: _Left, others_left: _Left, length: _Lengths) -> _Lengths:
+def _least_over_blocks(tables: GridTables, open_p: _OpenBlocks, open_q: _OpenBlocks, length: _Lengths) -> _Lengths:
     def with_words(words: _Scalar, length: _Lengths) -> _Lengths:
-        word, other_word = jnp.divmod(words, others_left.words(tables))
-        blocks, other_blocks = left.word(tables, word), others_left.word(tables, other_word)
+        word, other_word = jnp.divmod(words, open_q.words(tables))
+        blocks, other_blocks = open_p.word(tables, word), open_q.word(tables, other_word)
 
         def with_blocks(state: _BitsAndLength) -> _BitsAndLength:
             bits, other_bits, length = state
-            corners, others = left.corners(tables, word, bits), others_left.corners(tables, other_word, other_bits)
-            legs, other_legs = _legs(tables, left.cells, corners), _legs(tables, others_left.cells, others)
+            corners, others = open_p.corners(tables, word, bits), open_q.corners(tables, other_word, other_bits)
+            legs, other_legs = _legs(tables, open_p.cells, corners), _legs(tables, open_q.cells, others)
             between = tables.distances.between(corners[:, :, None], others[:, None])
             way = (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2))
             length = jnp.where((bits != 0) & (other_bits != 0), jnp.minimum(length, way), length)
@@ -373,12 +373,12 @@ def _least_of_those_left(tables: GridTables, left: _Left, others_left: _Left, le
             bits = jnp.where(is_last, bits & (bits - 1), bits)
             return bits, jnp.where(is_last, other_blocks, other_bits), length
 
-        def some_left(state: _BitsAndLength) -> Bool[Array, ""]:
+        def is_any_open(state: _BitsAndLength) -> Bool[Array, ""]:
             return ((state[0] != 0) & (other_blocks != 0)).any()
 
-        return lax.while_loop(some_left, with_blocks, (blocks, other_blocks, length))[2]
+        return lax.while_loop(is_any_open, with_blocks, (blocks, other_blocks, length))[2]
 
-    return lax.fori_loop(0, left.words(tables) * others_left.words(tables), with_words, length)
+    return lax.fori_loop(0, open_p.words(tables) * open_q.words(tables), with_words, length)
 
 
 _BitsAndLength = tuple[_Blocks, _Blocks, _Lengths]

@@ -47,8 +47,8 @@ def distances_around(
     cells = jnp.stack([row[around], column[around]], axis=-1)
     # Ask first for the corners toward and away from the goal: lengths between them mostly follow.
     turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
-    asked_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
-    lengths = _lengths_of_rim(tables, cells, free[around], goal, asked_first)
+    computed_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
+    lengths = _lengths_of_rim(tables, cells, free[around], goal, computed_first)
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
     known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
     reached = _spread(tables.connectivity, jnp.where(free, known, FAR), free)
@@ -57,7 +57,7 @@ def distances_around(
 
 
 def _lengths_of_rim(
-    tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, asked_first: _RimFlags
+    tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, computed_first: _RimFlags
 ) -> Rim:
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
@@ -73,7 +73,7 @@ def _lengths_of_rim(
 
     def step(state: tuple[Rim, _RimFlags, _RimFlags]):
         lengths, known, wanted = state
-        lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
+        lengths, known = _with_wanted(tables, cells, goal, lengths, wanted), known | wanted
         # Both ends of each run of free cells are known. The rim is a cycle.
         begin, end = lax.argmax(known, 0, jnp.int32), len(cells) - 1 - lax.argmax(known[::-1], 0, jnp.int32)
         at_begin, at_end = (jnp.take_along_axis(lengths, one[None], axis=0)[0] for one in (begin, end))
@@ -85,12 +85,12 @@ def _lengths_of_rim(
         wanted = free & ~known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
         return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), known | new, wanted
 
-    start = free & (asked_first | beside_blocked)
+    start = free & (computed_first | beside_blocked)
     none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
     return lax.while_loop(lambda state: state[2].any(), step, none)[0]
 
 
-def _asked(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, wanted: _RimFlags) -> Rim:
+def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, wanted: _RimFlags) -> Rim:
     size = min(_RIM_CELLS_AT_ONCE, wanted.size)
     every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
     none = jnp.zeros_like(lengths[0])
@@ -100,16 +100,16 @@ def _asked(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, want
     number = number.at[jnp.where(wanted, end - count + until - 1, len(number))].set(every, mode="drop")
     flat = cells.reshape(-1, 2)
 
-    def with_some(some: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
-        asked = lax.dynamic_slice(number, (some * size,), (size,))
-        of = jnp.minimum(asked, wanted.size - 1)
-        start = goal[of % len(goal)]
+    def with_batch(number_of_batch: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
+        batch = lax.dynamic_slice(number, (number_of_batch * size,), (size,))
+        cell = jnp.minimum(batch, wanted.size - 1)
+        start = goal[cell % len(goal)]
         # Padding asks for the distance of a cell to itself, which is quick.
-        ends = start, jnp.where((asked < wanted.size)[:, None], flat[of], start)
-        found = lengths_between_cells(tables, *ends)
-        return lengths.at[asked].set(found, mode="drop")
+        ends = start, jnp.where((batch < wanted.size)[:, None], flat[cell], start)
+        answers = lengths_between_cells(tables, *ends)
+        return lengths.at[batch].set(answers, mode="drop")
 
-    return lax.fori_loop(0, -(-end[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
+    return lax.fori_loop(0, -(-end[-1] // size), with_batch, lengths.ravel()).reshape(lengths.shape)
 
 
 def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
@@ -155,5 +155,5 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         filled = jnp.pad(table, ((0, 0), (0, 0), (0, -agents % size)), constant_values=fill)
         return jnp.moveaxis(filled.reshape(*table.shape[:2], -1, size), 2, 0)
 
-    done = jnp.moveaxis(lax.map(spread, (in_parts(lengths, FAR), in_parts(free, False))), 0, 2)
-    return done.reshape(*lengths.shape[:2], -1)[..., :agents]
+    reached = jnp.moveaxis(lax.map(spread, (in_parts(lengths, FAR), in_parts(free, False))), 0, 2)
+    return reached.reshape(*lengths.shape[:2], -1)[..., :agents]

@@ -324,14 +324,14 @@ def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batc
     (x, y), shape, answer = _checked(tables, x, y)
     dtype, (x, y) = x.dtype, (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
     absolute = point_rounding(tables.half, jnp.abs(tables.middle[0])).max()
-    sure = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
-    least = shortest_ways(sure, x, y).least
+    lower_tables = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
+    least = shortest_ways(lower_tables, x, y).least
     lower = jnp.maximum(SHRUNK * least - (tables.rounding[0] + absolute), 0.0)
     # A point near a wall may be behind the wall that is moved into free space.
     listed_x, listed_y = (along[tables.listed] for along in tables.outset_corners.T)
-    free = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
-    is_clear = is_inside(free, x) & is_inside(free, y)
-    length = jnp.where(is_clear, shortest_ways(free, x, y).length, jnp.inf)
+    upper_tables = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
+    is_clear = is_inside(upper_tables, x) & is_inside(upper_tables, y)
+    length = jnp.where(is_clear, shortest_ways(upper_tables, x, y).length, jnp.inf)
     upper = STRETCHED * length + (tables.rounding[1] + absolute)
     lower, upper = (jnp.where(jnp.isfinite(answer), p.astype(dtype), answer).reshape(shape) for p in (lower, upper))
     return lower, upper
