@@ -71,10 +71,10 @@ class TeamMoves:
         for a, b, i, j in self._near(position):
             if a == b and len(i) > _FEW_PAIRS and self.kinds[a].robot.dof == 2:
                 kind, away = self.kinds[a], position[j] - position[i]
-                off = np.abs(ends[a] - places[a][:, None] - kind.offset).max(
+                misalignment = np.abs(ends[a] - places[a][:, None] - kind.offset).max(
                     axis=2, where=free[a][..., None], initial=0
                 )
-                aligned = (off < _ALIGNED * self.tolerance).all(axis=1)
+                aligned = (misalignment < _ALIGNED * self.tolerance).all(axis=1)
                 cells = np.rint(away / kind.side)
                 on_grid = (np.abs(away - cells * kind.side) < _ALIGNED * self.tolerance).all(axis=1)
                 on_grid &= aligned[self.row[i]] & aligned[self.row[j]]
@@ -94,19 +94,19 @@ class TeamMoves:
     def _add_between_cells(
         self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
-        known, kind = self._between_cells[k], self.kinds[k]
-        keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
-        if new := list({*keys, *back} - known.keys()):
+        known_bits, kind = self._between_cells[k], self.kinds[k]
+        keys, back = (list(map(tuple, offsets.tolist())) for offsets in (cells, -cells))
+        if new := list({*keys, *back} - known_bits.keys()):
             apart, moves = (np.array(new) * kind.side)[:, None, None], kind.offset
             ours, theirs = (np.zeros_like(apart), moves[:, None]), (apart, apart + moves)
             # Misalignments add up to at most 3/16 of the tolerance along each axis: half of it covers them.
             collide = ~motions_apart(kind.robot, *ours, kind.robot, *theirs, self.tolerance / 2, self.deadline)
-            known.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
+            known_bits.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
         for robot, other, key, key_back in zip(i.tolist(), j.tolist(), keys, back, strict=True):
-            ours = known[key]
+            ours = known_bits[key]
             if ours:
                 neighbors[robot].append((other, ours))
-                neighbors[other].append((robot, known[key_back]))
+                neighbors[other].append((robot, known_bits[key_back]))
 
     def estimates(self, state: JointNode) -> Float[np.ndarray, " robots"]:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
@@ -120,10 +120,10 @@ class TeamMoves:
         for pair in np.unique(pairs).tolist():
             a, b = divmod(pair, len(self.kinds))
             size = max(1, _MOST // (self.kinds[a].cost.shape[1] * self.kinds[b].cost.shape[1]))
-            alike = np.flatnonzero(pairs == pair)
-            for begin in range(0, len(alike), size):
-                some = alike[begin : begin + size]
-                yield a, b, first[some], second[some]
+            members = np.flatnonzero(pairs == pair)
+            for begin in range(0, len(members), size):
+                chunk = members[begin : begin + size]
+                yield a, b, first[chunk], second[chunk]
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
@@ -222,7 +222,7 @@ class LaCAM:
         self.rest_priority = far / (1 + far.max())  # at the start and the goal: below 1, largest if the way is long
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []
-        self.found: Node | None = None
+        self.goal_node: Node | None = None
         self.least_estimate = float("inf")  # least sum of estimates over the nodes
         self.num_idle = 0  # steps since the least estimate fell
         self._add(start, None)
@@ -230,7 +230,7 @@ class LaCAM:
     def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
         """Search until ``max_idle`` steps in a row bring no progress; return why, or None if it may go on."""
         self.num_idle = 0
-        while self.found is None and self.open and self.num_idle < max_idle:
+        while self.goal_node is None and self.open and self.num_idle < max_idle:
             if limit := self.budget.exceeded():
                 return limit
             node = self.open[-1]
@@ -252,13 +252,13 @@ class LaCAM:
                     self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
                 if progress is not None:
                     progress.update()
-        if self.found is not None:
+        if self.goal_node is not None:
             return Status.SOLVED
         return None if self.open else Status.EXHAUSTED
 
     @property
     def solution_states(self) -> Int[np.ndarray, "steps robots"]:
-        states, node = [], self.found
+        states, node = [], self.goal_node
         while node is not None:
             states.append(node.state)
             node = node.parent
@@ -280,7 +280,7 @@ class LaCAM:
             self.budget.num_nodes += 1
             self.memory_use.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():
-                self.found = node
+                self.goal_node = node
             estimate = float(self.moves.estimates(state).sum())
             if estimate < (1 - _ROUNDING) * self.least_estimate:
                 self.least_estimate, self.num_idle = estimate, 0

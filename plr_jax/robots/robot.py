@@ -118,8 +118,8 @@ def between(
     return q0 + t * change
 
 
-def motions_under_way(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return a path's rows before and after given times, and the share of the motion between them that is done."""
+def rows_around(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
+    """Return a path's rows before and after given times, and the fraction of the motion between them that is done."""
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
     row = np.minimum(np.searchsorted(times, when, side="right") - 1, max(last - 1, 0))
