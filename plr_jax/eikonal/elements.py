@@ -44,11 +44,11 @@ class FunctionSpace:
         values, width = csr_array(self.values[rows]), mesh.widths[mesh.open_cells] * scale
         # The degree along the derivative is raised to the degree along other axes.
         difference = degree * (np.eye(degree + 1)[1:] - np.eye(degree + 1)[:-1])
-        share = np.arange(degree + 1)[:, None] / degree
-        raised = share * np.eye(degree + 1, degree, -1) + (1 - share) * np.eye(degree + 1, degree)
+        weight = np.arange(degree + 1)[:, None] / degree
+        raised = weight * np.eye(degree + 1, degree, -1) + (1 - weight) * np.eye(degree + 1, degree)
         along, operators = raised @ difference @ _TO_BERNSTEIN[degree], []
         for axis in range(mesh.dim):
-            control = reduce(np.kron, [along if each == axis else _TO_BERNSTEIN[degree] for each in range(mesh.dim)])
+            control = reduce(np.kron, [along if k == axis else _TO_BERNSTEIN[degree] for k in range(mesh.dim)])
             num, (i, j) = len(width), np.nonzero(control)
             entries = control[i, j] / width[:, axis, None]
             first = np.arange(num)[:, None] * size
@@ -58,9 +58,9 @@ class FunctionSpace:
 
     def basis_integrals(self) -> Float[np.ndarray, " dofs"]:
         mesh = self.mesh
-        share = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * mesh.dim).ravel()
-        weights = mesh.volumes[mesh.open_cells, None] * share
-        rows = (mesh.open_cells[:, None] * len(share) + np.arange(len(share))).ravel()
+        quadrature = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * mesh.dim).ravel()
+        weights = mesh.volumes[mesh.open_cells, None] * quadrature
+        rows = (mesh.open_cells[:, None] * len(quadrature) + np.arange(len(quadrature))).ravel()
         return np.asarray(self.values[rows].T @ weights.ravel())
 
 
@@ -125,11 +125,11 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
         csr_array((basis(degree, at[first]).ravel(), where), (num_groups, num_groups)), is_free
     )
     # 3. A node may hang on two cells: their polynomials must agree there.
-    again = np.setdiff1d(np.arange(len(hanging)), first)
-    if mesh.dim > 2 and len(again) + crossing.shape[1]:
-        cell, node = np.divmod(hanging[again], size)
+    repeated = np.setdiff1d(np.arange(len(hanging)), first)
+    if mesh.dim > 2 and len(repeated) + crossing.shape[1]:
+        cell, node = np.divmod(hanging[repeated], size)
         here = np.append(cell, crossing[0]), np.append(lattice[node], places[0], axis=0)
-        there = np.append(on_cell[again], crossing[1]), np.append(at[again], places[1], axis=0)
+        there = np.append(on_cell[repeated], crossing[1]), np.append(at[repeated], places[1], axis=0)
         of_group = csr_array((np.ones(num_nodes), (np.arange(num_nodes), group)), (num_nodes, num_groups))
         change = _interpolation(degree, *here, num_nodes) - _interpolation(degree, *there, num_nodes)
         depth = np.zeros(num_groups, np.int64)

@@ -54,7 +54,7 @@ def marched(
 ) -> Costs:
     """Return costs of grid nodes by fast marching from the nodes whose costs ``start`` are at most ``level``."""
     is_core = start <= level
-    known, inverse_square = start.copy(), np.zeros(is_open.shape)
+    reached, inverse_square = start.copy(), np.zeros(is_open.shape)
     for axis, wraps in enumerate(periodic):
         is_cut = np.zeros(is_open.shape, bool)
         for step in (1, -1):
@@ -62,25 +62,25 @@ def marched(
             if not wraps:
                 cut[(slice(None),) * axis + (0 if step == 1 else -1,)] = False
             is_cut |= cut
-            way = side[axis] * (slowness + np.roll(slowness, step, axis)) / 2
+            step_cost = side[axis] * (slowness + np.roll(slowness, step, axis)) / 2
             unknown = cut & np.isinf(start)
-            known[unknown] = np.minimum(known, np.roll(start, step, axis) + way)[unknown]
+            reached[unknown] = np.minimum(reached, np.roll(start, step, axis) + step_cost)[unknown]
         inverse_square += np.where(is_cut, 4 / side[axis] ** 2, 0.0)
     front = inverse_square > 0
     if not front.any():
         return np.where(is_core, start, np.inf)
-    time = np.where(is_core[front], level - known[front], known[front] - level)
+    time = np.where(is_core[front], level - reached[front], reached[front] - level)
     # scikit-fmm starts at a surface between nodes, and errs beside it: nodes there get the slowness that corrects it.
     slowness = slowness.copy()
     slowness[front] = np.maximum(time, _NO_TIME * slowness[front] * side.min()) * np.sqrt(inverse_square[front])
-    found = skfmm.travel_time(
+    travel_time = skfmm.travel_time(
         np.ma.MaskedArray(np.where(is_core, -1.0, 1.0), ~is_open),
         1 / slowness,
         dx=side.tolist(),
         order=2,
         periodic=cast(Any, list(periodic)),
     )
-    return np.where(is_core, start, np.ma.filled(found, np.inf) + level)
+    return np.where(is_core, start, np.ma.filled(travel_time, np.inf) + level)
 
 
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
@@ -93,7 +93,7 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
     for axis in range(is_open.ndim):
         (here, between, there), (clear_here, _, clear_there), (cost_here, _, cost_there) = (
             (nodes[:-2:2], nodes[1::2], nodes[2::2])
-            for nodes in (np.moveaxis(each, axis, 0) for each in (is_open, is_clear, factor))
+            for nodes in (np.moveaxis(table, axis, 0) for table in (is_open, is_clear, factor))
         )
         jumps = np.maximum(cost_here, cost_there) > _NO_JUMP * np.minimum(cost_here, cost_there)
         hides_wall = (clear_here & ~there) | (clear_there & ~here)  # which should lie on the other node
@@ -107,7 +107,7 @@ def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, si
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]
     twice = marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))
-    known = np.isfinite(twice) & np.isfinite(cost_there)
-    change = np.subtract(cost_there, twice, out=np.zeros(twice.shape), where=known)
+    is_known = np.isfinite(twice) & np.isfinite(cost_there)
+    change = np.subtract(cost_there, twice, out=np.zeros(twice.shape), where=is_known)
     change[np.abs(change) > _LARGEST_CHANGE * cost_there] = 0.0
     return cost + ndimage.map_coordinates(change, np.indices(cost.shape) / 2, order=1)

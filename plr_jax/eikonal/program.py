@@ -35,7 +35,7 @@ _TINY = float(np.finfo(float).tiny)
 # Number of parts of a cell along each axis in which the factor of costs is bounded, by the number of axes.
 _PARTS = {1: 16, 2: 8, 3: 3, 4: 2}
 # A linear bound of the factor may fall in a cell to this share of the constant bound, but no lower.
-_LEAST_SHARE = 0.5
+_LEAST_LINEAR_BOUND = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +43,11 @@ class CellCosts:
     """Bounds of the cost of motions in each cell of a mesh; upper bounds hold at all points that round into the cell.
 
     A motion by the vector ``dq`` costs from ``lower |dq| + p`` to ``upper |dq| + p``. Here ``|dq|`` is the norm
-    ``motion``, and ``p`` the larger scalar product of ``dq`` with one of two vectors, the ``pulls``. Without pulls,
-    ``p`` is 0, and two linear functions of the position in the cell bound the factor of ``|dq|`` more tightly.
+    of ``motion_cost``, and ``p`` the larger scalar product of ``dq`` with one of two vectors, the ``pulls``. Without
+    pulls, ``p`` is 0, and two linear functions of the position in the cell bound the factor of ``|dq|`` more tightly.
     """
 
-    motion: MotionCost
+    motion_cost: MotionCost
     cost_map: CostMap | None
     lower: Float[np.ndarray, " cells"]
     upper: Float[np.ndarray, " cells"]
@@ -78,24 +78,24 @@ class CellCosts:
         if middle is not None:
             factor = np.minimum(self.most[cell] + np.sum(self.slope[cell] * (middle - 0.5), axis=1), factor)
         pulls = None if self.pulls is None else self.pulls[:, cell]
-        return self.motion.norm(change) * factor + pulled(pulls, change)
+        return self.motion_cost.norm(change) * factor + pulled(pulls, change)
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
-    motion, num = space.motion_cost, len(mesh.state)
+    motion_cost, num = space.motion_cost, len(mesh.state)
     flat, ones = np.zeros((num, mesh.dim)), np.ones(num)
     if cost_map is None:
-        return CellCosts(motion, None, ones, ones, flat, ones, ones)
+        return CellCosts(motion_cost, None, ones, ones, flat, ones, ones)
     if isinstance(cost_map, DirectionalCost):
-        lower, upper, pulls = cost_bounds(motion, cost_map, *mesh.grown_boxes)
-        return CellCosts(motion, cost_map, lower, upper, flat, lower, upper, pulls)
+        lower, upper, pulls = cost_bounds(motion_cost, cost_map, *mesh.grown_boxes)
+        return CellCosts(motion_cost, cost_map, lower, upper, flat, lower, upper, pulls)
     # A linear function bounds the factor in a cell if it does so in each part.
     parts = _PARTS.get(mesh.dim, 1)
     place = np.array(list(product(range(parts), repeat=mesh.dim)))
 
     def bounds_of_parts(lo, hi):
         ends = (lo[:, None] + (hi - lo)[:, None] * (place + end) / parts for end in (0, 1))
-        bounds = cost_bounds(motion, cost_map, *(end.reshape(-1, mesh.dim) for end in ends))
+        bounds = cost_bounds(motion_cost, cost_map, *(end.reshape(-1, mesh.dim) for end in ends))
         return (bound.reshape(num, -1) for bound in bounds[:2])
 
     lo, hi = mesh.grown_boxes
@@ -108,10 +108,10 @@ def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) 
     least, most = np.min(lower - linear - within, axis=1), np.max(upper - linear + within, axis=1)
     lower, upper = lower.min(axis=1), upper.max(axis=1)
     # Where the factor jumps, its least and its largest value are better bounds.
-    is_flat = (least - np.abs(slope).sum(axis=1) / 2 < _LEAST_SHARE * lower) | (least < lower) | (most > upper)
+    is_flat = (least - np.abs(slope).sum(axis=1) / 2 < _LEAST_LINEAR_BOUND * lower) | (least < lower) | (most > upper)
     slope[is_flat] = 0.0
     least, most = np.where(is_flat, lower, least), np.where(is_flat, upper, most)
-    return CellCosts(motion, cost_map, lower, upper, slope, least, most)
+    return CellCosts(motion_cost, cost_map, lower, upper, slope, least, most)
 
 
 def rescaling_of(
@@ -244,7 +244,7 @@ class SlopeProgram:
     def sets(self) -> SlopeSets:
         cell = np.repeat(self.space.mesh.open_cells, len(self.space.lattice))
         pulls = None if self.costs.pulls is None else np.moveaxis(self.costs.pulls[:, cell], 2, 1)
-        return SlopeSets([axes for axes, _ in self.costs.motion.blocks], self._linear(self.costs.least), pulls)
+        return SlopeSets([axes for axes, _ in self.costs.motion_cost.blocks], self._linear(self.costs.least), pulls)
 
     def _linear(self, middle: Float[np.ndarray, " cells"]) -> PerControl:
         cell = self.space.mesh.open_cells
@@ -282,7 +282,7 @@ class SlopeProgram:
     def losses_at_goals(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
         # Losses of the goals' cells as if all flow there went straight to the goal; 0 for other cells.
         space, mesh, domain = self.space, self.space.mesh, self.space.mesh.domain
-        nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion, domain.at(space.points))[1][:, 0]
+        nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion_cost, domain.at(space.points))[1][:, 0]
         change = domain.difference(domain.width * self.at[nearest], domain.width * space.points)
         excess = self.costs.of_motions(change, self.goal_cells[nearest]) - self.below_goals(iterate.values)
         climbed = self.volume * np.sum(iterate.flow * self.gradients(excess), axis=0)
@@ -305,7 +305,7 @@ class SlopeProgram:
 
     def solve_thoroughly(self, start: Iterate, most_iterations: int) -> tuple[Iterate, bool]:
         """Return the iterate with the best proven bound, and whether the bound stopped rising before the limit."""
-        state, best, highest, found = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
+        state, best, highest, improved_at = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
         for iteration in range(most_iterations):
             state.step()
             if iteration % _LOOK_EVERY:
@@ -313,8 +313,8 @@ class SlopeProgram:
             u = self.below_goals(state.u)
             value = float(self.weight @ np.interp(u, *self.rescaling(u)))
             if value > (1 + _GAIN) * highest:
-                best, highest, found = state.iterate, value, iteration
-            elif iteration >= found + _PATIENCE:
+                best, highest, improved_at = state.iterate, value, iteration
+            elif iteration >= improved_at + _PATIENCE:
                 return best, True
         return best, False
 
@@ -334,7 +334,7 @@ class _Splitting:
             self._load = self._load - program.weight.sum() * program.goal
         # A cell's costs are to values at goals what the radius is to slopes.
         lower, widths = program.costs.lower[program.goal_cells], program.space.mesh.widths[program.goal_cells]
-        across = lower * program.costs.motion.norm(widths)
+        across = lower * program.costs.motion_cost.norm(widths)
         if not flow.any():  # start from the flow of least squares, which has the right size in any units
             system = _Poisson(program, 1 / radius, inflow * lower / across**2)
             potential = system.solve(self._load, np.zeros_like(flow), 0 * inflow, np.zeros(len(self._load)))
@@ -398,6 +398,6 @@ class _Poisson:
             return np.append(np.zeros(self._first), self._factors.solve(right))
         guess = guess - guess[0] if self._first else guess
         guess = guess[self._first :]
-        left = float(np.linalg.norm(right - self.matrix @ guess))
-        u, _ = cg(self.matrix, right, guess, rtol=0.0, atol=_RESIDUAL * left, maxiter=_MOST_STEPS, M=self._multigrid)
+        norm = float(np.linalg.norm(right - self.matrix @ guess))
+        u, _ = cg(self.matrix, right, guess, rtol=0.0, atol=_RESIDUAL * norm, maxiter=_MOST_STEPS, M=self._multigrid)
         return np.append(np.zeros(self._first), u)
