@@ -29,10 +29,10 @@ class Place(NamedTuple):
 
     def take(self, first: Int[np.ndarray, " _"], entries: Int[np.ndarray, " _"]) -> Int[np.ndarray, " _"]:
         """Join the lists of the triangles ``t`` that contain the point: ``entries[first[t] : first[t + 1]]``."""
-        own = entries[first[self.triangle] : first[self.triangle + 1]]
+        listed = entries[first[self.triangle] : first[self.triangle + 1]]
         if self.beyond == self.triangle:
-            return own
-        return np.concatenate([own, entries[first[self.beyond] : first[self.beyond + 1]]])
+            return listed
+        return np.concatenate([listed, entries[first[self.beyond] : first[self.beyond + 1]]])
 
 
 class PointLocator:
@@ -71,7 +71,7 @@ class PointLocator:
         # Coordinates are multiples of the grid spacing, and Python computes with integers exactly.
         following = half_edge - 2 if half_edge % 3 == 2 else half_edge + 1
         ends = (self._corners[2 * i + axis] for i in (half_edge, following) for axis in (0, 1))
-        ax, ay, bx, by, px, py = (int(each / self._grid) for each in (*ends, x, y))
+        ax, ay, bx, by, px, py = (int(coordinate / self._grid) for coordinate in (*ends, x, y))
         side = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
         if side < 0:
             return Place(x, y, beyond, beyond) if twin >= 0 else None

@@ -300,7 +300,7 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
         part = lo[:, None] + (hi - lo)[:, None] * steps / _PARTS
         size = np.broadcast_to((hi - lo)[:, None] / _PARTS, part.shape).reshape(-1, dim)
         part = part.reshape(size.shape)
-        wrong, share = size[reach.far(part, part + size)].prod(axis=1).sum(), reach.share_cut_off(dim)
+        wrong, share = size[reach.far(part, part + size)].prod(axis=1).sum(), reach.cut_off_fraction(dim)
     except KeyboardInterrupt:  # the PLR is complete without these warnings
         return
     if wrong > 0:
