@@ -90,7 +90,7 @@ class BuildOptions:
         for name in ("compute_coefficients", "should_split", "split", "weight_fn"):
             if name != "weight_fn" or self.weight_fn is not None:
                 require_function(name, getattr(self, name))
-        as_number("margin", self.margin, "a fraction from 0 to 1 of a cell's width", lambda share: 0 <= share <= 1)
+        as_number("margin", self.margin, "a fraction from 0 to 1 of a cell's width", lambda value: 0 <= value <= 1)
         if self.num_samples is not None:
             require_integer("num_samples", self.num_samples, 1)
             if self.num_samples > _MAX_SAMPLES:
@@ -250,8 +250,8 @@ def _build_leaves(
     margin, rule = float(options.margin), options.compute_coefficients
     for factor in _SAMPLE_FACTORS:  # more samples if hardly one reaches the goal
         pattern, dense = (
-            sample_pattern(domain.dim, min(each * int(num_samples), _MAX_SAMPLES), margin, int(seed))
-            for each in (factor, max(factor, _DENSE_FACTOR))
+            sample_pattern(domain.dim, min(density * int(num_samples), _MAX_SAMPLES), margin, int(seed))
+            for density in (factor, max(factor, _DENSE_FACTOR))
         )
         sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, rule, cache, reach)
         seen = sampler(Cells.root(domain.dim)).reachable
@@ -300,7 +300,7 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
         part = lo[:, None] + (hi - lo)[:, None] * steps / _PARTS
         size = np.broadcast_to((hi - lo)[:, None] / _PARTS, part.shape).reshape(-1, dim)
         part = part.reshape(size.shape)
-        wrong, share = size[reach.far(part, part + size)].prod(axis=1).sum(), reach.cut_off_fraction(dim)
+        wrong, cut_off = size[reach.far(part, part + size)].prod(axis=1).sum(), reach.cut_off_fraction(dim)
     except KeyboardInterrupt:  # the PLR is complete without these warnings
         return
     if wrong > 0:
@@ -308,8 +308,8 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
             f"In about {100 * wrong:.2g} % of the domain, the PLR answers a finite number, but no path leads to "
         )
         warnings.warn(f"{message}the goal. Allow more bytes or leaves.", stacklevel=3)
-    if share > 0.5:
-        message = f"The goal cannot be reached from about {share:.0%} of free space: is the goal in the right part?"
+    if cut_off > 0.5:
+        message = f"The goal cannot be reached from about {cut_off:.0%} of free space: is the goal in the right part?"
         warnings.warn(message, stacklevel=3)
 
 
@@ -376,12 +376,12 @@ def _models_to_try(
     if root is None:
         return others
     corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(root.sources.distances))
-    share = corner_bytes / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
-    if share <= _ROOMY and only_bytes:
+    corner_fraction = corner_bytes / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
+    if corner_fraction <= _ROOMY and only_bytes:
         return cones
-    if proof is Proof.NONE and share <= _CROWDED:
+    if proof is Proof.NONE and corner_fraction <= _CROWDED:
         others.append("smooth")
-    return [name for name in leaf_names() if name in others or (name in cones and share <= _CROWDED)]
+    return [name for name in leaf_names() if name in others or (name in cones and corner_fraction <= _CROWDED)]
 
 
 def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) -> float:

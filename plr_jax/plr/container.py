@@ -89,9 +89,9 @@ class Header:
         newest = VERSION + _NAMING_GOALS + _WITH_CUT_OFF
         if not VERSION <= (version := first & 15) <= newest:
             remedy = "update plr_jax" if version > VERSION else "build it again"
-            known = f"versions {VERSION} to {newest}"
-            raise ValueError(f"it has format version {version}, this release reads {known}; {remedy}")
-        names_goals, has_cut_off = (bool(version - VERSION & each) for each in (_NAMING_GOALS, _WITH_CUT_OFF))
+            readable = f"versions {VERSION} to {newest}"
+            raise ValueError(f"it has format version {version}, this release reads {readable}; {remedy}")
+        names_goals, has_cut_off = (bool(version - VERSION & bit) for bit in (_NAMING_GOALS, _WITH_CUT_OFF))
         if version > VERSION and second & 7 == PAIRS_CODE:
             raise ValueError("it names goals or leaves of distances between any two points")
         if not 1 <= (dim := first >> 4 or reader.varint()) <= MOST_AXES:

@@ -103,7 +103,7 @@ class Nodes(Rows):
     cells: Cells
     coefficients: Float[np.ndarray, "nodes terms"]
     error: Float[np.ndarray, " nodes"]  # weighted mean absolute error over samples that reach the goal
-    share: Float[np.ndarray, " nodes"]  # share of the domain's volume that these samples represent
+    volume: Float[np.ndarray, " nodes"]  # share of the domain's volume that these samples represent
     axis: Int[np.ndarray, " nodes"]
     key: Float[np.ndarray, " nodes"]  # priority of splitting, at most the parent's; -inf if the node may not be split
     child: Int[np.ndarray, " nodes"]  # the lower child, which the upper child follows; -1 for a leaf
@@ -143,7 +143,7 @@ def nodes_of_fit(
         cells=fit.cells,
         coefficients=coefficients,
         error=error,
-        share=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1)),
+        volume=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1)),
         axis=axis,
         key=np.where(may_split, np.minimum(priority, key_of_parent), NEVER),
         child=np.full(len(fit), -1),
@@ -262,19 +262,19 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
     """Return a function that samples and fits cells and returns ``nodes_of(fits, priorities of the parents)``."""
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
-    def fit_nodes(cells: Cells, bound: Float[np.ndarray, " cells"]) -> Nodes:
+    def fit_nodes(cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
         parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
-        first, *others = (fit_part(cells[part], bound[part]) for part in parts)
+        first, *others = (fit_part(cells[part], parent_key[part]) for part in parts)
         return first.append(*others)
 
-    def fit_part(cells: Cells, bound: Float[np.ndarray, " cells"]) -> Nodes:
+    def fit_part(cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
         fit = sampler(cells)
         few = fit.is_hardly_seen  # such cells get more samples
         if not few.any():
-            return nodes_of(fit, bound)
+            return nodes_of(fit, parent_key)
         order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
-        fits = (fit[~few], bound[~few]), (sampler.sample_densely(cells[few]), bound[few])
-        first, *others = (nodes_of(*each) for each in fits if len(each[1]))
+        fits = (fit[~few], parent_key[~few]), (sampler.sample_densely(cells[few]), parent_key[few])
+        first, *others = (nodes_of(*part_of_fit) for part_of_fit in fits if len(part_of_fit[1]))
         return first.append(*others)[np.argsort(order)]
 
     return fit_nodes
@@ -295,13 +295,13 @@ def grow_best_first(
         allowed = limits.max_leaves - 1
         if np.isfinite(limits.max_bytes):  # estimate the number of leaves from the bytes per leaf so far
             leaf = nodes.leaves_of_splits(order[nodes.child[order] >= 0][:allowed])
-            enough = _ROUNDING_SHARE * _fit_error(nodes, leaf)
-            bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - enough))
+            target = _ROUNDING_SHARE * _fit_error(nodes, leaf)
+            bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - target))
             a_leaf = encoding.size(nodes, leaf, bits) / len(leaf)
             allowed = min(allowed, int(_BYTES_SLACK * limits.max_bytes / a_leaf) + 1)
-        wanted = order[:allowed]
-        wanted = wanted[nodes.child[wanted] < 0]
-        batch = wanted[: max((len(wanted) + 1) // 2, len(order) // _LAST_SHARE)]
+        unsplit = order[:allowed]
+        unsplit = unsplit[nodes.child[unsplit] < 0]
+        batch = unsplit[: max((len(unsplit) + 1) // 2, len(order) // _LAST_SHARE)]
         if len(batch) == 0:
             return None
         children = fit_nodes(nodes.cells[batch].split(nodes.axis[batch]), np.repeat(nodes.key[batch], 2))
@@ -323,12 +323,12 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Le
     def most_leaves(bits: int) -> Leaves:
         if np.isinf(limits.max_bytes):
             return nodes.leaves_of_splits(order)
-        enough = bisect_right(
+        num_fitting = bisect_right(
             range(len(order) + 1),
             limits.max_bytes,
-            key=lambda number: encoding.size(nodes, nodes.leaves_of_splits(order[:number]), bits),
+            key=lambda num_splits: encoding.size(nodes, nodes.leaves_of_splits(order[:num_splits]), bits),
         )
-        return nodes.leaves_of_splits(order[: enough - 1]) if enough else np.empty(0, np.int64)
+        return nodes.leaves_of_splits(order[: num_fitting - 1]) if num_fitting else np.empty(0, np.int64)
 
     def expected_error(leaf: Leaves, bits: int) -> float:
         # Errors of fit and rounding are combined as if they were independent.
@@ -339,5 +339,5 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Le
 
 
 def _fit_error(nodes: Nodes, leaf: Leaves) -> float:
-    share = nodes.share[leaf]
-    return float(np.sum(share * nodes.error[leaf]) / np.sum(share)) if share.any() else 0.0
+    volume = nodes.volume[leaf]
+    return float(np.sum(volume * nodes.error[leaf]) / np.sum(volume)) if volume.any() else 0.0

@@ -311,9 +311,9 @@ def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.nda
     axis = np.full(len(cells), -1)
     some = np.flatnonzero(holds(*cells.fractions))
     count, depth = np.empty((len(some), cells.dim)), cells.depth[some]
-    for each in range(cells.dim):
-        halves = cells[some].split(np.full(len(some), each))
-        count[:, each] = holds(*halves.fractions).reshape(-1, 2).sum(axis=1)
+    for k in range(cells.dim):
+        halves = cells[some].split(np.full(len(some), k))
+        count[:, k] = holds(*halves.fractions).reshape(-1, 2).sum(axis=1)
     count += depth / (1 + depth.max(initial=0))
     count[is_closed(depth, max_axis_depth)] = np.inf
     axis[some] = np.argmin(count, axis=1)

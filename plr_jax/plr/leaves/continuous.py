@@ -105,8 +105,8 @@ class FaceTests:
                 x = face_points(cells, tested, some)
                 across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]  # (faces, 1, dim)
                 sides = [domain.lo + domain.width * (x + sign * across) for sign in (-1, 1)]
-                both = domain.wrapped(np.concatenate(sides)).reshape(-1, domain.dim)
-                below, above = np.isfinite(call_oracle(self._distance_fn, both)).reshape(2, *x.shape[:2])
+                points_beside = domain.wrapped(np.concatenate(sides)).reshape(-1, domain.dim)
+                below, above = np.isfinite(call_oracle(self._distance_fn, points_beside)).reshape(2, *x.shape[:2])
                 free[unsure] = np.any(below & above, axis=1)
         self._keys, self._free = keys, free
         return free
@@ -233,9 +233,9 @@ class _Rounds:
             if len(leaf) == 0:
                 return None
             children = self._sampler(now.fit.cells[leaf].split(axis))
-            kept = np.setdiff1d(np.arange(len(now)), leaf)
-            check_memory(2.0 * (len(kept) + len(children)))
-            grown = self.fit_leaves(now.fit[kept].append(children))
+            unsplit = np.setdiff1d(np.arange(len(now)), leaf)
+            check_memory(2.0 * (len(unsplit) + len(children)))
+            grown = self.fit_leaves(now.fit[unsplit].append(children))
             if grown.num_bytes <= self._limits.max_bytes:
                 return grown
             self._max_splits = len(leaf) // 2  # too large: try half as many splits
@@ -249,9 +249,9 @@ class _Rounds:
             room = min(room, self._max_splits, int(np.ceil(len(now) * (limits.max_bytes / num_bytes - 1))))
             if now.is_full or room < _WORTH_A_ROUND * len(now):
                 room = 0
-        number = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
+        num_splits = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
         most_split = 1.0 if len(now) < _FEW_LEAVES * room else _MOST_SPLIT
-        number = min(number, int(np.ceil(most_split * len(now))), room)
+        num_splits = min(num_splits, int(np.ceil(most_split * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))  # priorities only; axes follow
         error, _ = urgent_first(fit, error, fit.urgent_axis)
@@ -259,8 +259,8 @@ class _Rounds:
         priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
         leaf, axis = np.empty(0, np.int64), np.empty(0, np.int64)
-        while len(best) and len(leaf) < number:  # go on if depth limits exclude some leaves
-            some, best = np.split(best, [number - len(leaf)])
+        while len(best) and len(leaf) < num_splits:  # go on if depth limits exclude some leaves
+            some, best = np.split(best, [num_splits - len(leaf)])
             axis_of_some = np.asarray(self._rules.split(fit[some]))
             check_rules(fit[some], error[some], axis_of_some)
             _, axis_of_some = urgent_first(fit[some], error[some], axis_of_some)
