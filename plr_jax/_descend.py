@@ -140,8 +140,8 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
             f"The goal must be in free space, got {got}: move it out of the obstacle or into the bounds."
         )
     places, count = find_corners(workspace)[0], len(goals)
-    for each in goals:
-        places = places.without(each)
+    for point in goals:
+        places = places.without(point)
     places = places.with_goal(*goals)
     points = places.points
     field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may modify it
@@ -181,7 +181,7 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
         count,
         lambda point, goal: workspace.is_visible(x[point], goals[goal]),
     )
-    to_place, least = (each[:, 0] for each in goal_ways)
+    to_place, least = (column[:, 0] for column in goal_ways)
     reached = count + np.flatnonzero(np.isfinite(length[count:]))
     any_side = np.zeros((2, len(reached), 2))
     anywhere = TurnPoints(reached, points[reached], length[reached], any_side, places.slack)

@@ -317,13 +317,13 @@ class Roadmap:
         begins = range(0, len(x), step)
         for begin in tqdm(begins, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
             rows = slice(begin, begin + step)
-            some, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
+            batch, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
             length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
             through = length + distances[vertex]
             through[(length <= inner) | np.isinf(length)] = np.nan
             way, shortest = first_visible(
                 through,
-                lambda point, way, x=some, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
+                lambda point, way, x=batch, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
                 at_once=1,
             )
             vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)

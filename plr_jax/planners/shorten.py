@@ -85,17 +85,17 @@ def _with_shortcuts(
     apart, in_way = np.ones(len(shortcuts), dtype=bool), np.zeros(len(test.robots), dtype=bool)
     since, until = begin[shortcuts], end[shortcuts]
     owner, step = ragged_indices(until - since)
-    motion, later = since[owner] + step, np.ones(len(owner), dtype=bool)
+    first_row, later = since[owner] + step, np.ones(len(owner), dtype=bool)
     for stride in _STRIDES:
         require_time(test.deadline, "all shortcuts were tested")
-        now = np.flatnonzero(later & (motion % stride == 0) & apart[owner])
+        now = np.flatnonzero(later & (first_row % stride == 0) & apart[owner])
         later[now] = False
         edge = owner[now]
         q0, q1, count = q[since[edge]], q[until[edge]], (until - since)[edge, None]
         first, last = (between(q0, q1, (step[now] + ahead)[:, None] / count) for ahead in (0, 1))
-        piece, other = trajectory.robots_near(i, circles(first[:, None], last[:, None]), motion[now])
-        meet = test.meet(i, first[piece], last[piece], trajectory, motion[now[piece]], other)
-        apart[edge[piece[meet]]], in_way[other[meet]] = False, True
+        piece, j = trajectory.robots_near(i, circles(first[:, None], last[:, None]), first_row[now])
+        meet = test.meet(i, first[piece], last[piece], trajectory, first_row[now[piece]], j)
+        apart[edge[piece[meet]]], in_way[j[meet]] = False, True
     # 3. Find the cheapest route along the remaining edges. An explicit entry of 0 is an edge of cost 0.
     is_motion[shortcuts[apart]] = True
     graph = csr_array((cost[is_motion], (begin[is_motion], end[is_motion])), shape=(len(q), len(q)))
@@ -158,7 +158,7 @@ def _shortened_in_corridors(
 ) -> list[Float[np.ndarray, "rows dof"]]:
     # The first and the last of the rows stay.
     require_time(test.deadline, "all corridors were searched")
-    path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
+    path, first_row = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
     around = [circles_along(corridor) for corridor in corridors]
     robot_corridors, weights = zip(robots, corridors, strict=True), problem.rotation_weights
@@ -176,9 +176,9 @@ def _shortened_in_corridors(
         free = ~(at_contact[row, first] | at_contact[row + 1, last])
         tight &= free
         free[tight] = test.wall_tests[i](begin[tight], end[tight], test.deadline)
-        near, other = trajectory.robots_near(i, reached, motion, robots)
-        tested, pair = take_ragged(np.searchsorted(row, np.arange(len(motion) + 1)), near)
-        free[tested[test.meet(i, begin[tested], end[tested], trajectory, motion[near[pair]], other[pair])]] = False
+        near, j = trajectory.robots_near(i, reached, first_row, robots)
+        tested, pair = take_ragged(np.searchsorted(row, np.arange(len(first_row) + 1)), near)
+        free[tested[test.meet(i, begin[tested], end[tested], trajectory, first_row[near[pair]], j[pair])]] = False
         cost[row[~free], first[~free], last[~free]] = np.inf
         cost[:, 0, 0] = present_cost
     cost = costs[0] if len(robots) == 1 else _joint_costs(robots, corridors, around, costs, test)

@@ -92,12 +92,12 @@ class Timetable:
         return np.minimum.accumulate(np.where(until - row >= self.patience, row, np.inf)[::-1])[::-1]
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
-        around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
-        piece, other = self._trajectory.robots_near(i, around, motion, list(self.ignored))
-        is_present = row[piece] < self.ends[other] + self.patience
-        piece, other = piece[is_present], other[is_present]
-        meet = self.test.meet(i, first[piece], last[piece], self._trajectory, motion[piece], other)
-        return piece[meet], other[meet]
+        around, first_row = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
+        piece, j = self._trajectory.robots_near(i, around, first_row, list(self.ignored))
+        is_present = row[piece] < self.ends[j] + self.patience
+        piece, j = piece[is_present], j[is_present]
+        meet = self.test.meet(i, first[piece], last[piece], self._trajectory, first_row[piece], j)
+        return piece[meet], j[meet]
 
 
 def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:

@@ -96,12 +96,12 @@ def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:
 
 
 def _robot(i: int, entry: Any, version: int) -> Robot:
-    known = {shape: row for shape, row in _SHAPES.items() if row[2] <= version}
+    allowed = {shape: row for shape, row in _SHAPES.items() if row[2] <= version}
     shape = entry.get("shape") if isinstance(entry, dict) else None
-    kind, sizes, _ = known.get(shape, (None, (), 0)) if isinstance(shape, str) else (None, (), 0)
+    kind, sizes, _ = allowed.get(shape, (None, (), 0)) if isinstance(shape, str) else (None, (), 0)
     if kind is None or set(entry) != {"shape", *sizes}:
         forms = " or ".join(
-            str({"shape": name, **{size: f"<{size}>" for size in row[1]}}) for name, row in known.items()
+            str({"shape": name, **{size: f"<{size}>" for size in row[1]}}) for name, row in allowed.items()
         )
         raise ValueError(f"expected robot {i} to be like {forms} in version {version}, got {shortened(entry)}.")
     try:

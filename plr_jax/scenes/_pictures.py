@@ -336,7 +336,7 @@ class _MapServer:
         origin = entry["origin"]
         if not isinstance(origin, list) or len(origin) not in (2, 3):
             raise ValueError(f"origin must be [x, y, yaw], got {shortened(origin)}.")
-        origin = np.array([_number("origin", each) for each in [*origin, 0.0][:3]])
+        origin = np.array([_number("origin", value) for value in [*origin, 0.0][:3]])
         thresholds = {"free_thresh": 0.196, "occupied_thresh": 0.65}
         thresholds = (_number(key, entry.get(key, default)) for key, default in thresholds.items())
         return cls(image, resolution, origin, mode, bool(negate), *thresholds)
@@ -370,8 +370,8 @@ class _MapServer:
             return np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_RAW_MOST * occupancy))
         least, most = self.free_thresh, self.occupied_thresh
         if self.mode == "scale" and least < most:
-            share = np.clip((occupancy - least) / (most - least), 0.0, 1.0)
-            between = np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_OCCUPIED * share))
+            fraction = np.clip((occupancy - least) / (most - least), 0.0, 1.0)
+            between = np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_OCCUPIED * fraction))
         return np.where(occupancy > most, _OCCUPIED, np.where(occupancy < least, _FREE, between))
 
 

@@ -166,10 +166,10 @@ class PlanarArm:
         for i in range(self.dof):
             rows = np.flatnonzero(~hit)
             hit[rows] = crosses_walls(self.workspace, ends[rows, i : i + 2], reaches[rows, i : i + 2])
-            for share in _PROBES:
+            for t in _PROBES:
                 rows = np.flatnonzero(~hit)
-                x = (1 - share) * ends[rows, i] + share * ends[rows, i + 1]
-                moves = (1 - share) * reaches[rows, i] + share * reaches[rows, i + 1]
+                x = (1 - t) * ends[rows, i] + t * ends[rows, i + 1]
+                moves = (1 - t) * reaches[rows, i] + t * reaches[rows, i + 1]
                 hit[rows] = walls_within(self.workspace, x, self.width / 2 - moves)
         deep = self.width - self._link_motion_bounds(half) - 2 * self.workspace.tolerance
         return hit | (self._link_distances(ends) <= deep).any(axis=1)

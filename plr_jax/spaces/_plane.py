@@ -177,8 +177,8 @@ class PlaneSpace(BodySpace):
         holds = joined_parts(polygons, as_points("q", q, 2), 2 * self.workspace.tolerance, may_squeeze)
         if holds.all() or not holds.any():
             return self, None
-        kept, rest = (shapely.MultiPolygon(polygons[some].tolist()) for some in (holds, ~holds))
-        return _PlanePart(self.workspace, self.robot, kept), _PlanePart(self.workspace, self.robot, rest)
+        holding, rest = (shapely.MultiPolygon(polygons[some].tolist()) for some in (holds, ~holds))
+        return _PlanePart(self.workspace, self.robot, holding), _PlanePart(self.workspace, self.robot, rest)
 
     def _touch_contacts(self, shapes: Any) -> Booleans:
         """Return whether shapes touch a point where obstacles touch and the robot may not pass between them."""

@@ -43,14 +43,14 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
 
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
     """Return whether segments between points inside free cells cross none of the ``blocked`` cells (packed bits)."""
-    hit, every = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
+    hit, all_ones = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
     for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
         first, last = first.astype(jnp.int32), last.astype(jnp.int32)
         in_row = jnp.zeros((), jnp.uint32)
         for word in range(blocked.shape[1]):
             begin, end = first - WORD * word, last - WORD * word
-            from_first = every << jnp.clip(begin, 0, WORD - 1).astype(jnp.uint32)
-            ones = from_first & (every >> (WORD - 1 - jnp.clip(end, 0, WORD - 1)).astype(jnp.uint32))
+            from_first = all_ones << jnp.clip(begin, 0, WORD - 1).astype(jnp.uint32)
+            ones = from_first & (all_ones >> (WORD - 1 - jnp.clip(end, 0, WORD - 1)).astype(jnp.uint32))
             if blocked.shape[1] > 1:  # the interval may miss this word
                 ones = jnp.where((begin < WORD) & (end >= 0), ones, jnp.uint32(0))
             in_row |= blocked[row, word] & ones
@@ -188,8 +188,8 @@ def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
     if count >= is_convex.size:
         return Corners(free, jnp.arange(is_convex.size, dtype=jnp.int32), is_convex), jnp.array(True)
     index = jnp.nonzero(is_convex, size=count, fill_value=0)[0].astype(jnp.int32)
-    found = is_convex.sum()
-    return Corners(free, index, jnp.arange(count) < found), found <= count
+    num_convex = is_convex.sum()
+    return Corners(free, index, jnp.arange(count) < num_convex), num_convex <= count
 
 
 def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
@@ -264,15 +264,15 @@ class CornerPairs:
     @classmethod
     def of_grid(cls, corners: Corners) -> "CornerPairs":
         lengths = corners.lengths(jnp.zeros(()).dtype)
-        own = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
+        direct = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
         # Floyd-Warshall algorithm
-        between = lax.fori_loop(0, len(own), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), own)
+        between = lax.fori_loop(0, len(direct), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), direct)
         return cls(corners, between)
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, " n"]:
         dtype = jnp.promote_types(jnp.promote_types(x.dtype, y.dtype), self.between.dtype)
         x, y, points = x.astype(dtype), y.astype(dtype), self.corners.points(dtype)[None]
-        (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, each) for each in (x, y))
+        (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, y))
         from_x = _length(self.corners.seen_from(x_ends), x[:, None], points)
         from_y = _length(self.corners.seen_from(y_ends), y[:, None], points)
         onward = _shortest(from_y[:, None], self.between[None])
@@ -298,6 +298,6 @@ def _(primals, tangents):
     least = jnp.min(total, axis=-1)
     # Prefer a minimizer with ``first > 0``: at a corner, the segment to that corner has no direction.
     is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
-    one = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
-    is_one = jnp.arange(total.shape[-1]) == one[..., None]
-    return least, jnp.sum(jnp.where(is_one, change, 0), axis=-1)
+    minimizer = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
+    is_minimizer = jnp.arange(total.shape[-1]) == minimizer[..., None]
+    return least, jnp.sum(jnp.where(is_minimizer, change, 0), axis=-1)
