@@ -288,11 +288,8 @@ def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, fl
     if not crossings:
         return None
     when, i = min(crossings)
-    return (
-        i,
-        when,
-        f"Robot {i} crosses a wall, or squeezes between obstacles that touch, in the motion from step {when}.",
-    )
+    message = f"Robot {i} crosses a wall, or squeezes between obstacles that touch, in the motion from step {when}."
+    return i, when, message
 
 
 def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin: float) -> list[int]:

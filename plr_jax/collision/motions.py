@@ -188,7 +188,7 @@ class JointMotionTest:
     def meet(
         self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, first_row: Rows, j: Rows
     ) -> Bool[np.ndarray, " m"]:
-        """Return whether motions of robot ``i`` hit robots ``j``, which follow ``trajectory`` from ``first_row`` on."""
+        """Return whether motions of robot ``i`` hit robots ``j`` in motions of ``trajectory`` from ``first_row``."""
         # Motion ``k`` of a robot leads from row ``k`` of the trajectory to row ``k + 1``.
         others_begin, others_end = trajectory.path[first_row, j], trajectory.path[first_row + 1, j]
         if not self.first_equal.any():  # all robots are equal

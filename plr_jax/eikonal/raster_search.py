@@ -150,10 +150,8 @@ def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
             f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
             f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
         )
-    cost, home = (
-        cost / least,
-        tuple(cells_of(points, side, cost.shape)[::-1].T),
-    )  # scikit-fmm ignores some small costs
+    cost = cost / least  # scikit-fmm ignores some small costs
+    home = tuple(cells_of(points, side, cost.shape)[::-1].T)
     front, label = np.full(cost.shape, side.min()), np.full(cost.shape, -1, np.int32)
     front[home], label[home] = -_TINY * side.min(), np.arange(len(points))[::-1]  # the first of several sources
     distance = np.where(label >= 0, 0.0, np.inf)

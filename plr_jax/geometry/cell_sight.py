@@ -263,7 +263,7 @@ class CellSources:
 
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
         # Then prune the sources of merged and of changed pieces.
-        cells, merged = np.flatnonzero(np.diff(self.first_piece) > 1), self
+        cells = np.flatnonzero(np.diff(self.first_piece) > 1)
         rows, index = take_ragged(self.first_piece, cells)
         row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
         triangle, index = self.triangle[rows[row]], index[row]
@@ -277,6 +277,7 @@ class CellSources:
         is_free[cells] = ~np.isin(np.arange(len(cells)), index[meets])
         is_merged = is_free[self.cell]
         is_kept = (areas(self.pieces) > 0) & ~is_merged
+        merged = self
         if is_free.any():
             # The merged piece has the sources of all pieces; none is known to be visible from all of it.
             owner = np.where(is_merged, self.first_piece[self.cell], np.arange(len(is_kept)))

@@ -67,10 +67,8 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     segments = change.new.segments[change.is_new]
     if len(segments):
         near = np.flatnonzero(boxes_near(old.triangles, segments, old.tolerance) & is_kept)
-        polygons, tree = (
-            shapely.polygons(old.triangles[near]),
-            shapely.STRtree(np.asarray(shapely.linestrings(segments))),
-        )
+        polygons = shapely.polygons(old.triangles[near])
+        tree = shapely.STRtree(np.asarray(shapely.linestrings(segments)))
         is_kept[near[tree.query(polygons, predicate="dwithin", distance=old.tolerance)[0]]] = False
     half_kept = np.repeat(is_kept, 3)
     wall = np.where(old.wall >= 0, change.edge[old.wall], -1)

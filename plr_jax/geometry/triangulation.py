@@ -145,14 +145,16 @@ class Triangulation:
 
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to ``grid`` and locate them; points outside the region move onto the nearest wall."""
-        boundary, exact, x = self.boundary, x, self.on_grid(x)
+        boundary = self.boundary
+        exact, x = x, self.on_grid(x)
         triangle, turn = self.locate(x)
         outside = np.flatnonzero((turn < 0).any(axis=1))
         if len(outside):
             # Move to the nearest point of the nearest wall, or to a grid point just inside of it.
             _, edge, foot = boundary.feet(exact[outside])
             beside, x[outside] = self.of_wall[edge] // 3, self.on_grid(foot)
-            triangle[outside], turn[outside], pending = beside, 0.0, np.arange(len(outside))
+            triangle[outside], turn[outside] = beside, 0.0
+            pending = np.arange(len(outside))
             for steps in _STEPS_INSIDE:
                 place = self.on_grid(foot[pending] + steps * self.grid * boundary.normal[edge[pending]])
                 in_triangle, turns = self.locate(place, beside[pending])
@@ -174,7 +176,8 @@ class Triangulation:
         # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts:
         # without ``squeeze``, only around contacts at which the segment begins or ends.
         lines: Any = shapely.linestrings
-        num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), lines(np.stack([a.x, b.x], axis=1))
+        num, joined = len(self.triangles), np.zeros(len(a.x), bool)
+        segments = lines(np.stack([a.x, b.x], axis=1))
         contacts = index_of(self.boundary.contacts, self.origin)
         around = np.argsort(contacts, kind="stable")  # half-edges that start at contacts, sorted by contact
         first = np.searchsorted(contacts[around], np.arange(len(self.boundary.contacts) + 1))

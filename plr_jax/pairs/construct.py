@@ -243,7 +243,8 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     # 2. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
     true, rounded = visibility.corners.points[of_corner], outline.positions[corner]
-    moved, largest = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0)), 0.0
+    moved = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0))
+    largest = 0.0
     for (_, exact), (_, rough) in zip(*(distances_by_rows(points, edges) for points in (true, rounded)), strict=True):
         with np.errstate(invalid="ignore"):
             largest = max(largest, float(np.where(exact == rough, 0.0, np.abs(exact - rough)).max()))

@@ -258,7 +258,8 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     x, y = domain.lo + rng.random((2, _PAIRS, 2)) * domain.width
     shapely.prepare(region)
     is_free = shapely.intersects_xy(region, *x.T) & shapely.intersects_xy(region, *y.T)
-    p, q, (a, b) = x[is_free].T, y[is_free].T, chords.transpose(1, 2, 0)[..., None]
+    p, q = x[is_free].T, y[is_free].T
+    a, b = chords.transpose(1, 2, 0)[..., None]
 
     def left_of(a: Any, b: Any, p: Any) -> Any:
         (ax, ay), (bx, by), (px, py) = a, b, p

@@ -322,7 +322,8 @@ def _distances_to(
 @jax.jit
 def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     (x, y), shape, answer = _checked(tables, x, y)
-    dtype, (x, y) = x.dtype, (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
+    dtype = x.dtype
+    x, y = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
     absolute = point_rounding(tables.half, jnp.abs(tables.middle[0])).max()
     lower_tables = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
     least = shortest_ways(lower_tables, x, y).least

@@ -78,7 +78,8 @@ def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, li
     """Return, by index of a wall, the intervals to mark as thin, as distances from the start of the wall."""
     reach, following, start = RECEDING * width, outline.following_past_contacts, outline.positions
     onward, moved = start[following] - start, outline.moved_walls(reach, moves_all=True).reshape(-1, 2, 2)
-    lengths, is_turned = np.linalg.norm(onward, axis=1), (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0
+    lengths = np.linalg.norm(onward, axis=1)
+    is_turned = (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0
     is_needle = np.linalg.norm(moved[:, 0] - start, axis=1) > _NEEDLE * reach
     thin = np.flatnonzero(is_turned | is_needle | is_needle[following])
     thin = np.union1d(thin, thin_walls(outline, free_space, width)).tolist()

@@ -167,7 +167,8 @@ def _shortened_in_corridors(
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(float(total[0].min()) for total in through)
     for i, corridor, reached, cost, total in zip(robots, corridors, around, costs, through, strict=True):
         # Motions cost inf if they cannot gain or hit something. The robot's present motions keep their costs.
-        present_cost, may_gain = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (float(total[0].min()) + spare)
+        present_cost = cost[:, 0, 0].copy()
+        may_gain = total < (1 - _ROUNDING) * (float(total[0].min()) + spare)
         cost[~may_gain] = np.inf
         row, first, last = np.nonzero(may_gain)
         tight = ~test.wall_tests[i].has_room(*reached)[row]
