@@ -213,13 +213,13 @@ def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
     return [slice(*pair) for pair in pairwise([0, *ends.tolist(), len(counts)])]
 
 
-def index_of(known: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Return the index of each wanted value among distinct known values; -1 if it is not among them."""
-    if not len(known):
+def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Return the index of each wanted value among distinct ``values``; -1 if it is not among them."""
+    if not len(values):
         return np.full(len(wanted), -1)
-    order = np.argsort(known)
-    place = order[np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)]
-    return np.where(known[place] == wanted, place, -1)
+    order = np.argsort(values)
+    place = order[np.minimum(np.searchsorted(values, wanted, sorter=order), len(values) - 1)]
+    return np.where(values[place] == wanted, place, -1)
 
 
 def take_ragged(

@@ -120,8 +120,8 @@ def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict
     gap = np.maximum(_smaller_gap(ends, nx, ny), _smaller_gap(ends, -nx, -ny)) - bulge
     for first, last, riding in zip(*gaps, rotation_bounds(a, b, rim_a, rim_b), strict=True):
         gap = np.maximum(gap, np.minimum(first, last).max(axis=0, initial=-np.inf) - riding)
-    separation = [np.concatenate(each) for each in gaps]
-    separation = [each.max(axis=0) if len(each) else np.zeros(len(a.x)) for each in separation]
+    separation = [np.concatenate(side_gaps) for side_gaps in gaps]
+    separation = [side_gaps.max(axis=0) if len(side_gaps) else np.zeros(len(a.x)) for side_gaps in separation]
     if reach > 0:
         (nx, ny), distances = _nearest(ends)
         gap = np.maximum(gap, _smaller_gap(ends, nx, ny) - bulge)

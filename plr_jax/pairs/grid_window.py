@@ -50,8 +50,8 @@ def distances_around(
     computed_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
     lengths = _lengths_of_rim(tables, cells, free[around], goal, computed_first)
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
-    known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
-    reached = _spread(tables.connectivity, jnp.where(free, known, FAR), free)
+    initial = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
+    reached = _spread(tables.connectivity, jnp.where(free, initial, FAR), free)
     answered = free & inside & goal_inside & (reached < FAR)
     return jnp.moveaxis(jnp.where(answered, reached // STRAIGHT[tables.connectivity], -1), -1, 0)
 
@@ -63,49 +63,49 @@ def _lengths_of_rim(
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
-    def nearest_known(lengths: Rim, known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
+    def nearest_known(lengths: Rim, is_known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
         def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, " n"], Bool[Array, " n"]]):
             place, length, is_known = cell
             nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
             return nearest, nearest
 
-        return lax.scan(step, first, (place, lengths, known), reverse=reverse)[1]
+        return lax.scan(step, first, (place, lengths, is_known), reverse=reverse)[1]
 
     def step(state: tuple[Rim, _RimFlags, _RimFlags]):
-        lengths, known, wanted = state
-        lengths, known = _with_wanted(tables, cells, goal, lengths, wanted), known | wanted
+        lengths, is_known, is_wanted = state
+        lengths, is_known = _with_wanted(tables, cells, goal, lengths, is_wanted), is_known | is_wanted
         # Both ends of each run of free cells are known. The rim is a cycle.
-        begin, end = lax.argmax(known, 0, jnp.int32), len(cells) - 1 - lax.argmax(known[::-1], 0, jnp.int32)
+        begin, end = lax.argmax(is_known, 0, jnp.int32), len(cells) - 1 - lax.argmax(is_known[::-1], 0, jnp.int32)
         at_begin, at_end = (jnp.take_along_axis(lengths, one[None], axis=0)[0] for one in (begin, end))
-        before, first = nearest_known(lengths, known, (end - len(cells), at_end), reverse=False)
-        after, last = nearest_known(lengths, known, (begin + len(cells), at_begin), reverse=True)
+        before, first = nearest_known(lengths, is_known, (end - len(cells), at_end), reverse=False)
+        after, last = nearest_known(lengths, is_known, (begin + len(cells), at_begin), reverse=True)
         is_settled = (jnp.abs(last - first) == straight * (after - before)) | (first >= FAR)
         from_first = jnp.sign(last - first) * straight * (place[:, None] - before)
-        new = free & ~known & is_settled
-        wanted = free & ~known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
-        return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), known | new, wanted
+        new = free & ~is_known & is_settled
+        is_wanted = free & ~is_known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
+        return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), is_known | new, is_wanted
 
     start = free & (computed_first | beside_blocked)
     none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
     return lax.while_loop(lambda state: state[2].any(), step, none)[0]
 
 
-def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, wanted: _RimFlags) -> Rim:
-    size = min(_RIM_CELLS_AT_ONCE, wanted.size)
-    every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
+def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, is_wanted: _RimFlags) -> Rim:
+    size = min(_RIM_CELLS_AT_ONCE, is_wanted.size)
+    all_cells = jnp.arange(is_wanted.size, dtype=jnp.int32).reshape(is_wanted.shape)
     none = jnp.zeros_like(lengths[0])
-    count, until = lax.scan(lambda count, row: (count + row, count + row), none, wanted.astype(jnp.int32))
+    count, until = lax.scan(lambda count, row: (count + row, count + row), none, is_wanted.astype(jnp.int32))
     end = jnp.cumsum(count)
-    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)  # wanted cells, agent by agent
-    number = number.at[jnp.where(wanted, end - count + until - 1, len(number))].set(every, mode="drop")
+    number = jnp.full(is_wanted.size + size, is_wanted.size, jnp.int32)  # wanted cells, agent by agent
+    number = number.at[jnp.where(is_wanted, end - count + until - 1, len(number))].set(all_cells, mode="drop")
     flat = cells.reshape(-1, 2)
 
     def with_batch(number_of_batch: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
         batch = lax.dynamic_slice(number, (number_of_batch * size,), (size,))
-        cell = jnp.minimum(batch, wanted.size - 1)
+        cell = jnp.minimum(batch, is_wanted.size - 1)
         start = goal[cell % len(goal)]
         # Padding asks for the distance of a cell to itself, which is quick.
-        ends = start, jnp.where((batch < wanted.size)[:, None], flat[cell], start)
+        ends = start, jnp.where((batch < is_wanted.size)[:, None], flat[cell], start)
         answers = lengths_between_cells(tables, *ends)
         return lengths.at[batch].set(answers, mode="drop")
 
