@@ -105,8 +105,8 @@ class PairDistances:
         if len(x) > FEW:
             return self._distances(x, y)
         distance = np.array([self._distance(*pair) for pair in zip(x.tolist(), y.tolist(), strict=True)], float)
-        if len(rest := np.flatnonzero(np.isnan(distance))):
-            distance[rest] = self._distances(x[rest], y[rest])
+        if len(pending := np.flatnonzero(np.isnan(distance))):
+            distance[pending] = self._distances(x[pending], y[pending])
         return distance
 
     def _distances(self, x: Points, y: Points) -> Distances:

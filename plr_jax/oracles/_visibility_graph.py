@@ -244,8 +244,8 @@ class VisibilityGraph:
         for i, (x0, x1) in enumerate(x.tolist()):
             if (place := self._pairs.locator.place(x0, x1)) is not None:
                 distance[i], turn[i] = self._first_turn(x0, x1, place)
-        if len(rest := np.flatnonzero(turn < 0)):
-            distance[rest], turn[rest] = self._first_turns_of_batch(x[rest])
+        if len(pending := np.flatnonzero(turn < 0)):
+            distance[pending], turn[pending] = self._first_turns_of_batch(x[pending])
         return distance, turn
 
     def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
@@ -271,11 +271,11 @@ class VisibilityGraph:
         # Test what the goal sees at rounded points, and again at the few points that are moved into free space.
         grid = mesh.on_grid(x[free])
         direct = self._goal_table.sees(np.zeros(len(free), int), grid)
-        if len(rest := np.flatnonzero(~direct)):
-            places = mesh.place(x[free[rest]])
-            if (moved := (places.x != grid[rest]).any(axis=1)).any():
-                direct[rest[moved]] = self._goal_table.sees(np.zeros(moved.sum(), int), places.x[moved])
-            places, hidden = places[~direct[rest]], free[~direct]
+        if len(pending := np.flatnonzero(~direct)):
+            places = mesh.place(x[free[pending]])
+            if (moved := (places.x != grid[pending]).any(axis=1)).any():
+                direct[pending[moved]] = self._goal_table.sees(np.zeros(moved.sum(), int), places.x[moved])
+            places, hidden = places[~direct[pending]], free[~direct]
             ways = self.regions.first_visible(x[hidden], places, lambda at, vertex: sees(vertex - 1, places.x[at]))
             turn[hidden], distance[hidden] = np.maximum(ways[0], 0), ways[1]
         seen = free[direct]

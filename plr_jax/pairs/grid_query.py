@@ -297,8 +297,8 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
     # Return the length of a path and, for each cell, bits: which blocks of its corners may have a shorter path.
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
-    way = leg + tables.distances.between(corner, other) + other_leg
-    length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
+    total = leg + tables.distances.between(corner, other) + other_leg
+    length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(total, FAR), FAR)
     length = jnp.where(seen, open_length(tables.connectivity, *jnp.abs(p - q).T), length)
     # Without a path between these corners there is none between any.
     to_beat = jnp.where((length < FAR) & ~seen, length, 0)
@@ -312,9 +312,9 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flag
 
     def with_block(block: _Scalar, best: tuple[_Lengths, ...]) -> tuple[_Lengths, ...]:
         corners = _corners_of_block(tables, first, count, block)
-        ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
-        least = ways.min(axis=1)
-        corner = jnp.where(ways == least[:, None], corners, -1).max(axis=1)
+        lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
+        least = lengths.min(axis=1)
+        corner = jnp.where(lengths == least[:, None], corners, -1).max(axis=1)
         nearer = least < best[0]
         return jnp.where(nearer, least, best[0]), jnp.where(nearer, corner, best[1])
 
@@ -330,8 +330,8 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
     def with_block(block: _Scalar, bits: _Blocks) -> _Blocks:
         corners = _corners_of_block(tables, first, count, block)
-        ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
-        better = (ways.min(axis=1) < length) & (block < count)
+        lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
+        better = (lengths.min(axis=1) < length) & (block < count)
         return bits | better.astype(jnp.uint32) << block.astype(jnp.uint32)
 
     none = jnp.zeros_like(count, jnp.uint32)
@@ -366,8 +366,8 @@ def _least_over_blocks(tables: GridTables, open_p: _OpenBlocks, open_q: _OpenBlo
             corners, others = open_p.corners(tables, word, bits), open_q.corners(tables, other_word, other_bits)
             legs, other_legs = _legs(tables, open_p.cells, corners), _legs(tables, open_q.cells, others)
             between = tables.distances.between(corners[:, :, None], others[:, None])
-            way = (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2))
-            length = jnp.where((bits != 0) & (other_bits != 0), jnp.minimum(length, way), length)
+            total = (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2))
+            length = jnp.where((bits != 0) & (other_bits != 0), jnp.minimum(length, total), length)
             other_bits = other_bits & (other_bits - 1)
             is_last = other_bits == 0
             bits = jnp.where(is_last, bits & (bits - 1), bits)

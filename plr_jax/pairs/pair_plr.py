@@ -279,8 +279,8 @@ def pairs_from_bytes(data: bytes) -> PairPLR:
 @partial(jax.jit, static_argnames="outside")
 def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tuple[Float[Array, "*batch"]]:
     if outside == "clamp":
-        (x, way_x), (y, way_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
-        return (_distances(tables, x, y, "inf")[0] + (way_x + way_y),)
+        (x, shift_x), (y, shift_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
+        return (_distances(tables, x, y, "inf")[0] + (shift_x + shift_y),)
     (x, y), shape, answer = _checked(tables, x, y)
     if outside == "nan":
         answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
@@ -303,8 +303,8 @@ def _distances_to(
     tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
 ) -> tuple[Float[Array, "*batch"]]:
     if outside == "clamp":
-        x, way = _clamped(tables, x.astype(_floats_of(x)))
-        return (_distances_to(tables, goals, x, number, "inf")[0] + way,)
+        x, shift = _clamped(tables, x.astype(_floats_of(x)))
+        return (_distances_to(tables, goals, x, number, "inf")[0] + shift,)
     points, to_corners = (each.reshape(-1, each.shape[-1]) for each in (goals.points, goals.to_corners))
     number = jnp.broadcast_to(number[..., 0], jnp.broadcast_shapes(x.shape[:-1], number.shape[:-1]))
     (x, y), shape, answer = _checked(tables, x, points[number])
@@ -344,8 +344,8 @@ def _clamped(
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))
     nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
-    way: Any = length_of([(x - nearest)[..., axis] for axis in range(2)])
-    return nearest, way
+    shift: Any = length_of([(x - nearest)[..., axis] for axis in range(2)])
+    return nearest, shift
 
 
 def _checked(

@@ -60,8 +60,8 @@ def are_crossed(
     """Return whether each segment from ``p`` to ``q`` crosses any wall or, if ``both_ways``, one in and one out."""
     crossed = np.zeros(len(p), bool)
     for some in parts(np.full(len(p), walls.shape[1]), _AT_ONCE):
-        ways = crossings(p[some].T[:, :, None], q[some].T[:, :, None], walls)
-        goes_in, goes_out = (each.any(axis=1) for each in ways)
+        directions = crossings(p[some].T[:, :, None], q[some].T[:, :, None], walls)
+        goes_in, goes_out = (each.any(axis=1) for each in directions)
         crossed[some] = goes_in & goes_out if both_ways else goes_in | goes_out
     return crossed
 
@@ -182,8 +182,8 @@ class NumpyPairs:
 
     def distances(self, p: _Points, q: _Points, outside: Outside) -> _Lengths:
         if outside == "clamp":
-            (p, way_p), (q, way_q) = self._clamped(p), self._clamped(q)
-            return self.distances(p, q, "inf") + (way_p + way_q)
+            (p, shift_p), (q, shift_q) = self._clamped(p), self._clamped(q)
+            return self.distances(p, q, "inf") + (shift_p + shift_q)
         return _in_blocks(partial(self._lengths, self._scene), self._rounded_ends, float(outside), p, q)
 
     def bounds_between(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
@@ -193,8 +193,8 @@ class NumpyPairs:
         self, p: _Points, goal: _Points, to_corners: Float[np.ndarray, "n size"], outside: Outside
     ) -> _Lengths:
         if outside == "clamp":
-            p, way = self._clamped(p)
-            return self.distances_to(p, goal, to_corners, "inf") + way
+            p, shift = self._clamped(p)
+            return self.distances_to(p, goal, to_corners, "inf") + shift
 
         def lengths(p: Any, goal: Any, to_corners: Any) -> Float[np.ndarray, " some"]:
             single, goal = p.astype(np.float32), goal.astype(np.float32)
@@ -293,14 +293,14 @@ def _shortest(
     # If a path is straight or missing, `q` counts as its first turn and `p` as its last.
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()
     hidden = np.flatnonzero(scene.hides(p, q))
-    turns_p, turns_q, ways = paths(hidden)
+    turns_p, turns_q, lengths_via = paths(hidden)
     lengths[hidden], open_ = np.inf, np.arange(len(hidden))
     while len(open_):  # try the shortest path first, and drop the corners that its ends do not see
-        i, j = np.divmod(ways[open_].reshape(len(open_), -1).argmin(axis=1), ways.shape[2])
-        length, rows, first, last = ways[open_, i, j], hidden[open_], turns_p[open_, i], turns_q[open_, j]
+        i, j = np.divmod(lengths_via[open_].reshape(len(open_), -1).argmin(axis=1), lengths_via.shape[2])
+        length, rows, first, last = lengths_via[open_, i, j], hidden[open_], turns_p[open_, i], turns_q[open_, j]
         hidden_p, hidden_q = scene.hides(p[rows], first), scene.hides(q[rows], last)
-        ways[open_[hidden_p], i[hidden_p]] = np.inf
-        ways[open_[hidden_q], :, j[hidden_q]] = np.inf
+        lengths_via[open_[hidden_p], i[hidden_p]] = np.inf
+        lengths_via[open_[hidden_q], :, j[hidden_q]] = np.inf
         free = (length < np.inf) & ~(hidden_p | hidden_q)
         lengths[rows[free]], via_p[rows[free]], via_q[rows[free]] = length[free], first[free], last[free]
         open_ = open_[(length < np.inf) & ~free]

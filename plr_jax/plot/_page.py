@@ -68,8 +68,8 @@ new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("de
 
 
 def in_iframe(page: str, width: float | int, height: float | int) -> str:
-    looks = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
-    return f'<iframe srcdoc="{html.escape(page)}" {looks}></iframe>'
+    attributes = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
+    return f'<iframe srcdoc="{html.escape(page)}" {attributes}></iframe>'
 
 
 def pixel_scale(bounds: Box) -> float:

@@ -127,8 +127,8 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
             pairs, piece = take_ragged(visible.first_pair, rows)
             source, first = visible.source[pairs], np.cumsum(num_sources[rows]) - num_sources[rows]
             for x in visible.pieces[:, rows].transpose(2, 1, 0):
-                ways = np.linalg.norm(x[piece] - visible.sources.points[source], axis=1)
-                distance = np.minimum.reduceat(visible.sources.distances[source] + ways, first)
+                legs = np.linalg.norm(x[piece] - visible.sources.points[source], axis=1)
+                distance = np.minimum.reduceat(visible.sources.distances[source] + legs, first)
                 attained = distance - functions.values(leaf[rows], x)
                 np.minimum.at(least, leaf[rows], attained)
                 np.maximum.at(most, leaf[rows], attained)

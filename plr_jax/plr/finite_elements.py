@@ -222,8 +222,8 @@ def enclosing_planes(
 def _shifted_powers(count: int, center: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n power power"]:
     # Coefficients of each power of ``t`` in powers of ``t - center``.
     power, of_difference = np.arange(count)[:, None], np.arange(count)
-    ways = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
-    return ways * center[:, None, None] ** np.maximum(power - of_difference, 0)
+    binomials = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
+    return binomials * center[:, None, None] ** np.maximum(power - of_difference, 0)
 
 
 def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> Float[np.ndarray, "n terms"]:

@@ -21,9 +21,9 @@ def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray],
     """Raise a ``ValueError`` with the first row that is not ``fine``: values ``got``, and their place ``at``."""
     if not fine.all():
         i = int(fine.argmin())
-        what = " and ".join(str(column[i].tolist()) for column in got)
-        where = ("at " if len(at) == 1 else "over ") + " to ".join(str(column[i].tolist()) for column in at)
-        raise ValueError(f"{expected}, got {what} {where}.")
+        values = " and ".join(str(column[i].tolist()) for column in got)
+        place = ("at " if len(at) == 1 else "over ") + " to ".join(str(column[i].tolist()) for column in at)
+        raise ValueError(f"{expected}, got {values} {place}.")
 
 
 # A box has pulls only if they say more than the bounds of the cost map: ``least`` must exceed this share of ``most``,

@@ -199,14 +199,14 @@ def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, " boxes"]:
     visible, depth, sources = boxes.visible, boxes.cells.depth, boxes.visible.sources
     x, y = np.ascontiguousarray(visible.pieces.transpose(0, 2, 1))
 
-    def ways(x: Any, y: Any, source: Any) -> Any:
+    def path_lengths(x: Any, y: Any, source: Any) -> Any:
         dx, dy = x - sources.points[source, 0], y - sources.points[source, 1]
         return sources.distances[source] + np.sqrt(dx * dx + dy * dy)
 
     distance = np.minimum.reduceat(
-        ways(x[:, visible.piece], y[:, visible.piece], visible.source), visible.first_pair[:-1], axis=1
+        path_lengths(x[:, visible.piece], y[:, visible.piece], visible.source), visible.first_pair[:-1], axis=1
     )
-    error = np.abs(distance - ways(x, y, boxes.source[visible.cell]))
+    error = np.abs(distance - path_lengths(x, y, boxes.source[visible.cell]))
     lo, hi = boxes.cells.boxes(boxes.domain)
     middle, cost = ((lo + hi) / 2)[visible.cell], np.zeros(depth.shape)
     for axis, along in enumerate((x, y)):
