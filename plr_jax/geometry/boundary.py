@@ -120,6 +120,10 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
     if (is_beside | is_beyond).any() or (pieces[1:] == pieces[:-1]).any():
         return None
     # 3. Leaving and arriving edges alternate around a vertex, so a sector ends at the successor of the leaving edge.
+    #     s                  Each edge counts twice: row k at its start, and row len(edges) + k at its end, as seen
+    #      \   sector        from there. Sort these rows by vertex, then counterclockwise. The rows of vertex v lie
+    #       v ----- e --->   from begin to end - 1. Cyclically, the row after edge e belongs to the edge that arrives
+    #                        from s, so sector_end[e] = s.
     at, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
     direction = vertices[other] - vertices[at]
     order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))

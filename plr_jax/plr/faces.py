@@ -68,6 +68,7 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> 
     """
     from scipy.sparse import csr_array, diags_array
 
+    # Substitute repeatedly, squaring the matrix, until all rows name free values only.
     step = csr_array(step + diags_array(is_free))
     while step[:, np.flatnonzero(is_free == 0)].nnz:
         step = csr_array(step @ step)
@@ -83,6 +84,10 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
     """
     from scipy.sparse import csr_array
 
+    # Gauss-Jordan elimination. For each equation, sum(row[i] * x[i]) == 0:
+    #   1. replace each solved variable in it by its solution;
+    #   2. solve it for its pivot: x[pivot] = -sum over the others of row[i] / row[pivot] * x[i];
+    #   3. replace the pivot in all earlier solutions that use it, so that solutions name unsolved variables only.
     solved: dict[int, dict[int, float]] = {}  # eliminated variable -> combination of others
     uses: dict[int, set[int]] = {}  # variable -> eliminated variables that use it
     rows.data[np.abs(rows.data) <= ZERO] = 0

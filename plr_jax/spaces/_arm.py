@@ -23,6 +23,7 @@ _MOST_BISECTIONS = 12
 _SIDES = 12  # sides of the polygon around the disc that a link's end sweeps; it reaches 3.5 % farther than the disc
 _PROBES = np.array([0.0, 0.5, 1.0])  # positions along each link at which it is tested against obstacles
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
+# Positions of an arm's joints, base first, and of its tip: link ``i`` leads from point ``i`` to point ``i + 1``.
 Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
 
 
