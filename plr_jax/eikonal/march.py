@@ -84,9 +84,11 @@ def marched(
 
 
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
-    """Return whether a grid of every second node has the same walls, and no jumps of the nodes' costs ``factor``.
+    """Return whether the coarse grid of every second node shows the same walls, and no jumps of the costs ``factor``.
 
-    ``is_clear`` marks the open nodes that lie on no wall.
+    It must have an odd number of nodes along each axis. Consider two nodes of the coarse grid that are neighbors
+    along an axis. If both are open, the node between them must be open too, and their costs must not jump. If one
+    is closed, the other must be closed or lie on a wall: ``is_clear`` marks the open nodes that lie on no wall.
     """
     if any(n % 2 == 0 for n in is_open.shape):
         return False
@@ -96,7 +98,7 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
             for nodes in (np.moveaxis(each, axis, 0) for each in (is_open, is_clear, factor))
         )
         jumps = np.maximum(cost_here, cost_there) > _NO_JUMP * np.minimum(cost_here, cost_there)
-        hides_wall = (clear_here & ~there) | (clear_there & ~here)  # which should lie on the other node
+        hides_wall = (clear_here & ~there) | (clear_there & ~here)  # a wall between the nodes, not on the open one
         if (hides_wall | (here & there & (jumps | ~between))).any():
             return False
     return True

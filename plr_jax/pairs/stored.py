@@ -124,7 +124,11 @@ class Outline:
         return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return walls moved by ``distance`` into obstacles (thin walls only if ``surely``), or out if negative."""
+        """Return the walls, rows ``(x0, y0, x1, y1)``, moved by ``distance`` into the obstacles behind them.
+
+        A negative distance moves walls into free space. At sharp corners they move less. A positive one moves walls
+        of thin obstacles only if ``surely``; if not, more walls follow, which close the gaps at contacts and tips.
+        """
         # Into obstacles, a point where two obstacles touch moves to two places, and a sharp tip moves far. So that no
         # path slips through, two walls of opposite directions join each old place, or a point near the tip, to the
         # new place. Walls of thin obstacles stay. With `surely`, they move too, and no walls are added.

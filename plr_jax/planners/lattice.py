@@ -326,7 +326,11 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices; cells, and the arcs of turns by a cell, are at most ``step`` wide."""
+    """Build the lattices of all robots of a problem; robots of equal shape and rotation weight share one table.
+
+    Cells are at most ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot
+    by more than ``step``, and is at most an eighth of a full turn.
+    """
     each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(each):
         members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])

@@ -186,8 +186,12 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """Skip waypoints ``q`` by straight motions where possible; reach each remaining one no later than its ``row``."""
-    # The robot, with rotation weight ``weight``, moves by ``length`` in a row.
+    """Return robot ``i``'s motion along waypoints ``q``, with straight motions that skip waypoints where possible.
+
+    The result has a configuration per time step (row of the timetable). The robot arrives at each waypoint that is
+    left at the latest in the waypoint's ``row``, and waits there if it arrives early and cannot go on. In a time step
+    it moves by ``length``, with turns weighted by ``weight``.
+    """
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     motion, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:

@@ -277,12 +277,12 @@ _BYTES_A_BIT, _LEAST_BITS = 16, 80
 
 
 class Proof(IntEnum):
-    """The kind of error bounds in a file: none, bounds that groups of leaves share, or bounds of each leaf."""
+    """The kind of error bounds in a file."""
 
-    NONE = 0
-    CLASSES = 1  # or only the largest error of all leaves, if there is no room for classes
-    LEAVES = 2
-    OPEN_LEAVES = 3  # leaves with the largest upper code have no upper bound
+    NONE = 0  # no bounds
+    CLASSES = 1  # bounds that groups of leaves share; if there is no room, only the largest error of all leaves
+    LEAVES = 2  # bounds of each leaf
+    OPEN_LEAVES = 3  # bounds of each leaf, where a leaf with the largest upper code has no upper bound
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
         """Return the most bits of this kind of proof in a file whose leaves take ``num_bytes`` bytes."""

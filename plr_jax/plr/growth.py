@@ -259,7 +259,11 @@ class Encoding:
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, " cells"]], Nodes]) -> FitNodes:
-    """Return a function that samples and fits cells and returns ``nodes_of(fits, priorities of the parents)``."""
+    """Return a function that turns cells, and the priorities of their parents, into nodes of a growing tree.
+
+    It samples and fits cells, about a million samples at a time, and calls ``nodes_of(fits, priorities)``. Cells with
+    few samples that reach the goal are sampled densely.
+    """
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
     def fit_nodes(cells: Cells, bound: Float[np.ndarray, " cells"]) -> Nodes:
@@ -269,7 +273,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 
     def fit_part(cells: Cells, bound: Float[np.ndarray, " cells"]) -> Nodes:
         fit = sampler(cells)
-        few = fit.is_hardly_seen  # such cells get more samples
+        few = fit.is_hardly_seen
         if not few.any():
             return nodes_of(fit, bound)
         order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
