@@ -93,6 +93,7 @@ def _loader() -> Any:
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
+    """Raise a ``ValueError`` unless a decoded file is of a kind, of a known version, and has all keys."""
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
     found = document.get("version")

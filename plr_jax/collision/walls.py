@@ -121,6 +121,7 @@ class MotionTest:
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
     def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
+        """Test pieces of motions against the walls near their cells; a point, against all walls."""
         work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):

@@ -267,6 +267,7 @@ def _inside_of_ring(name: str, ring: LinearRing) -> Any:
 
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
+    """Return the bounds, and free space as the union of components with holes, cut off at the bounds."""
     polygons = []
     components = [components] if isinstance(components, BaseGeometry) else components
     for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
@@ -319,6 +320,7 @@ def advice_on_cells(value: object) -> str:
 
 
 def as_bounds(value: Box | ArrayLike) -> Box:
+    """Check the bounds of a workspace: a box in the plane, not periodic, whose size and place numbers can resolve."""
     if isinstance(value, np.ndarray) and (value.ndim == 3 or value.dtype == bool):
         raise ValueError(f"Bounds must be a Box, got an array of shape {value.shape}.{advice_on_cells(value)}")
     bounds = Box.of(value, "Bounds")

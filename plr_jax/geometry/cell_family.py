@@ -115,6 +115,7 @@ class FamilyCells:
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
+        """Cut free space into convex pieces, box by box; a box that no wall reaches into is one piece."""
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         pieces, box, part = clip_to_boxes(triangles, lo, hi)
         at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]

@@ -259,6 +259,7 @@ def rounded_one_by_one(region: Any, grid: float) -> Any:
 
 
 def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: float) -> None:
+    """Raise a ``ValueError`` if coordinates of pixels overflow, or a pixel is not much larger than their rounding."""
     size = resolution * math.hypot(*shape)
     reach = float(origin) + size
     if not reach <= LARGEST_COORDINATE:

@@ -109,6 +109,7 @@ class PointSight:
         self._normal, self._offset = _flat(boundary.normal), _flat(boundary.offset)
 
     def sees(self, view: int, place: Place) -> bool:
+        """Return whether a viewpoint sees a place, with the same result as :meth:`VisibilityTable.sees`."""
         i, keys, x, y = 2 * view, self._key, place.x, place.y
         dx, dy, cx, cy = x - self._points[i], y - self._points[i + 1], self._cut[i], self._cut[i + 1]
         u, v = cx * dx + cy * dy, cx * dy - cy * dx
@@ -130,6 +131,7 @@ class CornerSight(PointSight):
         self._opens, self._closes = map(_flat, visibility.corners.walls)
 
     def may_turn(self, corner: int, place: Place) -> bool:
+        """Return whether a shortest path from a place may turn at a corner: it is tangent there, and seen."""
         i, slack = 2 * corner, self._slack
         dx, dy = place.x - self._points[i], place.y - self._points[i + 1]
         opens = self._opens[i] * dy - self._opens[i + 1] * dx

@@ -87,6 +87,7 @@ class Triangulation:
 
     @cached_property
     def locator(self) -> Locator:
+        """A grid of about as many cells as triangles, with the triangles that each cell meets, to locate points."""
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))

@@ -61,6 +61,7 @@ def outline_of(
 
 
 def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " rings_plus_one"]]:
+    """Return all points, ring by ring, and where each ring begins; ``following`` has each next point."""
     order, first, is_done = [], [0], np.zeros(len(following), bool)
     for point in range(len(following)):
         while not is_done[point]:
@@ -172,6 +173,7 @@ def grow_lists(
 
 
 def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
+    """Halve cells of leaves ``nodes`` along their longest axis, and list the corners of both halves."""
     leaves = np.flatnonzero(tree.is_leaf)
     cells = tree.lists.cells[nodes]
     axis = cells.longest_axis(domain)

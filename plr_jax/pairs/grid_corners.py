@@ -242,6 +242,7 @@ class CornerLabels:
     length: Int32[Array, " ancestors"]
 
     def between(self, a: Any, b: Any) -> Any:
+        """Return distances between corners ``a`` and ``b``, arrays that broadcast; ``_NO_PATH`` without a path."""
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         common = xp.minimum(*(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b)))
@@ -381,6 +382,8 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
 
 
 def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.ndarray, "corners corners"]:
+    # In the reverse order of elimination, a corner's neighbors come before it: all paths from it to earlier corners
+    # lead over one of them.
     place = np.empty(len(order), np.int64)
     place[order[::-1]] = np.arange(len(order))
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)

@@ -357,11 +357,15 @@ class _Left(NamedTuple):
 
 
 def _least_of_those_left(tables: GridTables, left: _Left, others_left: _Left, length: _Lengths) -> _Lengths:
+    """Return the least of ``length`` and of paths over one of the corners left for each of both cells."""
+
     def with_words(words: _Scalar, length: _Lengths) -> _Lengths:
         word, other_word = jnp.divmod(words, others_left.words(tables))
         blocks, other_blocks = left.word(tables, word), others_left.word(tables, other_word)
 
         def with_blocks(state: _BitsAndLength) -> _BitsAndLength:
+            # The lowest set bits are the next pair of blocks; x & (x - 1) clears the lowest set bit of x. For each bit
+            # of the first cell, go through all bits of the second cell.
             bits, other_bits, length = state
             corners, others = left.corners(tables, word, bits), others_left.corners(tables, other_word, other_bits)
             legs, other_legs = _legs(tables, left.cells, corners), _legs(tables, others_left.cells, others)

@@ -185,6 +185,7 @@ class PairPLR(FileBacked):
         return len(self.tables.distances) if is_traced(self.file) else table_size(self.num_corners)
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
+        """Check points, and return them relative to the middle of the domain."""
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")

@@ -192,6 +192,7 @@ class NumpyPairs:
     def distances_to(
         self, p: _Points, goal: _Points, to_corners: Float[np.ndarray, "n size"], outside: Outside
     ) -> _Lengths:
+        """Return distances from points ``p`` to goals whose distances to all corners, ``to_corners``, are known."""
         if outside == "clamp":
             p, way = self._clamped(p)
             return self.distances_to(p, goal, to_corners, "inf") + way
@@ -316,6 +317,7 @@ def js_pairs_reader() -> str:
 
 
 def js_pairs_module(data: bytes, domain: Box) -> str:
+    """Return a JavaScript module with the file ``data`` and functions that answer as :meth:`PairPLR.numpy` does."""
     return f"""\
 // The distance between any two points of {format_domain(domain)}, by plr_jax.
 //

@@ -200,6 +200,7 @@ def _normal_of(walls: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
+    """Decode what :meth:`Outline.write` wrote; ``ValueError`` if it is invalid."""
     step = np.frombuffer(body.read_fixed_width(2, 32).astype("<u4").tobytes(), "<f8")[0]
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f"its lattice step must be positive and finite, got {step}")

@@ -189,6 +189,10 @@ def _shortened_in_corridors(
 def _joint_costs(
     robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list, test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
+    """Return the costs of two robots' joint motions between rows, by pairs of their configurations in each row.
+
+    They are ``inf`` for motions that cannot gain or in which the robots collide, except for the present motions.
+    """
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]

@@ -429,6 +429,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
+    """Return an oracle for which bounds can be proven; ``ValueError`` for any other."""
     if domain.dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "

@@ -37,6 +37,7 @@ def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, " leaves
 
 
 def encode(contents: DecodedFile) -> bytes:
+    """Return the bytes of a PLR's file."""
     body = body_of_leaves(contents)
     proof = write_proof(body, contents.certificate, contents.straight)
     domain = contents.domain if contents.folding is None else contents.folding.domain
@@ -59,6 +60,7 @@ def body_of_leaves(contents: DecodedFile) -> BitWriter:
 
 
 def decode(data: bytes) -> DecodedFile:
+    """Decode the bytes of a PLR's file; ``ValueError`` if they are invalid."""
     container = Container.from_bytes(data)
     layer, dim = container.last, container.domain.dim
     leaf = leaf_of_code(layer.leaf_code)

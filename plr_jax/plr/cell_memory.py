@@ -44,6 +44,7 @@ class CellMemory:
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
+        """Return the sources of a tree's leaves; unless all are known, descend from the domain's sources."""
         if not self._knows(tree.leaves).all():
             nodes, visible = np.zeros(1, np.int64), self.sources(Cells.root(2))
             while len(nodes):

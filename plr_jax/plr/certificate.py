@@ -197,6 +197,8 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], vo
     width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
 
     def best_classes(price: float) -> Codes:
+        # least[k] is the least cost of classes of the k lowest ranks: over all begins of the last class, the least of
+        #   least[begin] + cost of a class of ranks begin to k - 1;     first[k - 1] is this begin.
         costs, least, first = width + price * bits, np.zeros(number + 1), []
         for last in range(number):
             costs_to = least[: last + 1] + costs[last, : last + 1]
@@ -260,6 +262,7 @@ def _class_keys(codes: Codes) -> Int[np.ndarray, " leaves"]:
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
+    """Decode each leaf's codes: the classes' codes, then for each class which leaves are in a later one."""
     count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
     classes = body.read_fixed_width(2 * count, _CODE_BITS).reshape(2, count)
     place, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
@@ -408,6 +411,10 @@ class Certificate:
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
+        """Return bounds of errors such that tighter ones would hardly change the file, given attained errors.
+
+        ``least`` and ``most`` are errors that the leaves attain, so bounds cannot be tighter.
+        """
         if self.proof is not Proof.CLASSES:
             largest = max(most.max(initial=0.0), -least.min(initial=0.0))
             spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
@@ -444,6 +451,7 @@ def write_proof(body: BitWriter, certificate: Certificate | None, straight: Stra
 def read_proof(
     body: BitReader, proof: Proof, num_leaves: int, dim: int
 ) -> tuple[Certificate | None, StraightBound | None]:
+    """Decode error bounds and a straight-line bound, the inverse of :func:`write_proof`."""
     if proof is Proof.NONE:
         return None, None
     scale = float(body.read_floats(1)[0])

@@ -223,6 +223,7 @@ def write_tree(body: BitWriter, tree: Tree) -> None:
 
 
 def read_tree(body: BitReader, dim: int) -> Tree:
+    """Decode a tree, level by level: which nodes are split, and along which axes."""
     axes, num_nodes = [], 1
     while num_nodes:
         if len(axes) > MAX_DEPTH:

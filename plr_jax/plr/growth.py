@@ -67,6 +67,7 @@ class Limits:
 
 
 def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
+    """Raise a ``ValueError`` if a construction needs more memory than the machine has."""
     needed = num_nodes * bytes_a_node
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
@@ -134,6 +135,7 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
+    """Make leaves of fitted cells, with the priority and the axis of their split, by rules and limits."""
     check_rules(fit, priority, axis)
     priority, axis = urgent_first(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
@@ -170,6 +172,7 @@ def is_within_depth(cells: Cells, axis: Int[np.ndarray, " cells"], limits: Limit
 
 
 def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.ndarray, "..."]) -> None:
+    """Raise a ``ValueError`` unless the rules returned a priority and an axis for each cell."""
     cells, dim = fit.cells.depth.shape
     if priority.shape != (cells,) or np.isnan(priority).any():
         raise ValueError(
@@ -325,6 +328,7 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Le
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]
 
     def most_leaves(bits: int) -> Leaves:
+        # The leaves after as many splits, in their order, as the file has room for; none if one leaf is too large.
         if np.isinf(limits.max_bytes):
             return nodes.leaves_of_splits(order)
         enough = bisect_right(

@@ -34,6 +34,7 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
 
 
 def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distance: float | int) -> Problem:
+    """Move robot ``i``'s start (``end`` 0) or goal (1) to a random free place, up to ``distance`` away."""
     for _ in range(_ATTEMPTS):
         ends = np.stack([problem.starts, problem.goals])
         angle, radius = rng.uniform(0, 2 * np.pi), distance * np.sqrt(rng.uniform())

@@ -162,6 +162,7 @@ class PlanarArm:
         return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
     def _boxes_are_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
+        """Return whether boxes of joint angles surely hold no free configuration."""
         ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
         hit = np.zeros(len(center), dtype=bool)
         for i in range(self.dof):

@@ -73,6 +73,7 @@ class _CompactWriter:
         return 32 * _NUM_WORDS + self.body.num_bits
 
     def _write_domain(self) -> None:
+        """Write the domain: 32-bit numbers for queries, exact corners if needed, and mirrors or straight lines."""
         program, contents = self.program, self.program.contents
         ends = np.zeros((3, self.dim))
         for axis, (lo, hi, _, tolerance) in program.periods.items():
