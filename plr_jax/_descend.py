@@ -212,6 +212,7 @@ def _edges(
     """Join each corner to ``count`` visible corners or goals with the least sum of distance and cost-to-go."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
+        # The distance to each place plus its cost-to-go; NaN where no shortest path can go.
         here = corners[rows]
         score = distances_between(places.points[here], places.points) + field
         pairs = here[:, None], np.arange(len(places.points))

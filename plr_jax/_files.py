@@ -127,6 +127,7 @@ def _require_plain(events: Iterator[Any]) -> None:
 
 
 def _require_limits(value: Any) -> None:
+    # Level by level, so that deep nesting cannot overflow the stack.
     level, nested = [value], 0
     while level:
         if any(isinstance(entry, int) and abs(entry) > _LARGEST_INTEGER for entry in level):

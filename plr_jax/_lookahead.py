@@ -359,6 +359,7 @@ def _cheapest_places(
         rows = np.flatnonzero(is_known == trusted)
 
         def prices(some: slice, rows=rows, now=now, through=through) -> Float[np.ndarray, "some k"]:
+            # Costs of the ways through changed places; NaN if they are not cheaper than `now`.
             y = domain.wrapped(x[rows[some], None] + changes).reshape(-1, x.shape[1])
             inside = domain.contains(y)
             a, b = (np.repeat(ends[rows[some]], k, axis=0)[inside] for ends in (before, after))

@@ -95,6 +95,7 @@ class CostToGoField:
 
     @cached_property
     def _lower_at_corners(self) -> CellCorners:
+        # The larger of two proven bounds: the rescaled solution, and the cost of a straight motion at the least rate.
         is_corner = np.isin(self.program.space.lattice, (0, 1)).all(axis=1)
         proven = np.interp(self._nodal[:, is_corner], *self._rescaling)
         mesh, costs = self.mesh, self.program.costs

@@ -74,6 +74,7 @@ class Mesh:
 
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "nodes dim"], Int[np.ndarray, "cells corners"]]:
+        """Nodes, as fractions of the domain, and for each cell the indices of its corners among them."""
         slots = 1 << self._finest
         size = (self._finest - self.cells.depth)[:, None]
         place = (self.cells.position[:, None] + corner_bits(self.dim)) << size

@@ -309,6 +309,7 @@ def grid_at(tolerance: float) -> float:
 
 
 def advice_on_cells(value: object) -> str:
+    """Advise what to use for an array of cells that is given in place of polygons or bounds."""
     if not isinstance(value, np.ndarray) or value.ndim not in (2, 3):
         return ""
     if value.ndim == 2:

@@ -163,6 +163,7 @@ def changed_visibility(
 
 
 def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, " views"]:
+    """Return which viewpoints may see a change: they saw a wall that is gone, or may see a changed part."""
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True

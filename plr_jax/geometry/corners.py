@@ -50,6 +50,10 @@ class ReflexCorners:
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
+    """Return the corners at which shortest paths may turn, and the same corners as viewpoints.
+
+    They are reflex vertices and, if paths may squeeze through, contacts.
+    """
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)

@@ -223,6 +223,7 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
+        """Return whether points lie in front of the nearest edge in intervals ``row``, exactly near the edge."""
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]

@@ -159,6 +159,7 @@ class Sums:
         return cls(table.ravel(), np.array(table.strides) // table.itemsize)
 
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
+        """Count the true entries from ``first`` to ``last``, both included, along all axes."""
         begin = first * self.strides[:, None]
         end = np.maximum(last + 1, first) * self.strides[:, None]
         total = np.zeros(first.shape[1], self.table.dtype)
@@ -209,6 +210,7 @@ def reach_of_cells(
         far = cut_off & (away > FAR - np.linalg.norm(side))
 
     def counting(cells: Bool[np.ndarray, "..."]) -> BoxTest:
+        # A test of boxes: whether a box meets any of the cells, by a summed-area table.
         sums = Sums.of(np.ascontiguousarray(cells))
 
         def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:

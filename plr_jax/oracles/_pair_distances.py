@@ -208,6 +208,7 @@ class PairDistances:
         return _run_minima(at_x.distance + length, at_x.first)
 
     def _visible_corners(self, x: Points) -> _CornerLists:
+        """Return, for each point, the corners that it sees and at which a shortest path from it may turn."""
         _, index, number = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._lists_of_triangles

@@ -232,6 +232,7 @@ def evaluate_few(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
+    """Return the numbers of steps from points to one cell; ``from_goal`` has the lengths from it to all corners."""
     p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
 
@@ -364,8 +365,8 @@ def _least_of_those_left(tables: GridTables, left: _Left, others_left: _Left, le
         blocks, other_blocks = left.word(tables, word), others_left.word(tables, other_word)
 
         def with_blocks(state: _BitsAndLength) -> _BitsAndLength:
-            # The lowest set bits are the next pair of blocks; x & (x - 1) clears the lowest set bit of x. For each bit
-            # of the first cell, go through all bits of the second cell.
+            # The lowest set bits are the next pair of blocks; x & (x - 1) clears the lowest set bit of x. For each
+            # bit of the first cell, go through all bits of the second cell.
             bits, other_bits, length = state
             corners, others = left.corners(tables, word, bits), others_left.corners(tables, other_word, other_bits)
             legs, other_legs = _legs(tables, left.cells, corners), _legs(tables, others_left.cells, others)
@@ -408,6 +409,7 @@ def _least_around(
 
 
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
+    """Return the first block of corners that each cell lists, and the number of its blocks."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
         looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(np.int32)
@@ -421,6 +423,7 @@ def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: _Scal
 
 
 def _in_steps(connectivity: int, length: Ints, inside: Flags) -> Any:
+    """Convert lengths in integer units to numbers of steps; ``inf`` outside the grid or without a path."""
     xp: Any = np if isinstance(length, np.ndarray) else jnp
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     whole, rest = xp.divmod(length, STRAIGHT[connectivity])

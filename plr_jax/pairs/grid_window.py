@@ -120,6 +120,7 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
     def swept(lengths: Square, free: _Free, turns: tuple[int, ...], reverse: bool) -> Square:
+        # One pass over the rows: each row takes lengths from the row before it, straight and by `turns` diagonally.
         def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
             (last_row, last_free), (row, is_free) = last, here
             row = jnp.minimum(row, last_row + straight)
@@ -133,6 +134,7 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
 
     def spread(part: tuple[Square, _Free]) -> Square:
+        # Sweep down, up, left and right until nothing changes.
         lengths, free = part
 
         def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:

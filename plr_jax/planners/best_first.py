@@ -153,6 +153,7 @@ class BestFirstSearch:
 
     @property
     def solution_states(self) -> State:
+        """The joint states of the path that was found, from the starts on."""
         assert self.found is not None
         node, states = self.found, [self.states[self.found]]
         while self.parents[node] >= 0:

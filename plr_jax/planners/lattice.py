@@ -102,6 +102,7 @@ class Kind:
 
     @cached_property
     def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
+        # Each column lists the shared edges into a node; dummy edges fill it up.
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))
         size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.terminal_edges))

@@ -92,6 +92,8 @@ class Timetable:
         return np.minimum.accumulate(np.where(until - row >= self.patience, row, np.inf)[::-1])[::-1]
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
+        # The pieces of motions, one time step each, that meet a robot, and this robot. A robot at rest blocks others
+        # for `patience` rows.
         around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
         piece, other = self._trajectory.robots_near(i, around, motion, list(self.ignored))
         there = row[piece] < self.ends[other] + self.patience

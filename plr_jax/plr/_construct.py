@@ -385,6 +385,7 @@ def _models_to_try(
 
 
 def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) -> float:
+    """Estimate a PLR's error at random points: the geometric mean of the mean and the largest error."""
     domain = contents.domain
     x = domain.lo + domain.width * np.random.default_rng(seed).random((_ERROR_POINTS, domain.dim))
     distance = as_distances("The distance function", distance_fn(x), x)

@@ -233,6 +233,7 @@ def requantize_bounds(
 
 
 def _fits(codes: Codes, max_bits: int) -> bool:
+    """Return whether shared bounds take at most ``max_bits`` bits in a file."""
     num_classes = distinct_classes(codes).shape[1]
     if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
         return False

@@ -175,6 +175,7 @@ def _read_ply(data: bytes) -> list[Polygons]:
 
 
 def _grouped(polygons: Iterable[Sequence[Any]]) -> list[Polygons]:
+    """Return polygons as arrays, one for each number of corners; polygons with too few corners are left out."""
     by_size = defaultdict(list)
     for polygon in polygons:
         by_size[len(polygon)].append(polygon)

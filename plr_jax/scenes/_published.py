@@ -90,6 +90,7 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
 
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:
+    """Draw random places for discs in a square of width ``side``, at a distance from one another."""
     places, margin = np.empty((0, 2)), _RADIUS + _CLEAR
     for _ in range(_MOST_TRIALS):
         place = rng.uniform(margin, side - margin, 2)

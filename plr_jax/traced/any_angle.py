@@ -259,6 +259,7 @@ class CornerPaths:
         return self._distance(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
 
     def _distance(self, x: Float[Array, "n 2"], seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
+        # The least of the straight segment to the goal, and of the paths through each visible corner.
         goal = jnp.broadcast_to(self.goal.astype(x.dtype), x.shape)
         (ends, is_free), (goal_ends, goal_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, goal))
         sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
@@ -284,6 +285,7 @@ class CornerPairs:
         return cls(corners, between)
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, " n"]:
+        # The straight segment, or x -> first corner -> last corner -> y: `onward` is the way from each corner to y.
         dtype = jnp.promote_types(jnp.promote_types(x.dtype, y.dtype), self.between.dtype)
         x, y, points = x.astype(dtype), y.astype(dtype), self.corners.points(dtype)[None]
         (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, each) for each in (x, y))

@@ -170,6 +170,7 @@ def _octile_distances(free: Mask, start: Mask) -> Distances:
     least = jnp.where(free, 0, _FAR).astype(jnp.int32)
 
     def relaxed(state):
+        # One round of the Bellman-Ford algorithm, for all cells at once.
         old, _ = state
         near = jnp.minimum(at(old, 0, 1), at(old, 0, -1))
         near = jnp.minimum(near, jnp.minimum(at(old, 1, 0), at(old, -1, 0)))

@@ -340,6 +340,7 @@ class NumpyPLR:
         return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+        # Columns: the lower bound, at least 0, and the upper bound, both rounded outward.
         assert self._band is not None, "bounds are called only with a proof"
         value, band = self._values(offsets, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
         lower = np.nextafter(value + band[0], np.float32(-np.inf))

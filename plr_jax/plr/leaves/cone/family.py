@@ -100,6 +100,10 @@ class Lattice:
         return found
 
     def by_shape(self, box: Int[np.ndarray, " some"]) -> Iterator[tuple[Shape, Int[np.ndarray, " alike"], Any, Any]]:
+        """Group boxes by shape: yield a shape, the rows of ``box`` of this shape, and the indices of their samples.
+
+        These indices are the sum of each box's first sample and of offsets that all boxes of a shape share.
+        """
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
         for number in np.unique(of_shape):

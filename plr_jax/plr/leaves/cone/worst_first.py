@@ -92,6 +92,7 @@ class _GoalTree:
         return fits
 
     def tree(self, num_splits: int, axes_above: list[int]) -> Tree:
+        """Return the tree after ``num_splits`` splits, below levels whose axes are ``axes_above``."""
         axis = np.where(self._place < num_splits, self.nodes.axis, -1)
         order = np.lexsort((self.nodes.path, self.nodes.level))
         order = order[self._born[order] < num_splits]
