@@ -35,6 +35,9 @@ def balls(
     side: Sides,  # grid step along each axis
 ) -> tuple[Costs, float]:
     """Return costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost at which marching starts."""
+    # Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see its
+    # nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All nodes below
+    # that cost, and the cheapest node of each goal, get the cost of their straight motion.
     differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
     stops = is_open & (~sees_nearest | differs | (lengths >= radius))
     largest = np.minimum(straight, at_goal * lengths)[stops].min(initial=np.inf)
@@ -43,6 +46,7 @@ def balls(
     np.minimum.at(cheapest, goal[near], straight[near])
     is_cheapest = near & (straight == cheapest[goal]) if near.any() else near
     start = np.where(is_cheapest | ((straight < largest) & ~differs), straight, np.inf)
+    # March from one step below the largest of these costs, so that nodes on both sides of the first front have them.
     inside = np.isfinite(start)
     step = float(slowness[inside].max(initial=0.0) * side.max())
     level = min(largest, float(start[inside].max(initial=0.0))) - step
@@ -53,6 +57,7 @@ def marched(
     is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
 ) -> Costs:
     """Return costs of grid nodes by fast marching from the nodes whose costs ``start`` are at most ``level``."""
+    # The first front lies between core nodes and open nodes beside them, which get the cheapest known cost.
     is_core = start <= level
     known, inverse_square = start.copy(), np.zeros(is_open.shape)
     for axis, wraps in enumerate(periodic):
@@ -70,7 +75,9 @@ def marched(
     if not front.any():
         return np.where(is_core, start, np.inf)
     time = np.where(is_core[front], level - known[front], known[front] - level)
-    # scikit-fmm starts at a surface between nodes, and errs beside it: nodes there get the slowness that corrects it.
+    # scikit-fmm puts the first front halfway between nodes. A node with neighbors beyond it along some axes counts as
+    # 1 / sqrt(sum over these axes of (2 / side)**2) away from it, and its time is this distance times its slowness.
+    # So these nodes get the slowness at which the time is the difference of their known cost and the level.
     slowness = slowness.copy()
     slowness[front] = np.maximum(time, _NO_TIME * slowness[front] * side.min()) * np.sqrt(inverse_square[front])
     found = skfmm.travel_time(

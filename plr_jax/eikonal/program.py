@@ -157,7 +157,7 @@ class SlopeSets:
     """
 
     blocks: Sequence[Sequence[int]]
-    radius: PerControl
+    radius: PerControl  # the lower bound of the cost of motions of norm 1, at each coefficient's control point
     pulls: Float[np.ndarray, "2 dim controls"] | None = None
 
     def lengths(self, g: Vectors) -> list[PerControl]:
@@ -234,7 +234,7 @@ class SlopeProgram:
     space: FunctionSpace
     gradient: csr_array  # maps dofs to control vectors, axis by axis, in the coordinates of `sets`
     costs: CellCosts
-    volume: PerControl  # share of the cell's volume
+    volume: PerControl  # the share of each control point in the volume of its cell
     weight: Dofs  # integrals of the basis functions
     goal: Dofs | csr_array  # maps dofs to the value at the goal; a matrix if there are several goals
     at: Float[np.ndarray, "goals dim"]  # the goals, fractions of the domain

@@ -45,7 +45,14 @@ Entries: TypeAlias = Int[np.ndarray, " entries"]
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Segments across which visibility from viewpoints changes: on rays past corners, from the corner to a wall."""
+    """Segments across which visibility from viewpoints changes: on rays past corners, from the corner to a wall.
+
+    ::
+
+        viewpoint . - - - - - corner =============|       The viewpoint sees points above the shadow (=), but not
+                             /                    | wall  points below it, behind the obstacle.
+                   obstacle /                     |
+    """
 
     table: VisibilityTable
     key: Float[np.ndarray, " shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
@@ -151,6 +158,10 @@ class Sight:
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
+        """Return whether a part of each piece may lie in its source's cone of :class:`TurnPoints`; True for a goal.
+
+        With ``from_all``, return whether all of the piece lies in the cone.
+        """
         turn = self.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]

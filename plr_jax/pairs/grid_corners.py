@@ -117,6 +117,15 @@ _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 
 @dataclass(frozen=True)
 class _Sector:
+    """A quadrant or octant around each corner, in a flipped, mirrored or transposed view of the grid.
+
+    ::
+
+        2 |     . .       In the view, the sector reaches from corner c along rising columns, *ahead*, and rising
+        1 |   . . .       rows, *aside*. Row i of an octant (slanted) begins i columns ahead of the corner, and row i
+        0 | c . . .       of a quadrant right beside the corner.
+    """
+
     free: Grid
     blocked: dict[tuple[int, int], Grid]
     row: Int[np.ndarray, " corners"]
@@ -129,6 +138,7 @@ class _Sector:
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
+        # The numbers, in the grid, of cells of corners' sectors.
         column = self.column[corner] + ahead + (aside if self.slanted else 0)
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
@@ -216,6 +226,8 @@ def looked_up(table: Any, index: Any) -> Any:
 
 @pytree
 class CornerTable:
+    """Distances between all obstacle corners: those between centers near them, plus small differences."""
+
     center: Integer[Array, " corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
     # For each corner and all up to it, row by row: the distance minus that between the centers near both corners.

@@ -49,6 +49,7 @@ class PythonEmitter(Emitter):
         return self.atom(f"{'float64' if x.type == 'double' else 'float32'}(floor({x}))", x.type)
 
     def fraction(self, x: Expression) -> Expression:
+        # The 23 mantissa bits of a float in [1, 2), as an integer without the leading one.
         return self.atom(f"(int({x * np.float32(1 << 23)}) & {(1 << 23) - 1})", "uint32_t")
 
 
