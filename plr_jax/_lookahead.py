@@ -168,6 +168,8 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
+    """The steps of paths down a field to a goal, and the search that leaves its local minima."""
+
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, " dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
         self.domain, motion = costs.space.domain, costs.space.motion_cost
@@ -222,6 +224,7 @@ class _Lookahead:
         promised = np.empty((len(x), num_ways))
 
         def flatness(rows: slice) -> Float[np.ndarray, "rows ways"]:
+            # The least comes first: minus the slope, plus _LONGER each time that the step is half as long.
             here, before = x[rows], value[rows, None]
             to_goal = self.domain.difference(self.goal, here)[:, None]
             change = np.concatenate([to_goal, np.broadcast_to(self.steps, (len(here), *self.steps.shape))], axis=1)

@@ -40,6 +40,8 @@ Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 
 
 class Circles(NamedTuple):
+    """Circles in the plane, one for each entry of the arrays."""
+
     x: Column
     y: Column
     radius: Column

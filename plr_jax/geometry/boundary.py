@@ -388,6 +388,8 @@ def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> An
 
 
 class Region(NamedTuple):
+    """A region of free space, and its boundary as a graph."""
+
     polygon: Polygon | MultiPolygon
     boundary: Boundary
     is_in_place: bool  # whether walls moved by rounding only; else thin walls or gaps were closed

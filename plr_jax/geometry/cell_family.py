@@ -104,6 +104,8 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
+    """The free parts of boxes as convex pieces, for oracles of any goal on one map."""
+
     sight: Sight  # for any goal
     lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`
     first_piece: Int[np.ndarray, " boxes_plus_one"]
@@ -130,6 +132,8 @@ class FamilyCells:
 
 
 class FamilyGoal(NamedTuple):
+    """What an oracle of a family knows about its own goal."""
+
     sources: Sources  # the goal, then all corners
     turns: TurnPoints  # where paths to the goal turn
     view: VisibilityTable  # the visibility polygon of the goal

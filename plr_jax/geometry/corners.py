@@ -68,6 +68,8 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
+    """The corners at which shortest paths can turn, what each one sees, and the visibility graph."""
+
     corners: ReflexCorners
     views: Viewpoints  # at the corners
     table: VisibilityTable

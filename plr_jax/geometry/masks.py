@@ -88,6 +88,8 @@ def pixel_rings(free: Mask) -> PixelRings:
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
+    """The points of exact outlines of pixels at which simplified outlines may bend."""
+
     points: Float[np.ndarray, "n 2"]  # corners and some middles of edges of outlines
     ring: Int[np.ndarray, " n"]  # the outline of each point; its first corner is repeated as its last point
     is_corner: Bool[np.ndarray, " n"]

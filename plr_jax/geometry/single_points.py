@@ -36,6 +36,8 @@ class Place(NamedTuple):
 
 
 class PointLocator:
+    """A point location for one point at a time, without calls of NumPy; see :meth:`Triangulation.place`."""
+
     def __init__(self, triangulation: Triangulation):
         locator = triangulation.locator
         (self._x0, self._y0), (self._width, self._height) = locator.lo.tolist(), locator.width.tolist()
@@ -101,6 +103,8 @@ class PointLocator:
 
 
 class PointSight:
+    """A sight test of one viewpoint and one place at a time, mostly without calls of NumPy."""
+
     def __init__(self, table: VisibilityTable):
         boundary = table.boundary
         self._table, self._blur, self._tolerance = table, table.blur, table.tolerance
@@ -125,6 +129,8 @@ class PointSight:
 
 
 class CornerSight(PointSight):
+    """A test of one corner and one place at a time: whether a shortest path can turn there."""
+
     def __init__(self, visibility: CornerVisibility):
         super().__init__(visibility.table)
         self._slack = visibility.corners.slack

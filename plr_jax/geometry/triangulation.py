@@ -60,6 +60,8 @@ class Locator:
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
+    """Points of a region with the triangles that contain them."""
+
     x: Float[np.ndarray, "n 2"]  # rounded to the grid
     triangle: Int[np.ndarray, " n"]  # that contains each point
     on_side: Bool[np.ndarray, "n 3"]  # whether the point lies on each side of its triangle

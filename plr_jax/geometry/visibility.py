@@ -76,6 +76,8 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
+    """Cones of sight, from viewpoints through sides of triangles."""
+
     view: Indices  # the viewpoint at each cone's apex
     half_edge: Indices  # through which each cone leaves a triangle
     vertex: Indices  # on the right bound

@@ -53,6 +53,8 @@ class _CornerLists:
 
 @dataclass(frozen=True, eq=False)
 class PairDistances:
+    """Exact distances between any two points of a workspace, and caches that oracles of all goals share."""
+
     workspace: Workspace
     visibility: CornerVisibility
 

@@ -129,6 +129,8 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
+    """A growing tree of cells; each node lists the corners at which paths from it may turn first."""
+
     lists: Lists
     key: Float[np.ndarray, " nodes"]  # priority of halving the node, at most that of its parent
     is_leaf: Bool[np.ndarray, " nodes"]

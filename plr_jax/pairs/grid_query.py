@@ -340,6 +340,8 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
 
 class _Left(NamedTuple):
+    """The blocks of corners of cells that are still to be tried, as words of bits."""
+
     cells: Cells
     blocks: _Blocks  # a bit for each of a cell's first 32 blocks of four corners: whether it is still to try
 

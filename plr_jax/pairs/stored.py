@@ -245,6 +245,8 @@ _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 @dataclass(frozen=True, eq=False)
 class PairsFileData:
+    """The content of a file of pairs: the map, its corners, and the corners that each leaf lists."""
+
     domain: Box
     outline: Outline
     corner: Int[np.ndarray, " corners"]  # outline points that are corners, ascending

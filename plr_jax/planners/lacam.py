@@ -208,6 +208,8 @@ class PIBT:
 
 @dataclass(eq=False)
 class Node:
+    """A joint state that the search has reached, with the steps of the team that are left to try from it."""
+
     state: JointNode
     parent: "Node | None"
     priority: Float[np.ndarray, " robots"]  # steps since the start, or since the goal was left, plus a share below 1

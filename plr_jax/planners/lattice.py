@@ -155,6 +155,8 @@ class Kind:
 
 
 class Lattice:
+    """The lattice of one robot: that of its kind, with the robot's own start and goal."""
+
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
         self.start, self.goal = kind.terminals.node[row].tolist()

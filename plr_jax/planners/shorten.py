@@ -156,7 +156,10 @@ def _shortened_in_corridors(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    # The first and the last of the rows stay.
+    """Return the cheapest collision-free configurations of one or two robots in some rows, out of their corridors.
+
+    The first and the last of the rows stay.
+    """
     require_time(test.deadline, "all corridors were searched")
     path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
@@ -164,6 +167,7 @@ def _shortened_in_corridors(
     own, weights = zip(robots, corridors, strict=True), problem.rotation_weights
     costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in own]
     through = [_least_cost_through(cost) for cost in costs]
+    # A robot's path gains nothing if it exceeds the robot's least cost by what all robots together may save, or more.
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(float(total[0].min()) for total in through)
     for i, corridor, reached, cost, total in zip(robots, corridors, around, costs, through, strict=True):
         # Motions cost inf if they cannot gain or hit something. The robot's present motions keep their costs.

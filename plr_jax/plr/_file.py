@@ -22,6 +22,8 @@ from plr_jax.plr.tree import Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
+    """The content of a PLR file, decoded."""
+
     domain: Box  # covered by the leaves; the PLR's domain, unless the file has mirror symmetries
     leaf: LeafModel
     tree: Tree

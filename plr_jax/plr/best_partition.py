@@ -188,6 +188,8 @@ def peak_share(num_leaves: float, is_proven: bool) -> float:
 
 
 class SelectedBoxes(NamedTuple):
+    """The boxes of a level that a tree at the current or a lower price may contain."""
+
     box: Int[np.ndarray, " own"]  # boxes of a level that a tree may contain
     child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
 

@@ -13,6 +13,8 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class CellMemory:
+    """A cache of the sources of cells, so that halves inherit the sources of their wholes."""
+
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
         self._parts: list[CellSources] = []

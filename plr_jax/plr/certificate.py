@@ -46,6 +46,8 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
+    """The functions of leaves, which are the boxes from ``lo`` to ``hi``."""
+
     model: Any  # a LeafModel, which this file may not import
     lo: Float[np.ndarray, "leaves dim"]
     hi: Float[np.ndarray, "leaves dim"]

@@ -41,6 +41,8 @@ _SIZE_BYTES = 4
 
 @dataclass(frozen=True)
 class Layer:
+    """The encoded leaves of a file, with codes of their leaf model and their kind of proof."""
+
     leaf_code: int
     body: bytes  # encoded leaves
     proof_code: int = 0
@@ -48,6 +50,8 @@ class Layer:
 
 @dataclass(frozen=True)
 class Header:
+    """The header of a file: the domain, and what the layers hold."""
+
     domain: Box
     leaf_code: int  # of the last layer
     proof_code: int = 0

@@ -44,6 +44,8 @@ class ConstructionInterrupted(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Limits:
+    """The limits of a construction; it ends at the first one that it reaches."""
+
     max_depth: int
     max_axis_depth: int  # most halvings of a cell along one axis, which limit the size of lookup tables
     max_leaves: int
@@ -256,6 +258,8 @@ FitNodes = Callable[[Cells, Float[np.ndarray, " cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
+    """How files store leaves, for several numbers of bits per value."""
+
     choices: Sequence[int]  # numbers of bits to choose from
     size: Callable[[Nodes, Leaves, int], int]  # bytes of a file, by nodes, leaves and bits per value
     rounding_error: Callable[[Nodes, Leaves, int], float]  # mean error of rounded values

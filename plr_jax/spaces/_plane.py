@@ -76,6 +76,8 @@ _SLIVER = 0.01
 
 @dataclass(frozen=True)
 class BodySpace:
+    """A base of the spaces of one robot in a workspace, which tests configurations and motions."""
+
     workspace: Workspace
     robot: Robot
 

@@ -238,6 +238,8 @@ def _(primals, tangents):
 
 @pytree
 class CornerPaths:
+    """The shortest paths to one goal: distances of points, by way of convex corners."""
+
     corners: Corners
     distances: Float[Array, "*maps corners"]  # from convex corners to the goal
     goal: Float[Array, "*maps 2"]
@@ -273,6 +275,8 @@ class CornerPaths:
 
 @pytree
 class CornerPairs:
+    """The shortest paths between any two points, by way of convex corners."""
+
     corners: Corners
     between: Float[Array, "*maps corners corners"]
 

@@ -85,6 +85,8 @@ class Steps:
 
 @pytree
 class StepPairs:
+    """Path lengths between any two cells; a point on a border has the least length of the cells there."""
+
     table: Float[Array, "*maps h w h w"]
 
     @classmethod

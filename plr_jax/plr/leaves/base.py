@@ -23,6 +23,8 @@ Parameters: TypeAlias = Float[np.ndarray, "n count"]
 
 
 class Rules(NamedTuple):
+    """The rules by which a construction splits leaves; see :data:`ShouldSplitRule`."""
+
     should_split: ShouldSplitRule
     split: SplitRule
 

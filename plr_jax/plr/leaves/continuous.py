@@ -209,6 +209,8 @@ _UNPREDICTED = 1e-3  # factor of the difference from the mean value, for values 
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
+    """A partition, the values fitted to it, and the size of its file."""
+
     fit: CellFit
     stored: StoredValues
     num_bytes: int

@@ -75,6 +75,8 @@ class StoredSources:
 
 @dataclass(frozen=True, eq=False)
 class StoredCones:
+    """Cones as in a file: the sources, and the source of each leaf."""
+
     sources: StoredSources
     source: Int[np.ndarray, " leaves"]
 

@@ -37,6 +37,8 @@ _ATTEMPTS, _FULL = 8, 0.99  # trees to try at last, until one takes this share o
 
 @dataclass(frozen=True, eq=False)
 class _Nodes(Rows):
+    """The nodes of the trees of several goals."""
+
     goal: Int[np.ndarray, " nodes"]
     parent: Int[np.ndarray, " nodes"]  # -1 for the boxes of step 1
     level: Int[np.ndarray, " nodes"]  # number of halvings of the domain
