@@ -132,7 +132,7 @@ class FamilyCells:
 
 
 class FamilyGoal(NamedTuple):
-    """What an oracle of a family knows about its own goal."""
+    """The sources, turn points and visibility polygon of one goal, as cells of a family need them."""
 
     sources: Sources  # the goal, then all corners
     turns: TurnPoints  # where paths to the goal turn
