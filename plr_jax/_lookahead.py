@@ -145,6 +145,7 @@ class PathCosts:
 
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
+    """Find paths from all starts down a field to a goal, and make them cheaper."""
     domain = costs.space.domain
     starts, goal = (domain.settled(each, costs.space.is_free) for each in (starts, goal))
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)

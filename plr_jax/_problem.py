@@ -131,6 +131,7 @@ def require_problem(problem: object, path: object = None) -> None:
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
+    """Check a path, and return it as an array; of 32-bit floats, its ends become exact starts and goals."""
     require_problem(problem, path)
     if path is None:
         raise ValueError("A path must be an array, got None: solution.path is None, see solution.status.")

@@ -223,6 +223,7 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
+    """Return which motions certainly keep a point ``reach`` away from a box, and which certainly do not."""
     ends, distances = [], []
     for end in (0.0, 1.0):
         (x, y), (c, s) = _offset(a, b, end), _heading(a, end)

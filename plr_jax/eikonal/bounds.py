@@ -319,6 +319,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 
 def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightBound | None) -> DecodedFile:
+    """Add proven bounds to each leaf: the worst bounds of the cells of the mesh that it meets."""
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
     # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself or, for

@@ -179,6 +179,7 @@ class Mesh:
         return _mesh(self.domain, self.cells[stays].append(*parts), state, is_flush)
 
     def _parts(self, which: Int[np.ndarray, " some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
+        """Halve cells, and return their parts, the states of the parts, and whether they are flush."""
         cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] != CellState.FREE
         # 1. Classify the parts of cells that are not free, halved along all axes.
         state = np.repeat(self.state[which, None], len(bits), axis=1)

@@ -144,6 +144,7 @@ def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, i
 
 
 def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
+    """Return approximate cost distances of all cells, and the nearest source of each, by fast marching."""
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
         raise ValueError(

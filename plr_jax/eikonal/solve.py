@@ -320,6 +320,7 @@ class SlopeSolver:
         return self.program.below_goals(self.iterate.values)
 
     def refine(self, progress: tqdm) -> None:
+        """Solve on finer and finer meshes, then thoroughly on the last one."""
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
         parts = 2**self.mesh.dim - 1  # most cells that a refined cell adds

@@ -42,6 +42,7 @@ class VoxelGroups:
     def of(
         cls, free: Bool[np.ndarray, "..."], domain: Box, box: Box, shape: tuple[int, ...], goals: Goals
     ) -> "VoxelGroups":
+        """Group the voxels of a domain; ``shape`` has the number of groups along each axis, ``box`` is theirs."""
         dim, side = free.ndim, domain.width / free.shape
         size = round(float((box.width / side / shape)[0]))
         before = np.rint((domain.lo - box.lo) / side).astype(int)

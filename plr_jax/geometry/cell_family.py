@@ -192,6 +192,7 @@ def cells_of_goals(
 
 
 def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
+    """Join the sources and turns of several goals, one goal after the other, with what corners see."""
     num, count = len(goals), 1 + len(corners.points)
     tables, shadows = joined_tables([each.view for each in goals]), sight.shadows
     table, of_goals = joined_tables([tables, shadows.table]), Shadows.of(tables)

@@ -62,6 +62,7 @@ class Shadows:
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
+        """Find the shadows of all viewpoints of a table."""
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
         row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
         view = view[row]
@@ -196,6 +197,7 @@ class CellSources:
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
+        """Find the convex pieces of free space in boxes; ``lists`` has possible sources by triangle of free space."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
@@ -321,6 +323,7 @@ class CellSources:
         return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, " pairs"]) -> Self:
+        """Find the best source of each changed piece, and drop the sources through which no path is shorter."""
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
         piece, source = self.piece[pairs], self.source[pairs]

@@ -188,6 +188,7 @@ class TurnRegions:
     turn: Int[np.ndarray, " entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
+        """Return the first turn of each point's shortest path with a turn (-1: no path), and its length."""
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, places)
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]

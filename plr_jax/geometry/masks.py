@@ -43,6 +43,7 @@ class PixelRings:
 
 
 def pixel_rings(free: Mask) -> PixelRings:
+    """Return the outlines of the free pixels, in units of pixels."""
     padded = np.pad(free, 1)
     lower_left, lower_right = padded[:-1, :-1], padded[:-1, 1:]
     upper_left, upper_right = padded[1:, :-1], padded[1:, 1:]
@@ -234,6 +235,7 @@ def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.
 def placed_region(
     free: ArrayLike, resolution: float | int, origin: ArrayLike, row0: str, tolerance: float | int, drop_specks: int
 ) -> Any:
+    """Check a mask, and return its free pixels as a simplified Shapely region in workspace units, without specks."""
     free = as_mask(free)
     if row0 not in ("bottom", "top"):
         raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")

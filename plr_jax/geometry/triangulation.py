@@ -292,6 +292,7 @@ class _Mesh:
         self._fill(end, start, on_right)
 
     def _fill(self, start: int, end: int, chain: list[int]) -> None:
+        """Fill the polygon of an edge and a chain of vertices on its left with Delaunay triangles."""
         pending = [(start, end, chain)]
         while pending:
             start, end, chain = pending.pop()

@@ -158,6 +158,7 @@ def _expansion(
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
+    """Return the cones from viewpoints through the sides of their first triangles."""
     around = np.setdiff1d(np.arange(len(views.points)), views.owner)  # points without sectors
     triangle, _ = triangulation.locate(views.points[around])
     found = [(around, 3 * triangle + side) for side in range(3)]

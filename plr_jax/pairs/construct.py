@@ -209,6 +209,7 @@ def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, dom
 
 
 def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
+    """Build the content of a file of pairs, and the bytes of the file, at most ``max_bytes``."""
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes

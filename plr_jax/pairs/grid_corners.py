@@ -144,6 +144,7 @@ class _Sector:
 
 
 def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
+    """Yield the sectors of all corners: four quadrants, or eight octants if steps may be diagonal."""
     corners = np.nonzero(corner_cells(free))
     slanted = connectivity == 8
     for transposed, flipped, mirrored in product((False, True)[: 1 + slanted], (False, True), (False, True)):
@@ -363,6 +364,7 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
 
 
 def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
+    """Return the distances of each corner to its ancestors, in the reverse order of elimination."""
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
     depth, parent = np.zeros(len(order), np.int64), np.full(len(order), -1)

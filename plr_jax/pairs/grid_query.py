@@ -56,6 +56,7 @@ class IllegalSteps:
 
 
 def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
+    """Build the tables by which :func:`sees` tests whether cells see each other."""
 
     def sums_along_rows(marks: Grid) -> _Sums:
         return np.pad(marks.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=1)
@@ -153,6 +154,7 @@ class GridTables:
 
 
 def tables_of(free: Grid, connectivity: int) -> GridTables:
+    """Build the tables of a grid that queries read."""
     first, corners = taut_corners(free, connectivity)
     # Pack the corners of each cell into blocks.
     counts = np.diff(first)
@@ -270,6 +272,7 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
 
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
+    """Return path lengths between cells; pairs are sorted, so that the pairs of a chunk take equally long."""
     seen = sees(tables.sight, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
         length, first, then = _most_likely(tables, p, q, seen)

@@ -59,6 +59,11 @@ def distances_around(
 def _lengths_of_rim(
     tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, asked_first: _RimFlags
 ) -> Rim:
+    """Return the path length from each cell of a square's rim to the goal; tables are asked for few cells.
+
+    Neighbor cells differ by at most a step. If the lengths of two cells of the rim differ by all steps between them,
+    the lengths between follow. Else the cell in the middle is asked.
+    """
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
@@ -91,6 +96,7 @@ def _lengths_of_rim(
 
 
 def _asked(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, wanted: _RimFlags) -> Rim:
+    """Look up the path lengths from the ``wanted`` cells of rims to the goals; other lengths stay."""
     size = min(_RIM_CELLS_AT_ONCE, wanted.size)
     every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
     none = jnp.zeros_like(lengths[0])
@@ -113,6 +119,7 @@ def _asked(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, want
 
 
 def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
+    """Extend path lengths, known in some cells of squares, to all free cells of the squares."""
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
     turns = (-1, 1) if connectivity == 8 else ()
 

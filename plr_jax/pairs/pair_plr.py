@@ -78,6 +78,7 @@ class PairPLR(FileBacked):
         return self._answered(partial(_distances, outside=outside), few, x, y)[0]
 
     def _to_goals(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
+        """Return distances to prepared goals: by NumPy for few pairs, else by compiled code."""
         x = self._from_middle("x", x)
         batch = broadcast_shape("x and goals", x, goals.points)[:-1]
         size, corners = goals.to_corners.shape[-1], self._table_size

@@ -236,6 +236,7 @@ class NumpyPairs:
         return np.stack([lower, upper])
 
     def _lengths(self, around: Scene, p: _Points, q: _Points) -> _Lengths:
+        """Return path lengths of pairs; ``around`` has the walls that hide corners, and the corners of paths."""
         swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
         p, q = np.where(swaps, q, p), np.where(swaps, p, q)
         single_p, single_q = p.astype(np.float32), q.astype(np.float32)

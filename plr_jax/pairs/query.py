@@ -116,6 +116,7 @@ def shortest_ways(
 def _ways(
     tables: PairTables, to_corners: Float[Array, "goals size"] | None, x: Points, y: Points, goal: Rows | None = None
 ) -> Ways:
+    """Find the shortest path of each pair of points: straight, or through corners that the points' leaves list."""
     leaf_x: Any = lookup(tables.partition, x)
     leaf_y: Any = lookup(tables.partition, y) if goal is None else goal
     size = len(tables.distances)
@@ -148,6 +149,7 @@ def _ways(
 
 
 def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: _Pairs, search: _Search) -> _Search:
+    """Repeat rounds of the search until no pair of points has a corner left that may shorten its path."""
     size = search.length.shape[0]
 
     # The search ends: each round drops a corner from a list of each open pair of points.

@@ -266,6 +266,7 @@ class PairsFileData:
         return self.outline.positions[self.corner]
 
     def to_bytes(self) -> bytes:
+        """Encode the file: a layer of the map and its corners, then a layer of the leaves and their lists."""
         first, lists, count = BitWriter(), BitWriter(), len(self.corner)
         first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
@@ -293,6 +294,7 @@ class PairsFileData:
 
     @staticmethod
     def from_bytes(data: bytes) -> "PairsFileData":
+        """Decode a file of pairs; ``ValueError`` if it is invalid."""
         container = Container.from_bytes(data)
         domain = container.domain
         if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):

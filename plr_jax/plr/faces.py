@@ -158,6 +158,7 @@ def neighbor_of_largest_contact(
 def touching_leaves(
     tree: Tree, some: Int[np.ndarray, " some"], others: Int[np.ndarray, " others"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, "2 pairs"]:
+    """Return pairs of a leaf of ``some`` and a leaf of ``others`` that share a face, an edge or a corner."""
     finest = tree.cells.depth.max(axis=0)
     holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
     holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
@@ -206,6 +207,7 @@ class SharedFaces(Rows):
 
 
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
+    """Return all faces that two leaves share, also across periodic seams, by lower, then upper leaf."""
     most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
     # Start at the halves of every split, and at the root with itself across each periodic seam.
     split = np.flatnonzero(tree.child >= 0)

@@ -31,6 +31,7 @@ Triangles: TypeAlias = Float[np.ndarray, "triangles 3 3"]
 
 
 def read_mesh(path: Path) -> Triangles:
+    """Read the faces of a mesh as triangles; ``ValueError`` if the file is no mesh or damaged."""
     with path.open("rb") as file:
         data = file.read(_MOST_BYTES + 1)
     if len(data) > _MOST_BYTES:

@@ -159,6 +159,7 @@ MOST_CELLS = _FAR // _DIAGONAL  # for ``moves=8``: a path has fewer steps than c
 
 
 def _octile_distances(free: Mask, start: Mask) -> Distances:
+    """Return path lengths on the 8-connected grid, in straight steps, by relaxation of all cells at once."""
     h, w = free.shape
 
     def at(padded, down: int, right: int):

@@ -289,6 +289,7 @@ class ConeFiles:
         return self.num_bytes(source, limits) <= limits.max_bytes
 
     def _stored(self, source: Int[np.ndarray, " leaves"]) -> tuple[StoredCones, int]:
+        """Encode leaves and the sources that their paths need; also return the number of bits of the sources."""
         leaf, sources = np.flatnonzero(source >= 0), self._sources
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]
