@@ -125,7 +125,9 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     level = [np.divide(face - q0, change, out=np.zeros_like(q0), where=moves) for face in (lo, hi)]
     times = np.sort(np.clip([np.zeros(q0.shape[1]), *level[0], *level[1], np.ones(q0.shape[1])], 0, 1), axis=0)
     slopes = np.stack([np.sum(change * excess(time), axis=0) for time in times])
-    # The slope is linear between the last time at which it is negative and the next time: find its zero.
+    # Half the derivative of the squared distance, sum(change * excess(t)) over axes, never decreases in t, and is
+    # linear between the times at which an axis crosses a face. Find its zero: it lies between the last time at which
+    # this slope is negative and the next time, or at an end of the motion.
     after = np.count_nonzero(slopes < 0, axis=0)
     both = np.maximum(after - 1, 0), np.minimum(after, len(times) - 1)
     (t0, t1), (s0, s1) = ([np.take_along_axis(of, at[None], axis=0)[0] for at in both] for of in (times, slopes))

@@ -131,7 +131,15 @@ def _expansion(
         cones = pending.pop()
         is_wall = triangulation.wall[cones.half_edge] >= 0
         walls, cones = cones.take(np.flatnonzero(is_wall)), cones.take(np.flatnonzero(~is_wall))
-        # The opposite corner of the next triangle may be seen, and may split the cone.
+        # The opposite corner of the next triangle may be seen, and may split the cone:
+        #
+        #          c                c: the corner ahead, the origin of the left exit
+        #         / \
+        #   left /   \ right        A cone goes right if its right ray passes right of c, and left if its left ray
+        #       /     \             passes left of c. It splits if both hold.
+        #      b-------a            b, a: the ends of the side through which it enters, as seen from the viewpoint
+        #       \     /
+        #      viewpoint
         view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
         entry = triangulation.twin[cones.half_edge]
         right_exit, left_exit = next_half_edge(entry), previous_half_edge(entry)

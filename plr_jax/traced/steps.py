@@ -124,7 +124,9 @@ def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[
     def has_digit(number):
         return (number >> powers) & 1 == 1
 
-    def four_levels(state):  # only two binary digits change within a round of four steps
+    def four_levels(state):
+        # Round f finds the cells at 4 f + 1 to 4 f + 4 steps. Their two lowest digits are 01, 10, 11 and 00; their
+        # other digits are those of f, and of f + 1 for the last.
         fours, reached, ones_plane, twos_plane, planes, _ = state
         new = []
         for _ in range(4):
