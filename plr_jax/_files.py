@@ -93,6 +93,7 @@ def _loader() -> Any:
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
+    """Raise a ``ValueError`` unless a decoded file is of a kind, of a known version, and has all keys."""
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
     stated = document.get("version")
@@ -126,6 +127,7 @@ def _require_plain(events: Iterator[Any]) -> None:
 
 
 def _require_limits(value: Any) -> None:
+    # Level by level, so that deep nesting cannot overflow the stack.
     level, nested = [value], 0
     while level:
         if any(isinstance(entry, int) and abs(entry) > _LARGEST_INTEGER for entry in level):

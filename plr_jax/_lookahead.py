@@ -145,6 +145,7 @@ class PathCosts:
 
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
+    """Find paths from all starts down a field to a goal, and make them cheaper."""
     domain = costs.space.domain
     starts, goal = (domain.settled(q, costs.space.is_free) for q in (starts, goal))
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
@@ -168,6 +169,8 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
+    """The steps of paths down a field to a goal, and the search that leaves its local minima."""
+
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, " dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
         self.domain, motion_cost = costs.space.domain, costs.space.motion_cost
@@ -222,6 +225,7 @@ class _Lookahead:
         promised = np.empty((len(x), num_ways))
 
         def flatness(rows: slice) -> Float[np.ndarray, "rows ways"]:
+            # The least comes first: minus the slope, plus _LONGER each time that the step is half as long.
             here, before = x[rows], value[rows, None]
             to_goal = self.domain.difference(self.goal, here)[:, None]
             change = np.concatenate([to_goal, np.broadcast_to(self.steps, (len(here), *self.steps.shape))], axis=1)
@@ -359,6 +363,7 @@ def _cheapest_places(
         rows = np.flatnonzero(is_known == trusted)
 
         def prices(some: slice, rows=rows, now=now, through=through) -> Float[np.ndarray, "some k"]:
+            # Costs of the ways through changed places; NaN if they are not cheaper than `now`.
             y = domain.wrapped(x[rows[some], None] + changes).reshape(-1, x.shape[1])
             inside = domain.contains(y)
             a, b = (np.repeat(ends[rows[some]], k, axis=0)[inside] for ends in (before, after))

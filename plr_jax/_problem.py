@@ -131,6 +131,7 @@ def require_problem(problem: object, path: object = None) -> None:
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
+    """Check a path, and return it as an array; of 32-bit floats, its ends become exact starts and goals."""
     require_problem(problem, path)
     if path is None:
         raise ValueError("A path must be an array, got None: solution.path is None, see solution.status.")
@@ -166,6 +167,10 @@ def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
 
 
 def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.ndarray, "robots dof"]:
+    """Check starts or goals, and return them as a read-only array.
+
+    Configurations in 32-bit floats that rounding moved into an obstacle are moved back.
+    """
     robots, dof = problem.robots, team_dof(problem.robots)
     shape = f"(robots, dof) = ({len(robots)}, {dof})"
     configurations = as_numbers(name, value, f"numbers of shape {shape}").copy()
@@ -189,6 +194,7 @@ def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.n
 
 
 def _require_free(problem: Problem, name: str) -> None:
+    """Raise a ``ValueError`` if a robot leaves the bounds or overlaps an obstacle at its start or goal."""
     workspace = problem.workspace
     for i, (robot, q) in enumerate(zip(problem.robots, getattr(problem, name), strict=True)):
         inside, clearance, obstacle = _room(workspace, robot, q)
@@ -218,6 +224,7 @@ def _room(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> t
 
 
 def _require_no_overlap(problem: Problem, name: str) -> None:
+    """Raise a ``ValueError`` if two robots overlap at their starts or at their goals."""
     configurations = getattr(problem, name)
     cores = np.array([footprint(robot, q) for robot, q in zip(problem.robots, configurations, strict=True)])
     rounding = np.array([robot.rounding for robot in problem.robots])

@@ -110,6 +110,7 @@ class _Encounter:
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Return the signed distance between both bodies at times ``when``, negative if they overlap."""
         bodies, others = _bodies(self.robot, _at(self.path, when)), np.full(len(when), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, _at(self.other_path, when))

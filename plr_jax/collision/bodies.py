@@ -27,6 +27,7 @@ Booleans: TypeAlias = Bool[np.ndarray, " n"]
 Verdict: TypeAlias = tuple[Booleans, Booleans]  # motions that certainly stay apart, and that certainly do not
 Sides: TypeAlias = Float[np.ndarray, "sides n"]
 Corners: TypeAlias = Float[np.ndarray, "2 _ n"]
+# The corners of two bodies, at the begin of their motions and at the end.
 Ends: TypeAlias = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 
 
@@ -93,6 +94,9 @@ def bisect(
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b: Column) -> Columns:
     # Bound how far the gap along an axis that turns with ``a``, or with ``b``, falls below its end values.
+    # In a unit of time, a function f falls below the smaller of f(0) and f(1) by at most max |f''| / 8. Along an axis
+    # that turns with a, the offset of b has |f''| <= far * turn_a**2 + 2 * speed * |turn_a|, and the extent of b,
+    # which turns by turn_b - turn_a against the axis, radius_b * (turn_b - turn_a)**2. The extent of a is constant.
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
@@ -219,6 +223,7 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
+    """Return which motions certainly keep a point ``reach`` away from a box, and which certainly do not."""
     ends, distances = [], []
     for end in (0.0, 1.0):
         (x, y), (c, s) = _offset(a, b, end), _heading(a, end)

@@ -40,6 +40,8 @@ Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 
 
 class Circles(NamedTuple):
+    """Circles in the plane, one for each entry of the arrays."""
+
     x: Column
     y: Column
     radius: Column
@@ -65,7 +67,14 @@ class TeamTrajectory:
     def robots_near(
         self, i: int, around: Circles, first_row: Int[np.ndarray, " n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        """Return pairs ``(k, j)``: in circle ``k``, robot ``i`` may meet robot ``j`` after row ``first_row[k]``."""
+        """Find the robots whose motions come so near to circles that robot ``i`` in a circle may meet them.
+
+        While robot ``j`` makes its motion from row ``first_row[k]`` of the path to the next row, the reference point
+        of robot ``i`` is somewhere in circle ``k`` of ``around``. Robots ``excluded`` are left out.
+
+        Returns:
+            The indices ``k`` and ``j`` of all pairs that may meet, both ``(m,)``, ordered by ``k``, then ``j``.
+        """
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
         near, size = [], max(1, _CHUNK // num_robots)

@@ -75,6 +75,8 @@ def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float
 
 
 def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
+    # Bisect each motion until its parts are far from blocked voxels, the ball hits one in the middle of a part, or a
+    # part is so short that the few voxels near it are tested exactly.
     keeps_off = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
     motion, width = np.flatnonzero(keeps_off), 1.0
     begin = np.zeros(len(motion))
@@ -99,6 +101,7 @@ def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius:
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers]]:
+    """Yield pairs of a box and a blocked voxel within ``radius`` of it: indices of boxes, and numbers of voxels."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         some = np.flatnonzero(grid.num_blocked(begin, end))
         row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
@@ -122,7 +125,9 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     level = [np.divide(face - q0, change, out=np.zeros_like(q0), where=moves) for face in (lo, hi)]
     times = np.sort(np.clip([np.zeros(q0.shape[1]), *level[0], *level[1], np.ones(q0.shape[1])], 0, 1), axis=0)
     slopes = np.stack([np.sum(change * excess(time), axis=0) for time in times])
-    # The slope is linear between the last time at which it is negative and the next time: find its zero.
+    # Half the derivative of the squared distance, sum(change * excess(t)) over axes, never decreases in t, and is
+    # linear between the times at which an axis crosses a face. Find its zero: it lies between the last time at which
+    # this slope is negative and the next time, or at an end of the motion.
     after = np.count_nonzero(slopes < 0, axis=0)
     ends = np.maximum(after - 1, 0), np.minimum(after, len(times) - 1)
     (t0, t1), (s0, s1) = ([np.take_along_axis(of, at[None], axis=0)[0] for at in ends] for of in (times, slopes))
@@ -156,6 +161,7 @@ class _Traversal:
         self.strides = np.array(grid.padded.strides)
 
     def passes(self) -> Booleans:
+        """Return whether each motion passes: whether it reaches its end with a voxel left in which it can be."""
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
         rows = np.flatnonzero(~passes)
@@ -195,6 +201,7 @@ class _Traversal:
         return self.grid.padded.ravel()[at[:, None] + (span.T * self.strides) @ self.bits.T]
 
     def _crossed_next(self, rows: Int[np.ndarray, " some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
+        """Return across which axes each motion leaves its current voxels next, and the next face along each axis."""
         at, q0 = self.at[:, rows], self.q0[:, rows]
         further = at + (self.step[:, rows] > 0)
         face = np.stack([faces[k] for faces, k in zip(self.grid.faces, further, strict=True)])

@@ -92,6 +92,7 @@ class MotionTest:
         return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
 
     def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
+        """Return which motions are free: by clearance where that decides, else by tests against walls."""
         pieces, owner = _cut_into_pieces(self.robot, q0, q1, self._longest)
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
         half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
@@ -121,6 +122,7 @@ class MotionTest:
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
     def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
+        """Test pieces of motions against the walls near their cells; a point, against all walls."""
         work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
@@ -134,6 +136,7 @@ class MotionTest:
         return clear
 
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
+        """Return which pieces of motions keep clear of the walls near their cells."""
         robot, tolerance = self.robot, self.workspace.tolerance
         index, owner = take_ragged(self._first, cell)
         edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)

@@ -95,6 +95,7 @@ class CostToGoField:
 
     @cached_property
     def _lower_at_corners(self) -> CellCorners:
+        # The larger of two proven bounds: the rescaled solution, and the cost of a straight motion at the least rate.
         is_corner = np.isin(self.program.space.lattice, (0, 1)).all(axis=1)
         proven = np.interp(self._nodal[:, is_corner], *self._rescaling)
         mesh, costs = self.mesh, self.program.costs
@@ -130,6 +131,7 @@ class CostToGoField:
         return MeshEstimate(mesh, values, self.reach)
 
     def which(self, x: Points) -> CellIndex:
+        """Return the index of the goal to which the estimated path from each point leads."""
         mesh = self.mesh
         if self.nodal_goal is None:
             assert self.guide is not None
@@ -280,6 +282,7 @@ def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> Cell
 
 
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
+    """Return a PLR whose leaves are the cells of the mesh, or None if its file takes more than ``max_bytes``."""
     mesh = estimate.mesh
     closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
     step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
@@ -295,6 +298,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
+    """Return a PLR of at most ``max_bytes`` bytes, fitted to an estimate; ``field`` has its bounds, if any."""
     straight = None if field is None else _line_of(field, max_bytes)
     of_straight = 0 if straight is None else straight.num_bytes
     model, domain = leaf_model("continuous"), estimate.mesh.domain
@@ -315,6 +319,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 
 def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightBound | None) -> DecodedFile:
+    """Add proven bounds to each leaf: the worst bounds of the cells of the mesh that it meets."""
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
     # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself or, for

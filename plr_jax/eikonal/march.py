@@ -35,6 +35,9 @@ def balls(
     side: Sides,  # grid step along each axis
 ) -> tuple[Costs, float]:
     """Return costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost at which marching starts."""
+    # Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see its
+    # nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All nodes below
+    # that cost, and the cheapest node of each goal, get the cost of their straight motion.
     differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
     stops = is_open & (~sees_nearest | differs | (lengths >= radius))
     largest = np.minimum(straight, at_goal * lengths)[stops].min(initial=np.inf)
@@ -43,6 +46,7 @@ def balls(
     np.minimum.at(cheapest, goal[near], straight[near])
     is_cheapest = near & (straight == cheapest[goal]) if near.any() else near
     start = np.where(is_cheapest | ((straight < largest) & ~differs), straight, np.inf)
+    # March from one step below the largest of these costs, so that nodes on both sides of the first front have them.
     inside = np.isfinite(start)
     step = float(slowness[inside].max(initial=0.0) * side.max())
     level = min(largest, float(start[inside].max(initial=0.0))) - step
@@ -53,6 +57,7 @@ def marched(
     is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
 ) -> Costs:
     """Return costs of grid nodes by fast marching from the nodes whose costs ``start`` are at most ``level``."""
+    # The first front lies between core nodes and open nodes beside them, which get the cheapest known cost.
     is_core = start <= level
     reached, inverse_square = start.copy(), np.zeros(is_open.shape)
     for axis, wraps in enumerate(periodic):
@@ -70,7 +75,9 @@ def marched(
     if not front.any():
         return np.where(is_core, start, np.inf)
     time = np.where(is_core[front], level - reached[front], reached[front] - level)
-    # scikit-fmm starts at a surface between nodes, and errs beside it: nodes there get the slowness that corrects it.
+    # scikit-fmm puts the first front halfway between nodes. A node with neighbors beyond it along some axes counts as
+    # 1 / sqrt(sum over these axes of (2 / side)**2) away from it, and its time is this distance times its slowness.
+    # So these nodes get the slowness at which the time is the difference of their known cost and the level.
     slowness = slowness.copy()
     slowness[front] = np.maximum(time, _NO_TIME * slowness[front] * side.min()) * np.sqrt(inverse_square[front])
     travel_time = skfmm.travel_time(
@@ -84,9 +91,11 @@ def marched(
 
 
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
-    """Return whether a grid of every second node has the same walls, and no jumps of the nodes' costs ``factor``.
+    """Return whether the coarse grid of every second node shows the same walls, and no jumps of the costs ``factor``.
 
-    ``is_clear`` marks the open nodes that lie on no wall.
+    It must have an odd number of nodes along each axis. Consider two nodes of the coarse grid that are neighbors
+    along an axis. If both are open, the node between them must be open too, and their costs must not jump. If one
+    is closed, the other must be closed or lie on a wall: ``is_clear`` marks the open nodes that lie on no wall.
     """
     if any(n % 2 == 0 for n in is_open.shape):
         return False
@@ -96,7 +105,7 @@ def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
             for nodes in (np.moveaxis(table, axis, 0) for table in (is_open, is_clear, factor))
         )
         jumps = np.maximum(cost_here, cost_there) > _NO_JUMP * np.minimum(cost_here, cost_there)
-        hides_wall = (clear_here & ~there) | (clear_there & ~here)  # which should lie on the other node
+        hides_wall = (clear_here & ~there) | (clear_there & ~here)  # a wall between the nodes, not on the open one
         if (hides_wall | (here & there & (jumps | ~between))).any():
             return False
     return True

@@ -74,6 +74,7 @@ class Mesh:
 
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "nodes dim"], Int[np.ndarray, "cells corners"]]:
+        """Nodes, as fractions of the domain, and for each cell the indices of its corners among them."""
         slots = 1 << self._finest
         size = (self._finest - self.cells.depth)[:, None]
         place = (self.cells.position[:, None] + corner_bits(self.dim)) << size
@@ -178,6 +179,7 @@ class Mesh:
         return _mesh(self.domain, self.cells[is_kept].append(*parts), state, is_flush)
 
     def _parts(self, chosen: Int[np.ndarray, " some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
+        """Halve cells, and return their parts, the states of the parts, and whether they are flush."""
         cells, bits, mixed = self.cells[chosen], corner_bits(self.dim), self.state[chosen] != CellState.FREE
         # 1. Classify the parts of cells that are not free, halved along all axes.
         state = np.repeat(self.state[chosen, None], len(bits), axis=1)

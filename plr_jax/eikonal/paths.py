@@ -123,7 +123,8 @@ class _FreeGraph:
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:  # homes: the cells of the goals
+    def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
+        """Yield the edges within free cells, as both ends and cost; ``homes`` are the cells of goals."""
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
         nodes, cells = [self.goals[is_free[homes]]], [homes[is_free[homes]]]

@@ -144,6 +144,7 @@ def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, i
 
 
 def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
+    """Return approximate cost distances of all cells, and the nearest source of each, by fast marching."""
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
         raise ValueError(
@@ -213,7 +214,9 @@ def search(
         )
         height = np.pad(height[tuple(nearest_open)], _REACH, mode="edge")
     cost = np.pad(cost, _REACH, constant_values=np.inf)
-    # 2. Nodes are corners of cells, then centers. Steps of edges are in half cells, and pass no other node.
+    # 2. Nodes are corners of cells, then centers. Steps of edges are in half cells, and pass no other node. Counted
+    #    in half cells, corners have even places and centers odd ones. So both numbers of a step are odd, or both are
+    #    even. A step (2 i, 2 j) passes the place (i, j), which is a node if i + j is even.
     halves, corner_shape = (1,), (0, 0)
     steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
     if height is None:

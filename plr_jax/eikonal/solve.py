@@ -65,22 +65,7 @@ def solve_eikonal(
         plr(points)  # costs-to-go (n,) of points (n, dim); plr.bounds(points) are proven
 
     Here the space is that of a ball among the unblocked cells. ``plr(x)`` is an estimate between the lower and the
-    upper bounds, which hold for every point from which the goal can be reached:
-
-    - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
-      every face that is not proven blocked, and along every motion rises by no more than the motion costs. The
-      least cost of straight motions to the goals is a lower bound too, if the file holds the goals: at most 64, in at
-      most 40 % of ``max_bytes``.
-    - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
-      near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
-
-    ``certified=False`` gives the estimate alone. It is nowhere below the least cost of straight motions to the
-    goals, or below 0 if the file does not hold the goals. In the plane it takes about a second: scikit-fmm marches
-    over 160,000 nodes, and the mean error is mostly 0.01 to 0.5 %. In volumes, nodes are voxels, or groups of
-    voxels if there are more than 4 million. In three made volumes of up to 128 x 128 x 128 voxels the mean error
-    was 2 to 5 % of the mean cost, in about a second (``experiments/volumes``). Small rooms cost most, because paths
-    over centers of voxels stay half a voxel away from walls; and in rock, where a leaf may hold several rooms and
-    tunnels, errors are larger.
+    upper bounds, which hold for every point from which the goal can be reached.
 
     Args:
         space: What is free, and what motions cost. A space that only tests configurations (:class:`FreeTest`) proves
@@ -119,6 +104,23 @@ def solve_eikonal(
             axis, for cells at most 200,000 times as long as wide, or for samples in all cells not blocked. If
             ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid sees a goal. If
             a directional cost map comes with a space whose costs are no lengths.
+
+    How bounds are proven:
+
+    - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
+      every face that is not proven blocked, and along every motion rises by no more than the motion costs. The
+      least cost of straight motions to the goals is a lower bound too, if the file holds the goals: at most 64, in at
+      most 40 % of ``max_bytes``.
+    - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
+      near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
+
+    ``certified=False`` gives the estimate alone. It is nowhere below the least cost of straight motions to the
+    goals, or below 0 if the file does not hold the goals. In the plane it takes about a second: scikit-fmm marches
+    over 160,000 nodes, and the mean error is mostly 0.01 to 0.5 %. In volumes, nodes are voxels, or groups of
+    voxels if there are more than 4 million. In three made volumes of up to 128 x 128 x 128 voxels the mean error
+    was 2 to 5 % of the mean cost, in about a second (``experiments/volumes``). Small rooms cost most, because paths
+    over centers of voxels stay half a voxel away from walls; and in rock, where a leaf may hold several rooms and
+    tunnels, errors are larger.
 
     References: Section VII of the paper asks for such a PLR. Finding the largest lower bound is dual to Beckmann's
     problem of a cheapest flow, "A continuous model of transportation", 1952.
@@ -318,6 +320,7 @@ class SlopeSolver:
         return self.program.below_goals(self.iterate.values)
 
     def refine(self, progress: tqdm) -> None:
+        """Solve on finer and finer meshes, then thoroughly on the last one."""
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
         parts = 2**self.mesh.dim - 1  # most cells that a refined cell adds

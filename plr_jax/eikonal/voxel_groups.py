@@ -42,6 +42,7 @@ class VoxelGroups:
     def of(
         cls, free: Bool[np.ndarray, "..."], domain: Box, box: Box, shape: tuple[int, ...], goals: Goals
     ) -> "VoxelGroups":
+        """Group the voxels of a domain; ``shape`` has the number of groups along each axis, ``box`` is theirs."""
         dim, side = free.ndim, domain.width / free.shape
         size = round(float((box.width / side / shape)[0]))
         before = np.rint((domain.lo - box.lo) / side).astype(int)
@@ -55,7 +56,8 @@ class VoxelGroups:
             parts = (*is_full.shape[:axis], shape[axis], size, *is_full.shape[axis + 1 :])
             is_full = np.logical_and.reduce(is_full.reshape(parts), axis + 1)
             has_part = np.logical_or.reduce(has_part.reshape(parts), axis + 1)
-        # 1. The voxel `x` of each group, and the part of the group that is joined to it.
+        # 1. The voxel `x` of each group, and the part of the group that is joined to it. In groups that are not full,
+        #    `far` ranks voxels: those of goals, then free ones by their distance from the middle, then blocked ones.
         mixed = np.nonzero(has_part & ~is_full)
         offset = np.array(list(product(range(size), repeat=dim)))
         far = np.where(blocks[mixed].reshape(-1, size**dim), np.sum((offset - size // 2) ** 2, axis=1), size**2 * dim)
@@ -109,7 +111,8 @@ class VoxelGroups:
         return cost, self._costs_across_faces(cost, slowness)[1]
 
     def _costs_across_faces(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
-        # Of paths from the parts whose cost is known to other voxels: the least of each other part, and group.
+        # Paths lead from the parts whose cost is known, across faces, through all other free voxels. Return their
+        # least cost in each group: to the group's part, if its cost is not known, and to any of these voxels.
         dim, size, shape = self.free.ndim, self.size, np.array(self.free.shape)
         is_known = self.part.copy()
         _blocks(is_known, size)[...] &= np.isfinite(cost)[(..., *(None,) * dim)]

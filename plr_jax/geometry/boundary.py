@@ -120,6 +120,10 @@ def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) ->
     if (is_beside | is_beyond).any() or (pieces[1:] == pieces[:-1]).any():
         return None
     # 3. Leaving and arriving edges alternate around a vertex, so a sector ends at the successor of the leaving edge.
+    #     s                  Each edge counts twice: row k at its start, and row len(edges) + k at its end, as seen
+    #      \   sector        from there. Sort these rows by vertex, then counterclockwise. The rows of vertex v lie
+    #       v ----- e --->   from begin to end - 1. Cyclically, the row after edge e belongs to the edge that arrives
+    #                        from s, so sector_end[e] = s.
     at, neighbor = edges.T.ravel(), edges[:, ::-1].T.ravel()
     direction = vertices[neighbor] - vertices[at]
     order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
@@ -263,6 +267,7 @@ def _inside_of_ring(name: str, ring: LinearRing) -> Any:
 
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
+    """Return the bounds, and free space as the union of components with holes, cut off at the bounds."""
     polygons = []
     components = [components] if isinstance(components, BaseGeometry) else components
     for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
@@ -304,6 +309,7 @@ def grid_at(tolerance: float) -> float:
 
 
 def advice_on_cells(value: object) -> str:
+    """Advise what to use for an array of cells that is given in place of polygons or bounds."""
     if not isinstance(value, np.ndarray) or value.ndim not in (2, 3):
         return ""
     if value.ndim == 2:
@@ -315,6 +321,7 @@ def advice_on_cells(value: object) -> str:
 
 
 def as_bounds(value: Box | ArrayLike) -> Box:
+    """Check the bounds of a workspace: a box in the plane, not periodic, whose size and place numbers can resolve."""
     if isinstance(value, np.ndarray) and (value.ndim == 3 or value.dtype == bool):
         raise ValueError(f"Bounds must be a Box, got an array of shape {value.shape}.{advice_on_cells(value)}")
     bounds = Box.of(value, "Bounds")
@@ -381,6 +388,8 @@ def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> An
 
 
 class Region(NamedTuple):
+    """A region of free space, and its boundary as a graph."""
+
     polygon: Polygon | MultiPolygon
     boundary: Boundary
     is_in_place: bool  # whether walls moved by rounding only; else thin walls or gaps were closed

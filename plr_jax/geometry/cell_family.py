@@ -104,6 +104,8 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
+    """The free parts of boxes as convex pieces, for oracles of any goal on one map."""
+
     sight: Sight  # for any goal
     lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`
     first_piece: Int[np.ndarray, " boxes_plus_one"]
@@ -115,6 +117,7 @@ class FamilyCells:
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
+        """Cut free space into convex pieces, box by box; a box that no wall reaches into is one piece."""
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         pieces, box, part = clip_to_boxes(triangles, lo, hi)
         at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
@@ -129,6 +132,8 @@ class FamilyCells:
 
 
 class FamilyGoal(NamedTuple):
+    """The sources, turn points and visibility polygon of one goal, as cells of a family need them."""
+
     sources: Sources  # the goal, then all corners
     turns: TurnPoints  # where paths to the goal turn
     view: VisibilityTable  # the visibility polygon of the goal
@@ -183,6 +188,7 @@ def cells_of_goals(
 
 
 def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
+    """Join the sources and turns of several goals, one goal after the other, with what corners see."""
     num, count = len(goals), 1 + len(corners.points)
     tables, shadows = joined_tables([goal.view for goal in goals]), sight.shadows
     table, of_goals = joined_tables([tables, shadows.table]), Shadows.of(tables)

@@ -45,7 +45,14 @@ Entries: TypeAlias = Int[np.ndarray, " entries"]
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Segments across which visibility from viewpoints changes: on rays past corners, from the corner to a wall."""
+    """Segments across which visibility from viewpoints changes: on rays past corners, from the corner to a wall.
+
+    ::
+
+        viewpoint . - - - - - corner =============|       The viewpoint sees points above the shadow (=), but not
+                             /                    | wall  points below it, behind the obstacle.
+                   obstacle /                     |
+    """
 
     table: VisibilityTable
     key: Float[np.ndarray, " shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
@@ -55,6 +62,7 @@ class Shadows:
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
+        """Find the shadows of all viewpoints of a table."""
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
         row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
         view = view[row]
@@ -151,6 +159,10 @@ class Sight:
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
+        """Return whether a part of each piece may lie in its source's cone of :class:`TurnPoints`; True for a goal.
+
+        With ``from_all``, return whether all of the piece lies in the cone.
+        """
         turn = self.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
@@ -185,6 +197,7 @@ class CellSources:
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
+        """Find the convex pieces of free space in boxes; ``lists`` has possible sources by triangle of free space."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
@@ -311,6 +324,7 @@ class CellSources:
         return replace(moved, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, " pairs"]) -> Self:
+        """Find the best source of each changed piece, and drop the sources through which no path is shorter."""
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
         piece, source = self.piece[pairs], self.source[pairs]

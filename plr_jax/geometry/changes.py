@@ -30,6 +30,8 @@ GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a
 
 @dataclass(frozen=True, eq=False)
 class Change:
+    """A change of the boundary of free space, and which vertices and edges stay."""
+
     old: Boundary
     new: Boundary
     vertex: Int[np.ndarray, " old_vertices"]  # new index of each old vertex; -1 if it is gone
@@ -109,6 +111,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
 def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
+    """Return what all corners and the goal see after a change, computed again only where it may differ."""
     corners, views = find_corners(workspace)
     # 1. Match each new corner with an old one between the same walls.
     boundary = change.new
@@ -161,6 +164,7 @@ def changed_visibility(
 
 
 def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, " views"]:
+    """Return which viewpoints may see a change: they saw a wall that is gone, or may see a changed part."""
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True

@@ -132,7 +132,9 @@ def difference_of_cones(
 def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
     # The extremes lie on the boundary. The gradient, a difference of unit vectors, vanishes only on the line through
     # both apexes outside of their segment, where the difference is constant. On an edge the difference is stationary
-    # where both apexes appear at the same angle to the edge.
+    # where both apexes appear at the same angle to the edge:
+    #   (place - along_a) / beside_a = (place - along_b) / beside_b,
+    # where `along` is the foot of an apex on the edge's line, and `beside` its distance from the line.
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)
@@ -148,7 +150,8 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
 
 def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers) -> Extremes:
     """Return the extremes over a piece's ``x`` of ``offset + |x - apex| - (slope . x + intercept)``."""
-    # The difference is convex, so largest at a corner, and smallest on an edge or at the apex.
+    # The difference is convex, so largest at a corner, and smallest on an edge or at the apex. On an edge, it is
+    # smallest where the distance to the apex rises as the plane does: (place - along) / distance = rate.
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, (sx, sy) = x - apex[:, 0], y - apex[:, 1], slope.T
     from_apex = offset - intercept - (slope * apex).sum(axis=1)

@@ -50,6 +50,10 @@ class ReflexCorners:
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
+    """Return the corners at which shortest paths may turn, and the same corners as viewpoints.
+
+    They are reflex vertices and, if paths may squeeze through, contacts.
+    """
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)
@@ -64,6 +68,8 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
+    """The corners at which shortest paths can turn, what each one sees, and the visibility graph."""
+
     corners: ReflexCorners
     views: Viewpoints  # at the corners
     table: VisibilityTable
@@ -182,6 +188,7 @@ class TurnRegions:
     turn: Int[np.ndarray, " entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
+        """Return the first turn of each point's shortest path with a turn (-1: no path), and its length."""
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, places)
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]

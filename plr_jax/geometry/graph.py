@@ -25,6 +25,8 @@ FirstVisible: TypeAlias = tuple[
 
 @dataclass(frozen=True, eq=False)
 class Graph:
+    """An undirected graph of points, whose edges have lengths."""
+
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]  # each edge once
     measure: Callable[[Points, Points], Float[np.ndarray, " e"]] | None = None  # lengths of edges; None: Euclidean

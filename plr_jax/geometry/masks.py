@@ -43,6 +43,7 @@ class PixelRings:
 
 
 def pixel_rings(free: Mask) -> PixelRings:
+    """Return the outlines of the free pixels, in units of pixels."""
     padded = np.pad(free, 1)
     lower_left, lower_right = padded[:-1, :-1], padded[:-1, 1:]
     upper_left, upper_right = padded[1:, :-1], padded[1:, 1:]
@@ -88,6 +89,8 @@ def pixel_rings(free: Mask) -> PixelRings:
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
+    """The points of exact outlines of pixels at which simplified outlines may bend."""
+
     points: Float[np.ndarray, "n 2"]  # corners and some middles of edges of outlines
     ring: Int[np.ndarray, " n"]  # the outline of each point; its first corner is repeated as its last point
     is_corner: Bool[np.ndarray, " n"]
@@ -232,6 +235,7 @@ def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.
 def placed_region(
     free: ArrayLike, resolution: float | int, origin: ArrayLike, row0: str, tolerance: float | int, drop_specks: int
 ) -> Any:
+    """Check a mask, and return its free pixels as a simplified Shapely region in workspace units, without specks."""
     free = as_mask(free)
     if row0 not in ("bottom", "top"):
         raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")
@@ -259,6 +263,7 @@ def rounded_one_by_one(region: Any, grid: float) -> Any:
 
 
 def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: float) -> None:
+    """Raise a ``ValueError`` if coordinates of pixels overflow, or a pixel is not much larger than their rounding."""
     size = resolution * math.hypot(*shape)
     reach = float(origin) + size
     if not reach <= LARGEST_COORDINATE:

@@ -60,6 +60,8 @@ class Locator:
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
+    """Points of a region with the triangles that contain them."""
+
     x: Float[np.ndarray, "n 2"]  # rounded to the grid
     triangle: Int[np.ndarray, " n"]  # that contains each point
     on_side: Bool[np.ndarray, "n 3"]  # whether the point lies on each side of its triangle
@@ -87,6 +89,7 @@ class Triangulation:
 
     @cached_property
     def locator(self) -> Locator:
+        """A grid of about as many cells as triangles, with the triangles that each cell meets, to locate points."""
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))
@@ -292,6 +295,7 @@ class _Mesh:
         self._fill(end, start, on_right)
 
     def _fill(self, start: int, end: int, chain: list[int]) -> None:
+        """Fill the polygon of an edge and a chain of vertices on its left with Delaunay triangles."""
         pending = [(start, end, chain)]
         while pending:
             start, end, chain = pending.pop()

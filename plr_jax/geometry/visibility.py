@@ -76,6 +76,8 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
+    """Cones of sight, from viewpoints through sides of triangles."""
+
     view: Indices  # the viewpoint at each cone's apex
     half_edge: Indices  # through which each cone leaves a triangle
     vertex: Indices  # on the right bound
@@ -129,7 +131,15 @@ def _expansion(
         cones = pending.pop()
         is_wall = triangulation.wall[cones.half_edge] >= 0
         walls, cones = cones.take(np.flatnonzero(is_wall)), cones.take(np.flatnonzero(~is_wall))
-        # The opposite corner of the next triangle may be seen, and may split the cone.
+        # The opposite corner of the next triangle may be seen, and may split the cone:
+        #
+        #          c                c: the corner ahead, the origin of the left exit
+        #         / \
+        #   left /   \ right        A cone goes right if its right ray passes right of c, and left if its left ray
+        #       /     \             passes left of c. It splits if both hold.
+        #      b-------a            b, a: the ends of the side through which it enters, as seen from the viewpoint
+        #       \     /
+        #      viewpoint
         view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
         entry = triangulation.twin[cones.half_edge]
         right_exit, left_exit = next_half_edge(entry), previous_half_edge(entry)
@@ -156,6 +166,7 @@ def _expansion(
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
+    """Return the cones from viewpoints through the sides of their first triangles."""
     around = np.setdiff1d(np.arange(len(views.points)), views.owner)  # points without sectors
     triangle, _ = triangulation.locate(views.points[around])
     pairs = [(around, 3 * triangle + side) for side in range(3)]
@@ -223,6 +234,7 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
+        """Return whether points lie in front of the nearest edge in intervals ``row``, exactly near the edge."""
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]

@@ -27,6 +27,8 @@ Numbers = Int[np.ndarray, "dim n"]
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
+    """Free and blocked voxels that fill a box; methods use voxel numbers, which start at 1 (see the module)."""
+
     free: Bool[np.ndarray, "..."]  # read-only
     bounds: Box
 
@@ -159,6 +161,8 @@ class Sums:
         return cls(table.ravel(), np.array(table.strides) // table.itemsize)
 
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
+        """Count the true entries from ``first`` to ``last``, both included, along all axes."""
+        # Inclusion and exclusion: add the table's entries at the range's corners, with a minus for each lower end.
         begin = first * self.strides[:, None]
         end = np.maximum(last + 1, first) * self.strides[:, None]
         total = np.zeros(first.shape[1], self.table.dtype)
@@ -209,6 +213,7 @@ def reach_of_cells(
         far = cut_off & (away > FAR - np.linalg.norm(side))
 
     def counting(cells: Bool[np.ndarray, "..."]) -> BoxTest:
+        # A test of boxes: whether a box meets any of the cells, by a summed-area table.
         sums = Sums.of(np.ascontiguousarray(cells))
 
         def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:

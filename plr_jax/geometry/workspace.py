@@ -354,6 +354,7 @@ class Workspace:
         return Workspace(self.bounds, obstacles, squeeze=self.squeeze, region=region)
 
     def _numbers_of(self, remove: Any) -> set[int]:
+        """Return the numbers of the obstacles that ``remove`` names, by number or by an equal polygon."""
         numbers: set[int] = set()
         if not isinstance(remove, BaseGeometry | Iterable):
             raise ValueError(f"remove must be a list of obstacle numbers or polygons, got {shortened(remove)}.")

@@ -42,6 +42,8 @@ def wrap_angle(angle: Batch) -> Batch:
 
 @dataclass(frozen=True, eq=False, init=False)
 class _Car(ABC):
+    """A base of distances of cars to a goal pose, for a given turning radius."""
+
     goal: Pose
     radius: float
     is_lower_bound: ClassVar[bool] = True

@@ -142,6 +142,7 @@ class GridGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> csr_array:
+        # A graph of the padded grid: each edge once. Diagonal steps need both cells beside them free.
         free, columns = self._padded, self._padded.shape[1]
         row, column = np.nonzero(free)
         begins, ends, lengths = [], [], []

@@ -53,6 +53,8 @@ class _CornerLists:
 
 @dataclass(frozen=True, eq=False)
 class PairDistances:
+    """Exact distances between any two points of a workspace, and caches that oracles of all goals share."""
+
     workspace: Workspace
     visibility: CornerVisibility
 
@@ -208,6 +210,7 @@ class PairDistances:
         return _run_minima(at_x.distance + length, at_x.first)
 
     def _visible_corners(self, x: Points) -> _CornerLists:
+        """Return, for each point, the corners that it sees and at which a shortest path from it may turn."""
         _, index, inverse = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._lists_of_triangles

@@ -91,6 +91,7 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
 
 
 def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
+    """Return pairs of vertices at most ``radius`` apart, ``(edges, 2)``, that see each other."""
     pairs = tree.query_pairs(radius, output_type="ndarray")
     visible = np.zeros(len(pairs), dtype=bool)
     begins = range(0, len(pairs), _EDGES_A_STEP)

@@ -61,6 +61,7 @@ def outline_of(
 
 
 def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " rings_plus_one"]]:
+    """Return all points, ring by ring, and where each ring begins; ``following`` has each next point."""
     order, first, is_done = [], [0], np.zeros(len(following), bool)
     for point in range(len(following)):
         while not is_done[point]:
@@ -128,6 +129,8 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
+    """A growing tree of cells; each node lists the corners at which paths from it may turn first."""
+
     lists: Lists
     key: Float[np.ndarray, " nodes"]  # priority of halving the node, at most that of its parent
     is_leaf: Bool[np.ndarray, " nodes"]
@@ -172,6 +175,7 @@ def grow_lists(
 
 
 def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
+    """Halve cells of leaves ``nodes`` along their longest axis, and list the corners of both halves."""
     leaves = np.flatnonzero(tree.is_leaf)
     cells = tree.lists.cells[nodes]
     axis = cells.longest_axis(domain)
@@ -205,6 +209,7 @@ def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, dom
 
 
 def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
+    """Build the content of a file of pairs, and the bytes of the file, at most ``max_bytes``."""
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes

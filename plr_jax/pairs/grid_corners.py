@@ -117,6 +117,15 @@ _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 
 @dataclass(frozen=True)
 class _Sector:
+    """A quadrant or octant around each corner, in a flipped, mirrored or transposed view of the grid.
+
+    ::
+
+        2 |     . .       In the view, the sector reaches from corner c along rising columns, *ahead*, and rising
+        1 |   . . .       rows, *aside*. Row i of an octant (slanted) begins i columns ahead of the corner, and row i
+        0 | c . . .       of a quadrant right beside the corner.
+    """
+
     free: Grid
     blocked: dict[tuple[int, int], Grid]
     row: Int[np.ndarray, " corners"]
@@ -129,11 +138,13 @@ class _Sector:
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
+        # The numbers, in the grid, of cells of corners' sectors.
         column = self.column[corner] + ahead + (aside if self.slanted else 0)
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
 
 def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
+    """Yield the sectors of all corners: four quadrants, or eight octants if steps may be diagonal."""
     corners = np.nonzero(corner_cells(free))
     slanted = connectivity == 8
     for transposed, flipped, mirrored in product((False, True)[: 1 + slanted], (False, True), (False, True)):
@@ -216,6 +227,8 @@ def looked_up(table: Any, index: Any) -> Any:
 
 @pytree
 class CornerTable:
+    """Distances between all obstacle corners: those between centers near them, plus small differences."""
+
     center: Integer[Array, " corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
     # For each corner and all up to it, row by row: the distance minus that between the centers near both corners.
@@ -242,6 +255,7 @@ class CornerLabels:
     length: Int32[Array, " ancestors"]
 
     def between(self, a: Any, b: Any) -> Any:
+        """Return distances between corners ``a`` and ``b``, arrays that broadcast; ``_NO_PATH`` without a path."""
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         common = xp.minimum(*(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b)))
@@ -350,6 +364,7 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
 
 
 def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
+    """Return the distances of each corner to its ancestors, in the reverse order of elimination."""
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
     depth, parent = np.zeros(len(order), np.int64), np.full(len(order), -1)
@@ -381,6 +396,8 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
 
 
 def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.ndarray, "corners corners"]:
+    # In the reverse order of elimination, a corner's neighbors come before it: all paths from it to earlier corners
+    # lead over one of them.
     place = np.empty(len(order), np.int64)
     place[order[::-1]] = np.arange(len(order))
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)

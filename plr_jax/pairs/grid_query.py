@@ -56,6 +56,7 @@ class IllegalSteps:
 
 
 def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
+    """Build the tables by which :func:`sees` tests whether cells see each other."""
 
     def sums_along_rows(marks: Grid) -> _Sums:
         return np.pad(marks.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=1)
@@ -153,6 +154,7 @@ class GridTables:
 
 
 def tables_of(free: Grid, connectivity: int) -> GridTables:
+    """Build the tables of a grid that queries read."""
     first, corners = taut_corners(free, connectivity)
     # Pack the corners of each cell into blocks.
     counts = np.diff(first)
@@ -232,6 +234,7 @@ def evaluate_few(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
+    """Return the numbers of steps from points to one cell; ``from_goal`` has the lengths from it to all corners."""
     p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
 
@@ -269,6 +272,7 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
 
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
+    """Return path lengths between cells; pairs are sorted, so that the pairs of a chunk take equally long."""
     seen = sees(tables.sight, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
         length, blocks_p, blocks_q = _most_likely(tables, p, q, seen)
@@ -339,6 +343,8 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
 
 class _OpenBlocks(NamedTuple):
+    """The blocks of corners of cells that are still to be tried, as words of bits."""
+
     cells: Cells
     blocks: _Blocks  # a bit for each of a cell's first 32 blocks of four corners: whether it is still to try
 
@@ -357,11 +363,15 @@ class _OpenBlocks(NamedTuple):
 
 
 def _least_over_blocks(tables: GridTables, open_p: _OpenBlocks, open_q: _OpenBlocks, length: _Lengths) -> _Lengths:
+    """Return the least of ``length`` and of paths over one of the corners left for each of both cells."""
+
     def with_words(words: _Scalar, length: _Lengths) -> _Lengths:
         word, other_word = jnp.divmod(words, open_q.words(tables))
         blocks, other_blocks = open_p.word(tables, word), open_q.word(tables, other_word)
 
         def with_blocks(state: _BitsAndLength) -> _BitsAndLength:
+            # The lowest set bits are the next pair of blocks; x & (x - 1) clears the lowest set bit of x. For each
+            # bit of the first cell, go through all bits of the second cell.
             bits, other_bits, length = state
             corners, others = open_p.corners(tables, word, bits), open_q.corners(tables, other_word, other_bits)
             legs, other_legs = _legs(tables, open_p.cells, corners), _legs(tables, open_q.cells, others)
@@ -404,6 +414,7 @@ def _least_around(
 
 
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
+    """Return the first block of corners that each cell lists, and the number of its blocks."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
         looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(np.int32)
@@ -417,6 +428,7 @@ def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: _Scal
 
 
 def _in_steps(connectivity: int, length: Ints, inside: Flags) -> Any:
+    """Convert lengths in integer units to numbers of steps; ``inf`` outside the grid or without a path."""
     xp: Any = np if isinstance(length, np.ndarray) else jnp
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     whole, rest = xp.divmod(length, STRAIGHT[connectivity])

@@ -59,6 +59,11 @@ def distances_around(
 def _lengths_of_rim(
     tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, computed_first: _RimFlags
 ) -> Rim:
+    """Return the path length from each cell of a square's rim to the goal; tables are asked for few cells.
+
+    Neighbor cells differ by at most a step. If the lengths of two cells of the rim differ by all steps between them,
+    the lengths between follow. Else the cell in the middle is asked.
+    """
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
@@ -91,6 +96,7 @@ def _lengths_of_rim(
 
 
 def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, is_wanted: _RimFlags) -> Rim:
+    """Look up the path lengths from the wanted cells of rims to the goals; other lengths stay."""
     size = min(_RIM_CELLS_AT_ONCE, is_wanted.size)
     all_cells = jnp.arange(is_wanted.size, dtype=jnp.int32).reshape(is_wanted.shape)
     none = jnp.zeros_like(lengths[0])
@@ -113,6 +119,7 @@ def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim
 
 
 def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
+    """Extend path lengths, known in some cells of squares, to all free cells of the squares."""
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
     turns = (-1, 1) if connectivity == 8 else ()
 
@@ -120,6 +127,7 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
     def swept(lengths: Square, free: _Free, turns: tuple[int, ...], reverse: bool) -> Square:
+        # One pass over the rows: each row takes lengths from the row before it, straight and by `turns` diagonally.
         def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
             (last_row, last_free), (row, is_free) = last, here
             row = jnp.minimum(row, last_row + straight)
@@ -133,6 +141,7 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
 
     def spread(part: tuple[Square, _Free]) -> Square:
+        # Sweep down, up, left and right until nothing changes.
         lengths, free = part
 
         def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:

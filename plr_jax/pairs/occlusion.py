@@ -94,6 +94,7 @@ class NearWalls:
         return updated(hidden, is_long & ~hidden, size // _NUM_BATCHES, test_all_walls, first, x, corner)
 
     def _are_crossed(self, most: int, first: Rows, x: Points, corner: Points) -> Flags:
+        # A line of sight is hidden if it crosses a wall into an obstacle and a wall out of one (see `crossings`).
         along = jnp.arange(most, dtype=jnp.uint32)[None]
         ax, ay, bx, by = (row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
         (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
@@ -168,6 +169,8 @@ def near_entries(
 def _near_entries(
     boxes: Boxes, leaf: Entries, number: Entries, corner: EntryPoints, walls: Walls, margin: float
 ) -> NearPairs | None:
+    # Leaves at neighbor indices are near one another. So first find the walls near runs of four leaves, by recursion;
+    # only these walls are tested for each leaf of a run.
     lo, hi = boxes
     if len(lo) == 1:
         first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)

@@ -78,6 +78,7 @@ class PairPLR(FileBacked):
         return self._answered(partial(_distances, outside=outside), few, x, y)[0]
 
     def _to_goals(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
+        """Return distances to prepared goals: by NumPy for few pairs, else by compiled code."""
         x = self._from_middle("x", x)
         batch = broadcast_shape("x and goals", x, goals.points)[:-1]
         size, corners = goals.to_corners.shape[-1], self._table_size
@@ -185,6 +186,7 @@ class PairPLR(FileBacked):
         return len(self.tables.distances) if is_traced(self.file) else table_size(self.num_corners)
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
+        """Check points, and return them relative to the middle of the domain."""
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
@@ -238,6 +240,12 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
         pairs = plr_jax.construct_pairs(workspace, max_bytes=1024)
         pairs(x, y)  # distances (n,) of points x and y, both (n, 2)
 
+    Args:
+        workspace: The free space, at most 1e18 wide, with at most 8,192 reflex corners (sharp tips of thin walls
+            count twice), else ``ValueError``.
+        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536. ``ValueError`` if free space and
+            corners alone take more.
+
     The domain is halved repeatedly, and each leaf lists the corners at which a shortest path from it may turn first.
     More bytes make queries faster, because fewer corners must be tried. The file stays below the budget if more
     bytes would not help. If interrupted (Ctrl-C), the result has the partition so far, with a
@@ -259,12 +267,6 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     Otherwise gaps stay open however narrow, and places where obstacles touch stay closed, unless paths may squeeze
     through. Only gaps below 6e-8 w beside such a place, or below 8e-6 w beside the tip of a thin wall, may be closed,
     or lead through the other wall beside the gap.
-
-    Args:
-        workspace: The free space, at most 1e18 wide, with at most 8,192 reflex corners (sharp tips of thin walls
-            count twice), else ``ValueError``.
-        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536. ``ValueError`` if free space and
-            corners alone take more.
     """
     from plr_jax.pairs.construct import construct_stored  # queries do not need it
 

@@ -192,6 +192,7 @@ class NumpyPairs:
     def distances_to(
         self, p: _Points, goal: _Points, to_corners: Float[np.ndarray, "n size"], outside: Outside
     ) -> _Lengths:
+        """Return distances from points ``p`` to goals whose distances to all corners, ``to_corners``, are known."""
         if outside == "clamp":
             p, shift = self._clamped(p)
             return self.distances_to(p, goal, to_corners, "inf") + shift
@@ -235,6 +236,7 @@ class NumpyPairs:
         return np.stack([lower, STRETCHED * length + self._upper_error])
 
     def _lengths(self, scene: Scene, p: _Points, q: _Points) -> _Lengths:
+        """Return path lengths of pairs; ``scene`` has the walls that hide corners, and the corners of paths."""
         swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
         p, q = np.where(swaps, q, p), np.where(swaps, p, q)
         single_p, single_q = p.astype(np.float32), q.astype(np.float32)
@@ -316,6 +318,7 @@ def js_pairs_reader() -> str:
 
 
 def js_pairs_module(data: bytes, domain: Box) -> str:
+    """Return a JavaScript module with the file ``data`` and functions that answer as :meth:`PairPLR.numpy` does."""
     return f"""\
 // The distance between any two points of {format_domain(domain)}, by plr_jax.
 //

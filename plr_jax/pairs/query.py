@@ -59,6 +59,8 @@ def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n 
 
 @pytree
 class _Pairs:
+    """Pairs of points, their leaves, and the corners to try in the order of their lower bounds."""
+
     x: Points
     y: Points
     leaf_x: Rows
@@ -71,6 +73,8 @@ class _Pairs:
 
 @pytree
 class _Search:
+    """The state of a search for the shortest paths between pairs of points."""
+
     length: _Lengths  # of the shortest path found so far, `inf` if there is none
     via_x: Rows  # place of the path's first turn in the list of the first point's leaf; the list's length if straight
     via_y: Rows  # place of the path's last turn in the list of the second point's leaf, likewise
@@ -81,6 +85,8 @@ class _Search:
 
 @pytree
 class Ways:
+    """The shortest paths between pairs of points: lengths, and the first and last turns."""
+
     length: _Lengths  # of the shortest path found, `inf` if there is none
     least: _Lengths  # lower bound of the length of any path
     from_x: Points  # first turn after the first point; the second point if the path is straight or missing
@@ -110,6 +116,7 @@ def shortest_ways(
 def _ways(
     tables: PairTables, to_corners: Float[Array, "goals size"] | None, x: Points, y: Points, goal: Rows | None = None
 ) -> Ways:
+    """Find the shortest path of each pair of points: straight, or through corners that the points' leaves list."""
     leaf_x: Any = lookup(tables.partition, x)
     leaf_y: Any = lookup(tables.partition, y) if goal is None else goal
     size = len(tables.distances)
@@ -142,6 +149,7 @@ def _ways(
 
 
 def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: _Pairs, search: _Search) -> _Search:
+    """Repeat rounds of the search until no pair of points has a corner left that may shorten its path."""
     size = search.length.shape[0]
 
     # The search ends: each round drops a corner from a list of each open pair of points.

@@ -124,7 +124,11 @@ class Outline:
         return shapely.union_all(polygons[is_left.sum(axis=1) % 2 == 1])
 
     def moved_walls(self, distance: float, *, moves_all: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return walls moved by ``distance`` into obstacles (thin ones only if ``moves_all``), or out if negative."""
+        """Return the walls, rows ``(x0, y0, x1, y1)``, moved by ``distance`` into the obstacles behind them.
+
+        A negative distance moves walls into free space. At sharp corners they move less. A positive one moves walls
+        of thin obstacles only if ``moves_all``; if not, more walls follow, which close the gaps at contacts and tips.
+        """
         # Into obstacles, a point where two obstacles touch moves to two places, and a sharp tip moves far. So that no
         # path slips through, two walls of opposite directions join each old place, or a point near the tip, to the
         # new place. Walls of thin obstacles stay. With `moves_all`, they move too, and no walls are added.
@@ -196,6 +200,7 @@ def _normal_of(walls: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
+    """Decode what :meth:`Outline.write` wrote; ``ValueError`` if it is invalid."""
     step = np.frombuffer(body.read_fixed_width(2, 32).astype("<u4").tobytes(), "<f8")[0]
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f"its lattice step must be positive and finite, got {step}")
@@ -240,6 +245,8 @@ _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 @dataclass(frozen=True, eq=False)
 class PairsFileData:
+    """The content of a file of pairs: the map, its corners, and the corners that each leaf lists."""
+
     domain: Box
     outline: Outline
     corner: Int[np.ndarray, " corners"]  # outline points that are corners, ascending
@@ -259,6 +266,7 @@ class PairsFileData:
         return self.outline.positions[self.corner]
 
     def to_bytes(self) -> bytes:
+        """Encode the file: a layer of the map and its corners, then a layer of the leaves and their lists."""
         first, lists, count = BitWriter(), BitWriter(), len(self.corner)
         first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
@@ -286,6 +294,7 @@ class PairsFileData:
 
     @staticmethod
     def from_bytes(data: bytes) -> "PairsFileData":
+        """Decode a file of pairs; ``ValueError`` if it is invalid."""
         container = Container.from_bytes(data)
         domain = container.domain
         if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):

@@ -27,12 +27,16 @@ _NOWHERE = 1e30  # a coordinate beyond every domain, for boxes of no walls
 
 @pytree
 class Walls:
+    """Walls in groups of neighbors, each with a bounding box."""
+
     groups: Float[Array, "groups 32 4"]  # coordinates of both ends of neighboring walls
     boxes: Float[Array, "groups 4"]  # of a box around each group with a margin for rounding: middle, half widths
 
 
 @pytree
 class PairTables:
+    """The arrays that a query of a PairPLR reads."""
+
     partition: Tables
     walls: Walls  # moved into obstacles a little
     occluders: Float[Array, "groups_of_occluders 16 7"]  # segments inside obstacles (`occluders_of`)

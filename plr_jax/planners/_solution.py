@@ -209,6 +209,7 @@ def straight_line_bound(problem: Problem) -> float:
 
 
 def _solution_from_json(entry: Any) -> Solution:
+    """Make a solution from a decoded JSON file; ``ValueError`` if an entry is missing or invalid."""
     require_format(entry, _KIND, _VERSION, _KEYS)
     status = entry["status"]
     if not isinstance(status, str) or status not in Status.__members__:
@@ -238,6 +239,7 @@ def _solution_from_json(entry: Any) -> Solution:
 
 
 def _stats_from_json(entry: Any) -> Stats:
+    """Make statistics from their entry in a decoded JSON file; ``ValueError`` if it is invalid."""
     keys = (*_COUNTS, "seconds", "history", "found_by")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
         raise ValueError(f'expected "stats" to have the keys {", ".join(keys)}, got {shortened(entry)}.')

@@ -93,6 +93,8 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math
 
 @dataclass
 class SuccessorList:
+    """The best successors of one node, by ascending score, which join the tree one after the other."""
+
     score: Float[np.ndarray, " m"]  # cost-to-come plus weighted heuristic
     cost: Float[np.ndarray, " m"]  # cost-to-come
     state: State
@@ -153,6 +155,7 @@ class BestFirstSearch:
 
     @property
     def solution_states(self) -> State:
+        """The joint states of the path that was found, from the starts on."""
         assert self.goal_node is not None
         node, states = self.goal_node, [self.states[self.goal_node]]
         while self.parents[node] >= 0:
@@ -165,6 +168,7 @@ class BestFirstSearch:
         return np.array(self.states)
 
     def _expand(self, nodes: list[int]) -> None:
+        # Find successors of the nodes that have none left, by a beam as wide as each node needs next.
         by_width: dict[int, list[int]] = {}
         for node in nodes:
             if node not in self.successors:

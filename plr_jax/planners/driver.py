@@ -184,6 +184,11 @@ class Run:
         return self.found_by == _SEQUENTIAL and self.cost <= self.accepted_cost
 
     def search_until_limit(self) -> Status:
+        """Search lattices until a path is cheap enough, a limit is reached or nothing is left to try.
+
+        From one search to the next the lattice gets finer and the weight falls. If the step is given, LaCAM searches
+        once, and then only the weight falls.
+        """
         searchers, weight = self.options.searchers, self.options.heuristic_weight
         step = self.options.step or first_step(self.problem, self._fits)
         if weight is None:

@@ -54,6 +54,7 @@ class TeamMoves:
         self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in joint.kinds]
 
     def __call__(self, state: JointNode) -> Moves:
+        """Return all robots' motions from a joint configuration, and the pairs of motions that collide."""
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
         places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.of_kind, strict=True):
@@ -112,6 +113,10 @@ class TeamMoves:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
+        """Yield pairs of robots that may meet in one step, grouped by kinds.
+
+        Each item has two kinds ``a <= b``, and for ``m`` pairs the robots of kind ``a`` and those of kind ``b``.
+        """
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
@@ -158,6 +163,7 @@ class PIBT:
         return self.chosen
 
     def _decide(self, robot: int) -> bool:
+        """Choose a robot's best motion for which all robots in its way find a motion; return whether it exists."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
                 self.num_left -= 1
@@ -189,6 +195,7 @@ class PIBT:
         return in_the_way
 
     def _make_way(self, robots: list[int]) -> bool:
+        """Let those of ``robots`` that have not chosen a motion choose one; return whether all could."""
         for robot in robots:
             if self.chosen[robot] < 0:
                 if self.num_left < 0 or self.num_failures[robot] == _MOST_FAILURES:
@@ -201,6 +208,8 @@ class PIBT:
 
 @dataclass(eq=False)
 class Node:
+    """A joint state that the search has reached, with the steps of the team that are left to try from it."""
+
     state: JointNode
     parent: "Node | None"
     priority: Float[np.ndarray, " robots"]  # steps since the start, or since the goal was left, plus a share below 1
@@ -269,6 +278,7 @@ class LaCAM:
         return np.array([node.state for node in self.nodes.values()])
 
     def _add(self, state: JointNode, parent: Node | None) -> None:
+        """Open the node of a joint state; a new one gets the order in which its robots choose motions."""
         key = state.astype(np.int32).tobytes()
         node = self.nodes.get(key)
         if node is None:

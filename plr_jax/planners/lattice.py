@@ -102,6 +102,7 @@ class Kind:
 
     @cached_property
     def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
+        # Each column lists the shared edges into a node; dummy edges fill it up.
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))
         size = max(int(rank.max()) + 1, 1 + max(len(edges) for edges in self.terminal_edges))
@@ -154,6 +155,8 @@ class Kind:
 
 
 class Lattice:
+    """The lattice of one robot: that of its kind, with the robot's own start and goal."""
+
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
         self.start, self.goal = kind.terminals.node[row].tolist()
@@ -326,7 +329,11 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices; cells, and the arcs of turns by a cell, are at most ``step`` wide."""
+    """Build the lattices of all robots of a problem; robots of equal shape and rotation weight share one table.
+
+    Cells are at most ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot
+    by more than ``step``, and is at most an eighth of a full turn.
+    """
     keys, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
     for robot, weight in dict.fromkeys(keys):
         members = np.array([i for i, key in enumerate(keys) if key == (robot, weight)])

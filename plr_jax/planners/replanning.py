@@ -262,6 +262,7 @@ class _LifelongTeam:
         self._due = math.inf  # row of the next planned arrival
 
     def plan_from_nothing(self) -> Status:
+        """Plan the whole team without regard to its present plan."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
         solution = plan(self._current_problem(self.problem.goals))
         self._num_from_nothing, self._num_idle = self._num_from_nothing + 1, 0
@@ -293,6 +294,7 @@ class _LifelongTeam:
         self._due, self._num_idle = math.inf, 0
 
     def replan(self) -> Status:
+        """Plan for the requested goals, as far as they are possible, from the team's present places on."""
         began = time.process_time()
         goals = self._possible_goals()
         if (goals != self.problem.goals).any():
@@ -305,6 +307,7 @@ class _LifelongTeam:
         return status
 
     def result(self, status: Status) -> LifelongRun:
+        """Return the run so far, as a path from the first starts to the present places."""
         path, problem = np.concatenate(self._done), self.problem
         problem = Problem(problem.workspace, problem.robots, path[0], path[-1], problem.rotation_weight)
         robots, rows = (np.array([entry[k] for entry in self.served], dtype=np.intp) for k in (0, 1))

@@ -69,6 +69,7 @@ class CornerRoadmap:
         return ~(inside.any(axis=0) | hits.any(axis=0))
 
     def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
+        """Return each robot's routes: costs of free straight motions between its start, its goal and corners."""
         num, size, ends = len(starts), len(self.q), np.concatenate([starts, goals])
         begin, end = np.concatenate([starts, ends.repeat(size, axis=0)]), np.concatenate([goals, *[self.q] * 2 * num])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
@@ -189,6 +190,7 @@ def sequential_path(problem: Problem) -> Path | None:
 
 
 def _comes_within(route: Route, place: complex, reach: float) -> bool:
+    """Return whether a route comes nearer to a place than ``reach``; points are complex numbers."""
     for begin, end in pairwise(route):
         rate, offset = end - begin, place - begin
         squared = abs(rate) ** 2

@@ -156,7 +156,10 @@ def _shortened_in_corridors(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    # The first and the last of the rows stay.
+    """Return the cheapest collision-free configurations of one or two robots in some rows, out of their corridors.
+
+    The first and the last of the rows stay.
+    """
     require_time(test.deadline, "all corridors were searched")
     path, first_row = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
@@ -164,6 +167,7 @@ def _shortened_in_corridors(
     robot_corridors, weights = zip(robots, corridors, strict=True), problem.rotation_weights
     costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in robot_corridors]
     through = [_least_cost_through(cost) for cost in costs]
+    # A robot's path gains nothing if it exceeds the robot's least cost by what all robots together may save, or more.
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(float(total[0].min()) for total in through)
     for i, corridor, reached, cost, total in zip(robots, corridors, around, costs, through, strict=True):
         # Motions cost inf if they cannot gain or hit something. The robot's present motions keep their costs.
@@ -190,6 +194,10 @@ def _shortened_in_corridors(
 def _joint_costs(
     robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list, test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
+    """Return the costs of two robots' joint motions between rows, by pairs of their configurations in each row.
+
+    They are ``inf`` for motions that cannot gain or in which the robots collide, except for the present motions.
+    """
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]

@@ -92,6 +92,8 @@ class Timetable:
         return np.minimum.accumulate(np.where(until - row >= self.patience, row, np.inf)[::-1])[::-1]
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
+        # The pieces of motions, one time step each, that meet a robot, and this robot. A robot at rest blocks others
+        # for `patience` rows.
         around, first_row = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
         piece, j = self._trajectory.robots_near(i, around, first_row, list(self.ignored))
         is_present = row[piece] < self.ends[j] + self.patience
@@ -186,8 +188,12 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """Skip waypoints ``q`` by straight motions where possible; reach each remaining one no later than its ``row``."""
-    # The robot, with rotation weight ``weight``, moves by ``length`` in a row.
+    """Return robot ``i``'s motion along waypoints ``q``, with straight motions that skip waypoints where possible.
+
+    The result has a configuration per time step (row of the timetable). The robot arrives at each waypoint that is
+    left at the latest in the waypoint's ``row``, and waits there if it arrives early and cannot go on. In a time step
+    it moves by ``length``, with turns weighted by ``weight``.
+    """
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
     parts, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:

@@ -53,6 +53,7 @@ def html_document(title: str, style: str, body: str, script: str) -> str:
 
 
 def packed_script(script: str) -> str:
+    """Return a script that unpacks and runs a given script, which is stored deflated and in base 64."""
     lines = (line.strip() for line in script.splitlines())
     bare = "\n".join(line for line in lines if line and not line.startswith("//"))
     packer = zlib.compressobj(9, wbits=-15)

@@ -367,6 +367,7 @@ def build_best_model(
 def _models_to_try(
     root: CellSources | None, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
 ) -> list[str]:
+    """Return the names of the leaf models among which construction looks for the smallest error."""
     # On all maps of the experiments, cones had 10 to 1,000 times smaller mean errors than other leaves if all corners
     # took at most _ROOMY * max_bytes. Above _CROWDED * max_bytes, a few cones could err far more than others.
     cones = [name for name in leaf_names() if isinstance(leaf_model(name), Cone)]
@@ -385,6 +386,7 @@ def _models_to_try(
 
 
 def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) -> float:
+    """Estimate a PLR's error at random points: the geometric mean of the mean and the largest error."""
     domain = contents.domain
     x = domain.lo + domain.width * np.random.default_rng(seed).random((_ERROR_POINTS, domain.dim))
     distance = as_distances("The distance function", distance_fn(x), x)
@@ -429,6 +431,7 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
+    """Return an oracle for which bounds can be proven; ``ValueError`` for any other."""
     if domain.dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "

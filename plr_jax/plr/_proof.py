@@ -58,6 +58,8 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 
 @dataclass(eq=False)
 class _Targets:
+    """The bounds that suffice for the file of one of several PLRs, so that a proof can stop."""
+
     leaves: slice
     rounding: Errors
     certificate: Callable[..., Certificate]

@@ -69,6 +69,9 @@ class TreeCosts(NamedTuple):
 
     @staticmethod
     def of(level: BoxLevel, below: "TreeCosts | None", price: float, weight: float, limits: Limits) -> "TreeCosts":
+        # `below` has the costs of the next level. For a box b, over all axes along which its halves l, u are known:
+        #   best(b)  = min(cost(b) + price, best(l) + best(u))
+        #   least(b) = min(cost(b) + price, least(l) + least(u), and cost_if_halved(b) if b is open along an axis)
         best = level.costs(weight) + price
         halved = cost_if_halved(weight * level.boxes.peak, price)
         least = np.where(level.is_open(limits, weight).any(axis=0), np.minimum(best, halved), best)
@@ -93,6 +96,12 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
 
     Each leaf of a tree costs ``price``, plus the integral of its error, plus ``weight`` times its largest error.
     """
+    # Branch and bound, first up and then down the levels. A box b, with `best` and `least` of `TreeCosts`, is halved
+    # along all its open axes if
+    #   least(b) < min(best(b), most(b)).
+    # A tree of b that costs at least most(b) improves no tree that contains it. The root has no such limit. Along an
+    # axis, the two halves of b share what b may cost:
+    #   most(half) = max over all boxes b with this half of min(best(b), most(b)) - least(other half of b).
     costs: dict[int, TreeCosts] = {}
 
     def update_costs(depth: int) -> None:
@@ -100,8 +109,6 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
 
     for depth in reversed(range(len(levels))):
         update_costs(depth)
-    # A box is halved only if its trees may cost less than its best computed tree and less than ``most``: at a higher
-    # cost, no tree that contains them beats the computed ones.
     most = np.full(len(levels[0].key), np.inf)
     for depth, level in enumerate(levels):  # including the levels that are added meanwhile
         axis, parent = np.nonzero(
@@ -124,6 +131,10 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
 def _add_halves(
     levels: list[BoxLevel], depth: int, parent: Int[np.ndarray, " new"], axis: Int[np.ndarray, " new"]
 ) -> None:
+    """Halve boxes ``parent`` of a level along ``axis``: add their halves to the next level, unless it has them.
+
+    Both arrays have two equal entries for each halving, one for the lower half and one for the upper half.
+    """
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1
     order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
@@ -177,6 +188,8 @@ def peak_weight(num_leaves: float, is_proven: bool) -> float:
 
 
 class SelectedBoxes(NamedTuple):
+    """The boxes of a level that a tree at the current or a lower price may contain."""
+
     box: Int[np.ndarray, " own"]  # boxes of a level that a tree may contain
     child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
 
@@ -242,6 +255,7 @@ class PriceSearch:
         before = len(self._best_tree(_RATE_STEP * now.price, weight))
         if before == len(now) or room > _MUCH_ROOM:
             return _LARGEST_DROP * now.price, weight
+        # Assume leaves ~ price**-rate, with the rate between the last price and a higher one.
         rate = np.log(len(now) / before) / np.log(_RATE_STEP)
         drop = float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
         return drop * now.price, weight
@@ -254,7 +268,8 @@ class PriceSearch:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, fits: PricedTree, beyond: PricedTree, weight: float) -> PricedTree:
-        # Interpolate between the prices of a tree that fits and of a tree that is too large.
+        # Regula falsi: between the prices of a tree that fits and of a tree that is too large, the logarithm of the
+        # used share of the limits counts as linear in the logarithm of the price. Every fourth attempt bisects.
         largest = fits
         for attempt in range(_ATTEMPTS):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
@@ -271,7 +286,9 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, weight: float) -> None:
-        # The best tree at this or a higher price halves no box that costs at most the price as a leaf.
+        # Store the boxes that the best tree at this or a higher price may contain. It halves no box whose cost as a
+        # leaf is at most the price: two leaves cost two prices. Descend from the root along all other halvings. The
+        # indices of halves then count the selected boxes of the next level.
         nodes, selected = np.zeros(1, np.int64), []
         for depth, level in enumerate(self.levels):
             if not len(nodes):
@@ -291,6 +308,7 @@ class PriceSearch:
         self._selected = selected
 
     def _best_tree(self, price: float, weight: float) -> PricedTree:
+        # Choose an axis for each selected box upward, then collect the tree's nodes and leaves downward.
         selected = self._selected
         axes = best_axes(self.levels, selected, price, weight)
         leaves, walked, nodes = [], [], np.zeros(1, np.int64)
@@ -308,6 +326,11 @@ class PriceSearch:
 def best_axes(
     levels: list[BoxLevel], selected: list[SelectedBoxes], price: float, weight: float
 ) -> list[Int[np.ndarray, " own"]]:
+    """Return, for each level, the axis along which the best tree halves each selected box, or -1 for a leaf.
+
+    By dynamic programming from the smallest boxes up, the cost of a box is the least of its cost as a leaf, including
+    the ``price``, and for each axis the sum of the costs of its halves.
+    """
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(selected)]), reversed(selected), strict=True):
         total, choice = level.costs(weight)[box] + price, np.full(len(box), -1)

@@ -46,6 +46,8 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
+    """The functions of leaves, which are the boxes from ``lo`` to ``hi``."""
+
     model: Any  # a LeafModel, which this file may not import
     lo: Float[np.ndarray, "leaves dim"]
     hi: Float[np.ndarray, "leaves dim"]
@@ -197,6 +199,8 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], vo
     width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
 
     def best_classes(price: float) -> Codes:
+        # least[k] is the least cost of classes of the k lowest ranks: over all begins of the last class, the least of
+        #   least[begin] + cost of a class of ranks begin to k - 1;     first[k - 1] is this begin.
         costs, least, first = width + price * bits, np.zeros(num_ranks + 1), []
         for last in range(num_ranks):
             costs_to = least[: last + 1] + costs[last, : last + 1]
@@ -231,6 +235,7 @@ def requantize_bounds(
 
 
 def _fits(codes: Codes, max_bits: int) -> bool:
+    """Return whether shared bounds take at most ``max_bits`` bits in a file."""
     num_classes = distinct_classes(codes).shape[1]
     if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
         return False
@@ -260,6 +265,7 @@ def _class_keys(codes: Codes) -> Int[np.ndarray, " leaves"]:
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
+    """Decode each leaf's codes: the classes' codes, then for each class which leaves are in a later one."""
     count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
     classes = body.read_fixed_width(2 * count, _CODE_BITS).reshape(2, count)
     place, leaf = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
@@ -277,12 +283,12 @@ _BYTES_A_BIT, _LEAST_BITS = 16, 80
 
 
 class Proof(IntEnum):
-    """The kind of error bounds in a file: none, bounds that groups of leaves share, or bounds of each leaf."""
+    """The kind of error bounds in a file."""
 
-    NONE = 0
-    CLASSES = 1  # or only the largest error of all leaves, if there is no room for classes
-    LEAVES = 2
-    OPEN_LEAVES = 3  # leaves with the largest upper code have no upper bound
+    NONE = 0  # no bounds
+    CLASSES = 1  # bounds that groups of leaves share; if there is no room, only the largest error of all leaves
+    LEAVES = 2  # bounds of each leaf
+    OPEN_LEAVES = 3  # bounds of each leaf, where a leaf with the largest upper code has no upper bound
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
         """Return the most bits of this kind of proof in a file whose leaves take ``num_bytes`` bytes."""
@@ -408,6 +414,10 @@ class Certificate:
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
+        """Return bounds of errors such that tighter ones would hardly change the file, given attained errors.
+
+        ``least`` and ``most`` are errors that the leaves attain, so bounds cannot be tighter.
+        """
         if self.proof is not Proof.CLASSES:
             largest = max(most.max(initial=0.0), -least.min(initial=0.0))
             spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
@@ -444,6 +454,7 @@ def write_proof(body: BitWriter, certificate: Certificate | None, straight: Stra
 def read_proof(
     body: BitReader, proof: Proof, num_leaves: int, dim: int
 ) -> tuple[Certificate | None, StraightBound | None]:
+    """Decode error bounds and a straight-line bound, the inverse of :func:`write_proof`."""
     if proof is Proof.NONE:
         return None, None
     scale = float(body.read_floats(1)[0])

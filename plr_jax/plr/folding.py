@@ -115,6 +115,13 @@ _SAME_PLACE = 1e-9  # tolerance for points, relative to a coordinate or to the d
 
 def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
     """Return a folding by the symmetries of a distance function; None if no folding makes the domain smaller."""
+    # A symmetry maps x to S x + offset, and S is a symmetric involution: S S = 1. So it is a reflection, with
+    # eigenvalues 1 and -1, and commuting ones have common orthogonal eigenvectors, the rows of A. In coordinates
+    # z = A (x - center) about a common fixed point, the symmetries only change signs:
+    #   z_i -> sign_i * z_i, with sign_i = (A S A')_ii.
+    # For example, the symmetry that swaps x_0 and x_1 has the axes (1, 1) and (1, -1), both divided by sqrt(2), and
+    # changes the sign of z along (1, -1). Points where this coordinate is negative are mirrored: half of the domain
+    # remains.
     # 1. Keep symmetric involutions that commute and do not mix periodic axes with others.
     symmetries: list[Symmetry] = []
     for symmetry in distance_fn.symmetries if isinstance(distance_fn, SymmetricFn) else ():
@@ -142,7 +149,8 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
     signs = np.einsum("ij,njk,ik->ni", axes, matrices, axes)
     mirrors = _assign_pivots(signs < 0, ~np.array(domain.periodic))
 
-    # 3. Find the fixed point of all symmetries that is nearest to the middle of the domain.
+    # 3. Find the fixed point of all symmetries that is nearest to the middle of the domain. With x = middle + step,
+    #    each symmetry gives (1 - S) step = offset - (1 - S) middle. The solution of least norm is the nearest.
     middle = (domain.lo + domain.hi) / 2
     moved = np.concatenate([np.eye(domain.dim) - symmetry.matrix for symmetry in symmetries])
     shift = np.concatenate([symmetry.offset for symmetry in symmetries]) - moved @ middle

@@ -116,7 +116,10 @@ def rows_of_class(of_class: int, least_bytes: int | float) -> int:
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Return log2 of the least size, after padding, of a lookup table for a file with room for ``rows`` leaves."""
+    """Return log2 of the least number of slots of a lookup table for a file with room for ``rows`` leaves.
+
+    Smaller tables are padded, so that most files with equally much room have tables of one shape.
+    """
     return next((bits for most, bits in _SLOT_BITS if rows <= most), _MAX_FLAT_BITS)
 
 

@@ -44,6 +44,8 @@ class ConstructionInterrupted(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Limits:
+    """The limits of a construction; it ends at the first one that it reaches."""
+
     max_depth: int
     max_axis_depth: int  # most halvings of a cell along one axis, which limit the size of lookup tables
     max_leaves: int
@@ -67,6 +69,7 @@ class Limits:
 
 
 def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
+    """Raise a ``ValueError`` if a construction needs more memory than the machine has."""
     needed = num_nodes * bytes_a_node
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
@@ -134,6 +137,7 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
+    """Make leaves of fitted cells, with the priority and the axis of their split, by rules and limits."""
     check_rules(fit, priority, axis)
     priority, axis = urgent_first(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
@@ -170,6 +174,7 @@ def is_within_depth(cells: Cells, axis: Int[np.ndarray, " cells"], limits: Limit
 
 
 def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.ndarray, "..."]) -> None:
+    """Raise a ``ValueError`` unless the rules returned a priority and an axis for each cell."""
     cells, dim = fit.cells.depth.shape
     if priority.shape != (cells,) or np.isnan(priority).any():
         raise ValueError(
@@ -253,13 +258,19 @@ FitNodes = Callable[[Cells, Float[np.ndarray, " cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
+    """How files store leaves, for several numbers of bits per value."""
+
     choices: Sequence[int]  # numbers of bits to choose from
     size: Callable[[Nodes, Leaves, int], int]  # bytes of a file, by nodes, leaves and bits per value
     rounding_error: Callable[[Nodes, Leaves, int], float]  # mean error of rounded values
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, " cells"]], Nodes]) -> FitNodes:
-    """Return a function that samples and fits cells and returns ``nodes_of(fits, priorities of the parents)``."""
+    """Return a function that turns cells, and the priorities of their parents, into nodes of a growing tree.
+
+    It samples and fits cells, about a million samples at a time, and calls ``nodes_of(fits, priorities)``. Cells with
+    few samples that reach the goal are sampled densely.
+    """
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
     def fit_nodes(cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
@@ -269,7 +280,7 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 
     def fit_part(cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
         fit = sampler(cells)
-        few = fit.is_hardly_seen  # such cells get more samples
+        few = fit.is_hardly_seen
         if not few.any():
             return nodes_of(fit, parent_key)
         order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
@@ -321,6 +332,7 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Le
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]
 
     def most_leaves(bits: int) -> Leaves:
+        # The leaves after as many splits, in their order, as the file has room for; none if one leaf is too large.
         if np.isinf(limits.max_bytes):
             return nodes.leaves_of_splits(order)
         num_fitting = bisect_right(

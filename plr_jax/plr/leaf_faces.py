@@ -68,6 +68,7 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> 
     """
     from scipy.sparse import csr_array, diags_array
 
+    # Substitute repeatedly, squaring the matrix, until all rows name free values only.
     step = csr_array(step + diags_array(is_free))
     while step[:, np.flatnonzero(is_free == 0)].nnz:
         step = csr_array(step @ step)
@@ -83,6 +84,10 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
     """
     from scipy.sparse import csr_array
 
+    # Gauss-Jordan elimination. For each equation, sum(row[i] * x[i]) == 0:
+    #   1. replace each solved variable in it by its solution;
+    #   2. solve it for its pivot: x[pivot] = -sum over the others of row[i] / row[pivot] * x[i];
+    #   3. replace the pivot in all earlier solutions that use it, so that solutions name unsolved variables only.
     solved: dict[int, dict[int, float]] = {}  # eliminated variable -> combination of others
     uses: dict[int, set[int]] = {}  # variable -> eliminated variables that use it
     rows.data[np.abs(rows.data) <= ZERO] = 0
@@ -153,6 +158,7 @@ def neighbor_of_largest_contact(
 def touching_leaves(
     tree: Tree, some: Int[np.ndarray, " some"], others: Int[np.ndarray, " others"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, "2 pairs"]:
+    """Return pairs of a leaf of ``some`` and a leaf of ``others`` that share a face, an edge or a corner."""
     finest = tree.cells.depth.max(axis=0)
     holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
     holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
@@ -201,6 +207,7 @@ class SharedFaces(Rows):
 
 
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
+    """Return all faces that two leaves share, also across periodic seams, by lower, then upper leaf."""
     most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
     # Start at the halves of every split, and at the root with itself across each periodic seam.
     split = np.flatnonzero(tree.child >= 0)

@@ -230,6 +230,7 @@ class Sampler:
     is_sparse: bool = False  # whether little of the domain reaches the goal
 
     def __call__(self, cells: Cells) -> CellFit:
+        """Sample the distance in cells, and fit a plane to the samples of each cell that reach the goal."""
         pattern = self.pattern
         points = cells.points(pattern.u, self.domain)
         if pattern.reaches_beyond:
@@ -257,6 +258,8 @@ class Sampler:
         return CellFit(*fit, self._urgent_axes(cells, reachable.sum(axis=1)), is_cut_off)
 
     def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, " cells"]) -> Int[np.ndarray, " cells"]:
+        # The axis along which to halve cells at the border of what reaches the goal, and coarse cells in which few
+        # samples reach it; -1 for other cells.
         reach, axis = self.reach, np.full(len(cells), -1)
         if reach is not None:
             axis = urgent_axes(cells, reach.is_border, self.max_axis_depth)

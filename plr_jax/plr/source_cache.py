@@ -13,6 +13,8 @@ _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at 
 
 
 class SourceCache:
+    """A cache of the sources of cells, so that halves inherit the sources of their wholes."""
+
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
         self._parts: list[CellSources] = []
@@ -44,6 +46,7 @@ class SourceCache:
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
+        """Return the sources of a tree's leaves; unless all are known, descend from the domain's sources."""
         if not self._knows(tree.leaves).all():
             nodes, visible = np.zeros(1, np.int64), self.sources(Cells.root(2))
             while len(nodes):

@@ -69,6 +69,7 @@ class Robot:
 
 
 def check_body(name: str, robot: Robot) -> None:
+    """Raise a ``ValueError`` unless a robot is convex, counterclockwise, and around its reference point."""
     core, rounding, dof = np.asarray(robot.core), robot.rounding, robot.dof
     if core.ndim != 2 or core.shape[1] != 2 or len(core) == 0 or not np.isfinite(core).all():
         raise ValueError(f"{name} must have a core of finite vertices (n, 2), got {robot.core!r:.200}.")

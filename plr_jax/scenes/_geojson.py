@@ -147,6 +147,7 @@ def _parts(geometry: Any) -> Iterator[Any]:
 def _workspace_of(
     path: Path, shapes: list[Any], polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
 ) -> Workspace:
+    """Make a workspace of polygons, obstacles or free space; warn if coordinates look like degrees."""
     if polygons not in ("obstacles", "free"):
         raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")
     if not shapes:
@@ -209,6 +210,7 @@ def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.Mult
 
 
 def _polygon(rings: Any, where: str) -> Iterator[Any]:
+    """Yield the polygon of a list of rings, the outer one first; yield nothing if they are empty."""
     if not isinstance(rings, list | None):
         raise ValueError(f"{where}: expected a list of rings, got {shortened(rings)}.")
     rings = rings or []

@@ -81,6 +81,7 @@ def read_volume(
 
 
 def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
+    """Read booleans, or integers 0 and 1, from a ``.npy`` file."""
     try:  # memory-mapped: a header that promises more than the file holds fails early
         values = np.lib.format.open_memmap(path, mode="r")
     except OSError:
@@ -97,6 +98,7 @@ def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
 
 
 def _read_list(path: Path) -> Voxels:
+    """Read a text file that lists blocked voxels after a line with the numbers of voxels."""
     text = text_of(path, _MOST_LIST_BYTES)
     first, _, rest = text.partition("\n")
     # 1. Read the number of voxels along each axis.
@@ -127,6 +129,7 @@ def _read_list(path: Path) -> Voxels:
 
 
 def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
+    """Return which voxels no triangle meets and, with ``fill``, the surface does not enclose."""
     lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
     with np.errstate(over="ignore", invalid="ignore"):

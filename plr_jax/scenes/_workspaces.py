@@ -39,6 +39,7 @@ def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) 
 
 
 def _reader_of(path: Path) -> Callable[..., Workspace]:
+    """Return the function that reads a file, chosen by the ending, and for ``.json`` by the content."""
     match path.suffix.lower():
         case ".map":
             return read_map

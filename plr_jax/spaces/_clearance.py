@@ -197,6 +197,7 @@ class ClearanceSpace:
 
 
 def _advice(lipschitz: Float[np.ndarray, " dof"], change: Float[np.ndarray, " dof"], difference: float) -> str:
+    """Advise how to raise Lipschitz constants so that a ``change`` of the configuration explains a ``difference``."""
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "No constant explains it: the clearance must be a function of the configuration."

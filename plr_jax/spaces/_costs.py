@@ -81,11 +81,17 @@ class DirectionalCost(CostMap, Protocol):
     """
 
     def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
-        """Return, for each box, vectors ``a`` and ``b``, ``(n, dof)``, and numbers ``least`` and ``most``, ``(n,)``.
+        """Bound the cost of all motions in each box, by constants for the box.
 
-        Every motion ``dq`` in the box costs ``max(a . dq, b . dq)`` plus between ``least`` and ``most`` times
-        ``|dq|``. Too loose pulls are not used: if ``least <= most / 4`` or ``least - d <= most / 50`` for a box, its
-        :meth:`bounds` count instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
+        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most the same with
+        ``most``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend beyond the domain along periodic
+        axes.
+
+        If ``least <= most / 4`` or ``least - d <= most / 50``, pulls are too loose, and :meth:`bounds` count in this
+        box instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
+
+        Returns:
+            The vectors ``a`` and ``b``, ``(n, dof)``, and the numbers ``least`` and ``most``, ``(n,)``.
         """
         ...
 

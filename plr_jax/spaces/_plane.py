@@ -1,4 +1,8 @@
-"""The configuration space of a point or disc in the plane, and tests against walls for other robots there."""
+"""Configuration spaces of robots in a planar workspace.
+
+``PlaneSpace`` has the positions of a point or disc; ``BodySpace`` is the base of spaces of one robot. Functions test
+points, segments and Shapely shapes against the walls of a workspace.
+"""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -48,6 +52,7 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
 
 
 def segment_distances(a: Links, b: Links) -> Float[np.ndarray, " n"]:
+    """Return the distance between segments ``a[i]`` and ``b[i]``; 0 if they cross."""
     distances, crosses = [], np.ones(len(a), dtype=bool)
     for segments, others in ((a, b), (b, a)):
         along, from_ends = segments[:, 1] - segments[:, 0], segments[:, :1] - others
@@ -71,6 +76,8 @@ _SLIVER = 0.01
 
 @dataclass(frozen=True)
 class BodySpace:
+    """A base of the spaces of one robot in a workspace, which tests configurations and motions."""
+
     workspace: Workspace
     robot: Robot
 

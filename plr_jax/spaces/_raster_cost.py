@@ -265,6 +265,7 @@ class RasterCost:
         return (1 - _FACTOR_ROUNDING) * least, (1 + _FACTOR_ROUNDING) * most
 
     def _interpolated(self, coords: Vectors) -> Rates:
+        # With "nearest", cell k has coordinates from k to k + 1; else they count from the center of cell 0.
         below = np.floor(coords).astype(np.intp)
         if self.interpolation == "nearest":
             return self._cell_factors(below)

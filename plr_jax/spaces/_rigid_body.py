@@ -86,6 +86,7 @@ class RigidBodySpace(BodySpace):
         return state
 
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
+        """Return which boxes of positions and headings are proven free."""
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
@@ -104,6 +105,7 @@ class RigidBodySpace(BodySpace):
         return free
 
     def _boxes_are_blocked(self, center: Boxes, half: Boxes) -> Booleans:
+        """Return which boxes of positions and headings surely hold no free configuration."""
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
         center, half = center[rows], half[rows]

@@ -189,6 +189,8 @@ def precision_of(numbers: ArrayLike) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
+    """A base of spaces made from a space that only tests configurations; it checks the answers of this test."""
+
     space: FreeTest
 
     @property

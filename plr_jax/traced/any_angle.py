@@ -20,6 +20,11 @@ from plr_jax._compiled import pytree
 from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, containing_cells, pack
 
 Broadcast = Float[Array, "*#batch 2"]
+# Each end of a segment, a point, as two points inside free cells: the point moved into the first free cell, and into
+# the last one, of up to four cells around it. They are equal for a point with one free cell around it.
+#      |         A segment from x to the right begins at the last point, a segment to the left at the first one
+#    . x .       (`_end_facing`). So it begins in a free cell, and does not cross the border on which x lies.
+#      |
 Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
 MOST_CORNERS = 2**12  # most corners of a map; the distances between so many take 64 MB
@@ -102,7 +107,16 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
     A segment through another corner crosses all four cells there: if one is blocked, the segments to that corner
     and on are as long. A segment along a grid line runs on the left of the line: two corners see each other if the
     segment in one of both directions is free.
+
+    The result has the bits of :func:`pack` for all cells, row by row: cell ``row * columns + column`` is bit ``i`` of
+    word ``w`` if this number is ``32 * w + i``.
     """
+    # The ends move towards each other by a small share, the nudge, of the segment's length:
+    #   +---+---b---+       The cells below and left of a, and above and right of b, do not count as crossed. A corner
+    #   |   |  /|   |       in between is within the slack of `_columns`, a thousandth of the nudge, of all its cells.
+    #   +---+-/-+---+       If the segment is level or upright, both ends also move to its left, into the cells there.
+    #   |   |/  |   |
+    #   +---a---+---+
     a, b = (cell_centers(shape) if from_centers else lattice(shape))[:, None], lattice(shape)[None]
     along = b - a
     left = np.where((along == 0).any(axis=-1, keepdims=True), along[..., ::-1] * [-1, 1], 0)
@@ -224,6 +238,8 @@ def _(primals, tangents):
 
 @pytree
 class CornerPaths:
+    """The shortest paths to one goal: distances of points, by way of convex corners."""
+
     corners: Corners
     distances: Float[Array, "*maps corners"]  # from convex corners to the goal
     goal: Float[Array, "*maps 2"]
@@ -245,6 +261,7 @@ class CornerPaths:
         return self._distance(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
 
     def _distance(self, x: Float[Array, "n 2"], seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
+        # The least of the straight segment to the goal, and of the paths through each visible corner.
         goal = jnp.broadcast_to(self.goal.astype(x.dtype), x.shape)
         (ends, is_free), (goal_ends, goal_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, goal))
         sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
@@ -258,6 +275,8 @@ class CornerPaths:
 
 @pytree
 class CornerPairs:
+    """The shortest paths between any two points, by way of convex corners."""
+
     corners: Corners
     between: Float[Array, "*maps corners corners"]
 
@@ -270,6 +289,7 @@ class CornerPairs:
         return cls(corners, between)
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, " n"]:
+        # The straight segment, or x -> first corner -> last corner -> y: `onward` is the way from each corner to y.
         dtype = jnp.promote_types(jnp.promote_types(x.dtype, y.dtype), self.between.dtype)
         x, y, points = x.astype(dtype), y.astype(dtype), self.corners.points(dtype)[None]
         (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, y))

@@ -90,6 +90,7 @@ class FaceTests:
         self._keys, self._free = np.zeros(0, np.uint64), np.zeros(0, bool)  # of the faces of the last call
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, " faces"]:
+        """Return which faces are free; the faces of the call before are not tested again."""
         domain, of_cell = self._domain, cells.hashes()
         # With periodic axes, a cell may share a face along each axis with itself.
         keys = hash64(hash64(of_cell[faces.lower]) + of_cell[faces.upper]) + faces.axis.astype(np.uint64)
@@ -209,6 +210,8 @@ _UNPREDICTED = 1e-3  # factor of the difference from the mean value, for values 
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
+    """A partition, the values fitted to it, and the size of its file."""
+
     fit: CellFit
     stored: StoredValues
     num_bytes: int
@@ -241,6 +244,7 @@ class _Rounds:
             self._max_splits = len(leaf) // 2  # too large: try half as many splits
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
+        """Return the leaves to split next and the axes to split them along; none if growth ends."""
         fit, limits = now.fit, self._limits
         room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):

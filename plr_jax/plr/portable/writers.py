@@ -176,6 +176,7 @@ def indent(lines: Iterable[str]) -> list[str]:
 
 
 def wrap_entries(entries: Iterable[str]) -> list[str]:
+    """Return lines with the entries of an initializer in C or JavaScript, each followed by a comma."""
     lines, line = [], ""
     for entry in entries:
         if len(line) + len(entry) > _WIDTH:

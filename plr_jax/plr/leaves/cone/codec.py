@@ -75,6 +75,8 @@ class StoredSources:
 
 @dataclass(frozen=True, eq=False)
 class StoredCones:
+    """Cones as in a file: the sources, and the source of each leaf."""
+
     sources: StoredSources
     source: Int[np.ndarray, " leaves"]
 
@@ -144,6 +146,7 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
+    """Write the sources: coordinates in steps of two lattices, and each one's distance to the goal or parent."""
     (fine, others), exponent = np.split(sources.code, [sources.num_fine]), sources.exponent
     kinds = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, sources.fraction, sources.fraction)
     for code, step, scale in kinds:
@@ -187,6 +190,7 @@ def _write_ranks(body: BitWriter, source: Int[np.ndarray, " leaves"]) -> None:
 
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
+    """Decode the sources of cones, and the source of each leaf; ``ValueError`` if they are invalid."""
     exponent, fraction, parts = 0, 1, []
     num_fine = int(body.read_fixed_width(1, _COUNT_BITS)[0])
     if num_fine:
@@ -222,6 +226,7 @@ def read_goals(body: BitReader, num_roots: int) -> Int[np.ndarray, " roots"]:
 
 
 def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, " dim"]) -> Int[np.ndarray, "count dim"]:
+    """Decode the coordinates of sources in lattice steps; the first coordinates are stored as differences."""
     lowest = body.read_signed(len(origin))
     columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
     for _ in origin[1:]:
@@ -239,6 +244,7 @@ def _origin_in_steps(steps: Float[np.ndarray, " dim"]) -> Int[np.ndarray, " dim"
 
 
 def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, " leaves"]:
+    """Decode the source of each leaf: the inverse of :func:`_write_ranks`, with a list of all sources."""
     rank, pending = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
     for low_rank in range(_ESCAPE):
         pending = pending[body.read_fixed_width(len(pending), 1) == 0]
@@ -283,6 +289,7 @@ class ConeFiles:
         return self.num_bytes(source, limits) <= limits.max_bytes
 
     def _stored(self, source: Int[np.ndarray, " leaves"]) -> tuple[StoredCones, int]:
+        """Encode leaves and the sources that their paths need; also return the number of bits of the sources."""
         leaf, sources = np.flatnonzero(source >= 0), self._sources
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]

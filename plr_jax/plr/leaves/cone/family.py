@@ -100,6 +100,10 @@ class Lattice:
         return samples
 
     def by_shape(self, box: Int[np.ndarray, " some"]) -> Iterator[tuple[Shape, Int[np.ndarray, " alike"], Any, Any]]:
+        """Group boxes by shape: yield a shape, the rows of ``box`` of this shape, and the indices of their samples.
+
+        These indices are the sum of each box's first sample and of offsets that all boxes of a shape share.
+        """
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
         for index in np.unique(of_shape):
@@ -111,6 +115,8 @@ class Lattice:
 
 
 class GoalSamples(NamedTuple):
+    """The samples of a lattice with their distances to one goal."""
+
     table: Float[np.ndarray, "samples 4"]  # two coordinates, distance to the goal, and weight
     source: Int[np.ndarray, " samples"]  # index in `sources` of each path's first turn; -1 without a path
     sources: Sources
@@ -172,6 +178,7 @@ def option_errors(
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
     """Find each box's best cone among the best cones of its halves; errors up to ``negligible`` count as 0."""
     num = lattice.num_boxes
+    # The least and the most index of a source that the samples of each box use: they differ in a mixed box.
     source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
     integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)
     source[-len(goal.source) :] = most[-len(goal.source) :] = goal.source  # the smallest boxes are the last

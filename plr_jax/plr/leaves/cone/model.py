@@ -90,6 +90,7 @@ class Cone(LeafModel):
         return 1.01 * UNIT * (beside + 2 * parameters[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
 
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        # The distance to the apex plus its offset, with operations of any number type.
         offset, *source = parameters
         differences = [along - of_source for along, of_source in zip(place, source, strict=True)]
         square, *others = (difference * difference for difference in differences)
@@ -121,6 +122,7 @@ def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, " leaves"] |
 
 
 def require_goals(goals: Any) -> Any:
+    """Return the stored goals; ``ValueError`` if there are none."""
     if goals is None:
         raise ValueError(
             "The PLR does not store which goal is nearest: only cones of a NearestGoal of VisibilityGraphs do. Give "

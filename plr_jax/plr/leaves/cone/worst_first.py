@@ -37,6 +37,8 @@ _ATTEMPTS, _FULL = 8, 0.99  # trees to try at last, until one takes this share o
 
 @dataclass(frozen=True, eq=False)
 class _Nodes(Rows):
+    """The nodes of the trees of several goals."""
+
     goal: Int[np.ndarray, " nodes"]
     parent: Int[np.ndarray, " nodes"]  # -1 for the boxes of step 1
     level: Int[np.ndarray, " nodes"]  # number of halvings of the domain
@@ -92,6 +94,7 @@ class _GoalTree:
         return fits
 
     def tree(self, num_splits: int, axes_above: list[int]) -> Tree:
+        """Return the tree after ``num_splits`` splits, below levels whose axes are ``axes_above``."""
         axis = np.where(self._place < num_splits, self.nodes.axis, -1)
         order = np.lexsort((self.nodes.path, self.nodes.level))
         order = order[self._born[order] < num_splits]
