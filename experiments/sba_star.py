@@ -26,7 +26,7 @@ from experiments._measures import columns
 from experiments._planning import HEURISTICS, PLR_BYTES, SCENES, SMOKE_BYTES, build, lower_bound
 from experiments._runner import run
 from plr_jax import HeuristicFn, Problem, path_cost, validate
-from plr_jax.collision.team import JointMotionTest
+from plr_jax.collision.motions import JointMotionTest
 
 NAMES = ("single door", "four rooms 2", "cross 2")
 NUM_SEEDS = 20

@@ -204,31 +204,31 @@ def ragged_indices(counts: Int[np.ndarray, " runs"]) -> tuple[Int[np.ndarray, " 
 
 def concatenated(objects: Sequence[object], *names: str) -> list[Shaped[np.ndarray, "..."]]:
     """Concatenate, for each name, the arrays that the objects have as attributes of this name."""
-    return [np.concatenate([getattr(each, name) for each in objects]) for name in names]
+    return [np.concatenate([getattr(item, name) for item in objects]) for name in names]
 
 
 def parts(counts: Int[np.ndarray, " items"], most: int) -> list[slice]:
     """Split items into consecutive slices; the ``counts`` of each slice sum to about ``most``."""
     ends = np.flatnonzero(np.diff(np.cumsum(counts) // most)) + 1
-    return [slice(*both) for both in pairwise([0, *ends.tolist(), len(counts)])]
+    return [slice(*pair) for pair in pairwise([0, *ends.tolist(), len(counts)])]
 
 
-def index_of(known: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Return the index of each wanted value among distinct known values; -1 if it is not among them."""
-    if not len(known):
+def index_of(values: Shaped[np.ndarray, " known"], wanted: Shaped[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+    """Return the index of each wanted value among distinct ``values``; -1 if it is not among them."""
+    if not len(values):
         return np.full(len(wanted), -1)
-    order = np.argsort(known)
-    place = order[np.minimum(np.searchsorted(known, wanted, sorter=order), len(known) - 1)]
-    return np.where(known[place] == wanted, place, -1)
+    order = np.argsort(values)
+    place = order[np.minimum(np.searchsorted(values, wanted, sorter=order), len(values) - 1)]
+    return np.where(values[place] == wanted, place, -1)
 
 
 def take_ragged(
-    first: Int[np.ndarray, " runs_plus_one"], which: Int[np.ndarray, " some"]
+    first: Int[np.ndarray, " runs_plus_one"], runs: Int[np.ndarray, " some"]
 ) -> tuple[Int[np.ndarray, " members"], Int[np.ndarray, " members"]]:
-    """Return the indices of all items in the runs ``which``, and for each item the index in ``which`` of its run."""
+    """Return the indices of all items in the given ``runs``, and for each item the index in ``runs`` of its run."""
     # Run `i` has the items from `first[i]` up to `first[i + 1]`.
-    run, place = ragged_indices(first[which + 1] - first[which])
-    return first[which][run] + place, run
+    run, place = ragged_indices(first[runs + 1] - first[runs])
+    return first[runs][run] + place, run
 
 
 def sum_of_columns(terms: Float[np.ndarray, "n terms"]) -> Float[np.ndarray, " n"]:
@@ -266,8 +266,8 @@ def format_numbers(numbers: Float[np.ndarray, " n"]) -> list[float]:
 
 
 def set_fields(value: object, **fields: object) -> None:
-    for name, each in fields.items():
-        object.__setattr__(value, name, each)
+    for name, content in fields.items():
+        object.__setattr__(value, name, content)
 
 
 _MUTATORS = ("with_", "add", "insert", "move", "remove", "replace", "set_", "update")

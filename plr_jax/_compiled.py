@@ -54,9 +54,9 @@ def num_cores() -> int:
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
     """Return whether no array is traced, and all arrays and results of JAX are in the memory of one CPU."""
-    if any(is_traced(each) for each in arrays):
+    if any(is_traced(array) for array in arrays):
         return False
-    devices = {device for each in arrays if isinstance(each, jax.Array) for device in each.devices()}
+    devices = {device for array in arrays if isinstance(array, jax.Array) for device in array.devices()}
     return len(devices) <= 1 and all(device.platform == "cpu" for device in devices or jax.devices())
 
 
@@ -68,27 +68,27 @@ def answered_in_parts(
     Batches broadcast. ``answer`` maps ``n`` rows of each array to arrays ``(n,)``. It is compiled for each ``n``, so
     all parts of a batch have one of two ``sizes`` (numbers of rows); zeros pad the last part.
     """
-    batch = np.broadcast_shapes(*(each.shape[:-1] for each in rows))
+    batch = np.broadcast_shapes(*(column.shape[:-1] for column in rows))
     count, (few, many) = prod(batch), sizes
     size = few if count <= _PARTS * few else many
-    whole = [np.broadcast_to(each, (*batch, each.shape[-1])) for each in rows]
+    whole = [np.broadcast_to(column, (*batch, column.shape[-1])) for column in rows]
     results: list[np.ndarray] = []
     has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
 
     def of_part(first: int) -> None:
         last = min(first + size, count)
         part = [
-            each.reshape(-1, each.shape[-1])[first:last]
-            if each.flags.c_contiguous
-            else each[np.unravel_index(np.arange(first, last), batch)]
-            for each in whole
+            column.reshape(-1, column.shape[-1])[first:last]
+            if column.flags.c_contiguous
+            else column[np.unravel_index(np.arange(first, last), batch)]
+            for column in whole
         ]
         with jax.enable_x64(has_doubles):  # the setting may be local to the calling thread
-            answers = answer(*(padded(each, size) for each in part))
+            answers = answer(*(padded(column, size) for column in part))
         if not results:
-            results.extend(np.empty(count, each.dtype) for each in answers)
-        for result, each in zip(results, answers, strict=True):
-            result[first:last] = np.asarray(each)[: last - first]
+            results.extend(np.empty(count, column.dtype) for column in answers)
+        for result, column in zip(results, answers, strict=True):
+            result[first:last] = np.asarray(column)[: last - first]
 
     of_part(0)  # compiles the function, and shows the types of the answers
     if count > size:
@@ -107,10 +107,10 @@ def part_by_part(answer: Callable[..., Columns], size: int, *rows: Any) -> Colum
     count = rows[0].shape[0]
     if is_symbolic_dim(count) or 0 < count <= size:
         return answer(*rows)
-    filled = [jnp.pad(each, ((0, -count % size), *((0, 0),) * (each.ndim - 1))) for each in rows]
-    parts = tuple(each.reshape(-1, size, *each.shape[1:]) for each in filled)
+    filled = [jnp.pad(column, ((0, -count % size), *((0, 0),) * (column.ndim - 1))) for column in rows]
+    parts = tuple(column.reshape(-1, size, *column.shape[1:]) for column in filled)
     columns = jax.lax.map(lambda part: answer(*part), parts)
-    return jax.tree.map(lambda each: each.reshape(-1, *each.shape[2:])[:count], columns)
+    return jax.tree.map(lambda column: column.reshape(-1, *column.shape[2:])[:count], columns)
 
 
 def broadcast_shape(names: str, x: Array | np.ndarray, y: Array | np.ndarray) -> tuple[int, ...]:

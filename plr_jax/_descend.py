@@ -129,6 +129,7 @@ _NUM_WAYS = 2  # edges per corner: the best one by the field, and another one in
 
 
 def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goal: ArrayLike) -> Chains:
+    """Find paths in a workspace along corners, of which each is joined to its best places by the field."""
     starts = as_points("starts", workspace.settled(starts), 2)
     goal = as_numbers("goal", workspace.settled(goal), "numbers of shape (2,) or (k, 2)")
     goals = as_points("goal", goal, 2) if goal.ndim == 2 else as_finite_point("The goal", goal, 2)[None]
@@ -140,8 +141,8 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
             f"The goal must be in free space, got {got}: move it out of the obstacle or into the bounds."
         )
     places, count = find_corners(workspace)[0], len(goals)
-    for each in goals:
-        places = places.without(each)
+    for point in goals:
+        places = places.without(point)
     places = places.with_goal(*goals)
     points = places.points
     field = as_distances("The field", field_fn(points.copy()), points)  # a copy, as the function may modify it
@@ -181,7 +182,7 @@ def _along_corners(field_fn: Field, workspace: Workspace, starts: ArrayLike, goa
         count,
         lambda point, goal: workspace.is_visible(x[point], goals[goal]),
     )
-    to_place, least = (each[:, 0] for each in goal_ways)
+    to_place, least = (column[:, 0] for column in goal_ways)
     reached = count + np.flatnonzero(np.isfinite(length[count:]))
     any_side = np.zeros((2, len(reached), 2))
     anywhere = TurnPoints(reached, points[reached], length[reached], any_side, places.slack)
@@ -212,6 +213,7 @@ def _edges(
     """Join each corner to ``count`` visible corners or goals with the least sum of distance and cost-to-go."""
 
     def lookahead(rows: slice) -> Float[np.ndarray, "rows places"]:
+        # The distance to each place plus its cost-to-go; NaN where no shortest path can go.
         here = corners[rows]
         score = distances_between(places.points[here], places.points) + field
         pairs = here[:, None], np.arange(len(places.points))

@@ -93,13 +93,14 @@ def _loader() -> Any:
 
 
 def require_format(document: Any, kind: str, version: int, keys: Sequence[str]) -> None:
+    """Raise a ``ValueError`` unless a decoded file is of a kind, of a known version, and has all keys."""
     if not isinstance(document, dict) or document.get("format") != format_name(kind):
         raise ValueError(f'expected a {kind} file, with "format": "{format_name(kind)}".')
-    found = document.get("version")
-    if not isinstance(found, int) or isinstance(found, bool) or found < 1:
-        raise ValueError(f"expected a version number of at least 1, got {shortened(found)}.")
-    if found > version:
-        raise ValueError(f"the file has version {found}, this release reads up to {version}: update plr-jax.")
+    stated = document.get("version")
+    if not isinstance(stated, int) or isinstance(stated, bool) or stated < 1:
+        raise ValueError(f"expected a version number of at least 1, got {shortened(stated)}.")
+    if stated > version:
+        raise ValueError(f"the file has version {stated}, this release reads up to {version}: update plr-jax.")
     missing = [key for key in keys if key not in document]
     if missing:
         raise ValueError(f"expected the keys {', '.join(keys)}; missing {', '.join(missing)}.")
@@ -126,12 +127,13 @@ def _require_plain(events: Iterator[Any]) -> None:
 
 
 def _require_limits(value: Any) -> None:
+    # Level by level, so that deep nesting cannot overflow the stack.
     level, nested = [value], 0
     while level:
         if any(isinstance(entry, int) and abs(entry) > _LARGEST_INTEGER for entry in level):
             raise ValueError(f"expected numbers up to {float(_LARGEST_INTEGER):.2g}, got a larger integer.")
         lists = [entry for entry in level if isinstance(entry, list | dict)]
-        level = [each for entry in lists for each in (entry.values() if isinstance(entry, dict) else entry)]
+        level = [item for entry in lists for item in (entry.values() if isinstance(entry, dict) else entry)]
         nested += bool(lists)
         _require_shallow(nested)
 

@@ -52,7 +52,7 @@ def chains_of(
 _CIRCLE, _PER_AXIS = 64, 32  # directions in a plane, and per axis in more dimensions
 _STEP_TOLERANCE, _LAST_TOLERANCE = 0.01, 0.001  # relative errors allowed for the costs of steps, and of final paths
 _SAMPLES = 8  # samples of a motion whose cost is estimated
-_LEAST_SHARE = 1 / 16  # parts of a motion shorter than this share may have the absolute error of such a share
+_LEAST_PART = 1 / 16  # parts of a motion shorter than this share may have the absolute error of such a share
 _MOST_HALVINGS = 40
 _LONGEST, _NUM_LENGTHS = 1 / 4, 8  # longest step, as a share of the domain, and number of lengths, each half as long
 _FALL = 0.1  # least fall of the field along a step, as a share of the step's cost
@@ -66,10 +66,10 @@ _WIDEST_SHIFT = 1 / 32  # first shift of a node, as a share of the domain
 _NUM_SHIFTS = 8  # number of shifts, each half as wide as the one before
 
 
-def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
+def unit_motions(motion_cost: MotionCost) -> Float[np.ndarray, "n dof"]:
     """Return motions of cost 1 in many directions: of all axes, and of each block alone, such as the position."""
     changes = []
-    for axes in sorted({tuple(range(motion.dof)), *(axes for axes, _ in motion.blocks)}):
+    for axes in sorted({tuple(range(motion_cost.dof)), *(axes for axes, _ in motion_cost.blocks)}):
         dim = len(axes)
         if dim == 2:
             angle = 2 * np.pi * np.arange(_CIRCLE) / _CIRCLE
@@ -78,14 +78,14 @@ def unit_motions(motion: MotionCost) -> Float[np.ndarray, "n dof"]:
             directions = np.eye(dim)
             if dim > 2:
                 num = 2 ** math.ceil(math.log2(_PER_AXIS * dim / 2))
-                share = lattice(num, np.full(dim, 0.5 / num))
-                directions = np.concatenate([directions, ndtri(share)])
+                quantiles = lattice(num, np.full(dim, 0.5 / num))
+                directions = np.concatenate([directions, ndtri(quantiles)])
                 directions = directions[np.linalg.norm(directions, axis=1) > 1e-9]
             directions = np.concatenate([directions, -directions])
             directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-        change = np.zeros((len(directions), motion.dof))
-        change[:, axes] = directions / motion.scale[list(axes)]
-        changes.append(change / motion.norm(change)[:, None])
+        change = np.zeros((len(directions), motion_cost.dof))
+        change[:, axes] = directions / motion_cost.scale[list(axes)]
+        changes.append(change / motion_cost.norm(change)[:, None])
     return np.concatenate(changes)
 
 
@@ -99,14 +99,14 @@ class PathCosts:
     def estimates(self, q0: Points, changes: Float[np.ndarray, "n k dof"]) -> Float[np.ndarray, "n k"]:
         """Estimate the costs of ``k`` motions, ``changes``, from each configuration, by a few samples each."""
         n, k, dof = changes.shape
-        motion, domain = self.space.motion_cost, self.space.domain
+        motion_cost, domain = self.space.motion_cost, self.space.domain
         if self.cost_map is None:
-            return motion.norm(changes.reshape(-1, dof)).reshape(n, k)
-        share = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-        q = q0[:, None, None] + share[:, None] * changes[:, :, None]
+            return motion_cost.norm(changes.reshape(-1, dof)).reshape(n, k)
+        t = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        q = q0[:, None, None] + t[:, None] * changes[:, :, None]
         # Motions that leave the domain are not free, but need a finite cost.
         q = domain.wrapped(np.where(domain.periodic, q, np.clip(q, domain.lo, domain.hi))).reshape(-1, dof)
-        rates = motion_rates(motion, self.cost_map, q, np.repeat(changes.reshape(-1, dof), _SAMPLES, axis=0))
+        rates = motion_rates(motion_cost, self.cost_map, q, np.repeat(changes.reshape(-1, dof), _SAMPLES, axis=0))
         return rates.reshape(n, k, _SAMPLES).mean(axis=2)
 
     def integrals(self, q0: Points, q1: Points, tolerance: float) -> Float[np.ndarray, " n"]:
@@ -118,8 +118,8 @@ class PathCosts:
         # 1. Cut motions where they cross the seams of periodic axes.
         seam = np.where(change < 0, domain.lo, domain.hi)
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(domain.periodic, (seam - domain.wrapped(q0)) / change, 0.0)
-        cuts = np.sort(np.where((share > 0) & (share < 1), share, 0.0), axis=1)
+            t = np.where(domain.periodic, (seam - domain.wrapped(q0)) / change, 0.0)
+        cuts = np.sort(np.where((t > 0) & (t < 1), t, 0.0), axis=1)
         ends = np.concatenate([np.zeros((len(q0), 1)), cuts, np.ones((len(q0), 1))], axis=1)
         motion, place = np.nonzero((np.diff(ends, axis=1) > 0) & np.any(change != 0, axis=1)[:, None])
         begin, end = ends[motion, place], ends[motion, place + 1]
@@ -134,10 +134,10 @@ class PathCosts:
             norm = motion_cost.norm(part)
             lower = lower * norm + pulled(pulls, part)
             upper = upper * norm + pulled(pulls, part)
-            share = np.maximum(end - begin, _LEAST_SHARE) / (end - begin)
-            done = (upper - lower <= tolerance * lower * share) | (halvings == _MOST_HALVINGS)
-            np.add.at(cost, motion[done], motion_rates(motion_cost, self.cost_map, q[done], part[done]))
-            motion, begin, middle, end = motion[~done], begin[~done], middle[~done], end[~done]
+            leniency = np.maximum(end - begin, _LEAST_PART) / (end - begin)
+            is_fine = (upper - lower <= tolerance * lower * leniency) | (halvings == _MOST_HALVINGS)
+            np.add.at(cost, motion[is_fine], motion_rates(motion_cost, self.cost_map, q[is_fine], part[is_fine]))
+            motion, begin, middle, end = motion[~is_fine], begin[~is_fine], middle[~is_fine], end[~is_fine]
             motion, begin, end = np.tile(motion, 2), np.append(begin, middle), np.append(middle, end)
             if not len(motion):
                 break
@@ -145,8 +145,9 @@ class PathCosts:
 
 
 def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayLike) -> Chains:
+    """Find paths from all starts down a field to a goal, and make them cheaper."""
     domain = costs.space.domain
-    starts, goal = (domain.settled(each, costs.space.is_free) for each in (starts, goal))
+    starts, goal = (domain.settled(q, costs.space.is_free) for q in (starts, goal))
     starts, goal = as_points("starts", starts, domain.dim), as_finite_point("The goal", goal, domain.dim)
     if not costs.space.is_free(goal[None])[0]:
         raise ValueError(f"The goal must be a free configuration of the space, got {goal.tolist()}.")
@@ -168,17 +169,19 @@ def by_lookahead(field: Field, costs: PathCosts, starts: ArrayLike, goal: ArrayL
 
 
 class _Lookahead:
+    """The steps of paths down a field to a goal, and the search that leaves its local minima."""
+
     def __init__(self, field: Field, costs: PathCosts, goal: Float[np.ndarray, " dim"]):
         self.field, self.costs, self.goal, self.space = field, costs, goal, costs.space
-        self.domain, motion = costs.space.domain, costs.space.motion_cost
-        directions = unit_motions(motion)
-        lengths = _LONGEST * float((motion.scale * self.domain.width).max()) / 2.0 ** np.arange(_NUM_LENGTHS)
+        self.domain, motion_cost = costs.space.domain, costs.space.motion_cost
+        directions = unit_motions(motion_cost)
+        lengths = _LONGEST * float((motion_cost.scale * self.domain.width).max()) / 2.0 ** np.arange(_NUM_LENGTHS)
         self.shortest = float(lengths[-1])
         # The first candidate is the motion to the goal, the others are steps.
         self.leniency = np.append(0.0, np.repeat(_LONGER * np.arange(_NUM_LENGTHS), len(directions)))
-        self.steps = (lengths[:, None, None] * directions).reshape(-1, motion.dof)
-        self.side = _CELL * float((motion.scale * self.domain.width).max())
-        self.num_cells = np.maximum(1, np.rint(motion.scale * self.domain.width / self.side))
+        self.steps = (lengths[:, None, None] * directions).reshape(-1, motion_cost.dof)
+        self.side = _CELL * float((motion_cost.scale * self.domain.width).max())
+        self.num_cells = np.maximum(1, np.rint(motion_cost.scale * self.domain.width / self.side))
         self.cell_steps = np.concatenate([self.side * count * directions for count in _CELL_STEPS])
         self.escapes: dict[bytes, Points | None] = {}
 
@@ -222,6 +225,7 @@ class _Lookahead:
         promised = np.empty((len(x), num_ways))
 
         def flatness(rows: slice) -> Float[np.ndarray, "rows ways"]:
+            # The least comes first: minus the slope, plus _LONGER each time that the step is half as long.
             here, before = x[rows], value[rows, None]
             to_goal = self.domain.difference(self.goal, here)[:, None]
             change = np.concatenate([to_goal, np.broadcast_to(self.steps, (len(here), *self.steps.shape))], axis=1)
@@ -270,29 +274,29 @@ class _Lookahead:
 
     def _search_below(self, x: Float[np.ndarray, " dim"], below: float) -> Points | None:
         """Search best first, with a node per grid cell, for a path to a cost-to-go less than ``below``."""
-        found, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
+        nodes, parent, frontier, claimed = [x], [-1], [(0.0, 0)], set(self._cells(x[None]))
         for _ in range(_MOST_EXPANSIONS):
             if not frontier:
                 return None
             _, node = heapq.heappop(frontier)
             # Keep the lowest reachable configuration in each unclaimed cell, and claim the cell.
-            y = self.domain.wrapped(found[node] + self.cell_steps)
+            y = self.domain.wrapped(nodes[node] + self.cell_steps)
             values = self.values(y)
             order = np.argsort(values, kind="stable")
             order = order[np.isfinite(values[order])]
             order = order[np.array([cell not in claimed for cell in self._cells(y[order])], dtype=bool)]
-            order = order[self.space.are_free(np.broadcast_to(found[node], y[order].shape), y[order])]
-            lowest = len(found)
+            order = order[self.space.are_free(np.broadcast_to(nodes[node], y[order].shape), y[order])]
+            lowest = len(nodes)
             for i, cell in zip(order.tolist(), self._cells(y[order]), strict=True):
                 if cell not in claimed:
                     claimed.add(cell)
-                    found.append(y[i])
+                    nodes.append(y[i])
                     parent.append(node)
-                    heapq.heappush(frontier, (float(values[i]), len(found) - 1))
+                    heapq.heappush(frontier, (float(values[i]), len(nodes) - 1))
             if len(order) and values[order[0]] < below:
                 node, chain = lowest, []
                 while node > 0:
-                    chain.append(found[node])
+                    chain.append(nodes[node])
                     node = parent[node]
                 return np.stack(chain[::-1])
         return None
@@ -310,33 +314,33 @@ def _skip_nodes(costs: PathCosts, nodes: Points, onward: Next) -> Next:
     tried = np.full(len(nodes), -1)
     while True:
         ahead = onward[onward]
-        which = np.flatnonzero((ahead != onward) & (ahead != tried))
-        if not len(which):
+        rows = np.flatnonzero((ahead != onward) & (ahead != tried))
+        if not len(rows):
             return np.where(stuck, -1, onward)
-        tried[which] = ahead[which]
-        which = which[costs.space.are_free(nodes[which], nodes[ahead[which]])]
-        straight = costs.integrals(nodes[which], nodes[ahead[which]], _STEP_TOLERANCE)
-        legs = leg[which], leg[onward[which]]
+        tried[rows] = ahead[rows]
+        rows = rows[costs.space.are_free(nodes[rows], nodes[ahead[rows]])]
+        straight = costs.integrals(nodes[rows], nodes[ahead[rows]], _STEP_TOLERANCE)
+        legs = leg[rows], leg[onward[rows]]
         better = (straight <= (1 - _GAIN) * sum(legs)) | (np.minimum(*legs) == 0)  # a segment of no cost
-        which, straight = which[better], straight[better]
-        onward[which], leg[which] = ahead[which], straight
+        rows, straight = rows[better], straight[better]
+        onward[rows], leg[rows] = ahead[rows], straight
 
 
 def _shift_nodes(costs: PathCosts, nodes: Points, onward: Next, first: Int[np.ndarray, " paths"]) -> Points:
     """Shift the nodes of paths, except ``first`` and the goal, so that the segments to their neighbors cost least."""
-    nodes, motion = nodes.copy(), costs.space.motion_cost
-    before, number = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
+    nodes, motion_cost = nodes.copy(), costs.space.motion_cost
+    before, index = np.full(len(onward), -1), np.zeros(len(onward), int)  # previous node, index along the path
     node, count = first, 0
     while len(node):
         node, count = node[onward[node] > 0], count + 1
-        before[onward[node]], number[onward[node]] = node, count  # inner nodes are on one path each
+        before[onward[node]], index[onward[node]] = node, count  # inner nodes are on one path each
         node = onward[node]
-    extent = float((motion.scale * costs.space.domain.width).max())
+    extent = float((motion_cost.scale * costs.space.domain.width).max())
     for shift in _WIDEST_SHIFT * extent / 2.0 ** np.arange(_NUM_SHIFTS):
-        changes = shift * unit_motions(motion)
+        changes = shift * unit_motions(motion_cost)
         for parity in (0, 1, 0, 1):  # neighbors never move at once
-            which = np.flatnonzero((before >= 0) & (number % 2 == parity))
-            nodes[which] = _cheapest_places(costs, nodes[before[which]], nodes[which], nodes[onward[which]], changes)
+            rows = np.flatnonzero((before >= 0) & (index % 2 == parity))
+            nodes[rows] = _cheapest_places(costs, nodes[before[rows]], nodes[rows], nodes[onward[rows]], changes)
     return nodes
 
 
@@ -359,6 +363,7 @@ def _cheapest_places(
         rows = np.flatnonzero(is_known == trusted)
 
         def prices(some: slice, rows=rows, now=now, through=through) -> Float[np.ndarray, "some k"]:
+            # Costs of the ways through changed places; NaN if they are not cheaper than `now`.
             y = domain.wrapped(x[rows[some], None] + changes).reshape(-1, x.shape[1])
             inside = domain.contains(y)
             a, b = (np.repeat(ends[rows[some]], k, axis=0)[inside] for ends in (before, after))

@@ -62,9 +62,9 @@ class Problem:
             raise ValueError("A problem needs at least one robot, got none.")
         weight = None if rotation_weight is None else as_finite("rotation_weight", rotation_weight)
         set_fields(self, workspace=workspace, robots=robots, rotation_weight=weight)
-        given = {"starts": starts, "goals": goals}
-        set_fields(self, **{name: _configurations(name, q, self) for name, q in given.items()})
-        for name in given:
+        poses = {"starts": starts, "goals": goals}
+        set_fields(self, **{name: _configurations(name, q, self) for name, q in poses.items()})
+        for name in poses:
             _require_free(self, name)
             _require_no_overlap(self, name)
         _require_connected(self)
@@ -131,6 +131,7 @@ def require_problem(problem: object, path: object = None) -> None:
 
 
 def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robots dof"]:
+    """Check a path, and return it as an array; of 32-bit floats, its ends become exact starts and goals."""
     require_problem(problem, path)
     if path is None:
         raise ValueError("A path must be an array, got None: solution.path is None, see solution.status.")
@@ -141,9 +142,9 @@ def as_path(problem: Problem, path: ArrayLike) -> Float[np.ndarray, "steps robot
     if is_single(path):
         for row, ends in ((0, problem.starts), (-1, problem.goals)):  # starts and goals may have more bits
             for i, (robot, end) in enumerate(zip(problem.robots, ends, strict=True)):
-                given = np.asarray(path)[row, i]
-                is_end = np.array_equal(settled_pose(problem.workspace, robot, given), end)
-                array[row, i] = end if is_end or np.array_equal(given, end.astype(np.float32)) else given
+                pose = np.asarray(path)[row, i]
+                is_end = np.array_equal(settled_pose(problem.workspace, robot, pose), end)
+                array[row, i] = end if is_end or np.array_equal(pose, end.astype(np.float32)) else pose
     return array
 
 
@@ -157,7 +158,7 @@ def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
     else:
 
         def is_free(x: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-            rooms = [_room(workspace, robot, np.append(each, heading)) for each in x]
+            rooms = [_room(workspace, robot, np.append(point, heading)) for point in x]
             return np.array([min(room[:2]) >= -workspace.tolerance for room in rooms])
 
         reach = robot.circumscribed_radius * max(1.0, np.abs(heading).max(initial=0.0))
@@ -166,12 +167,16 @@ def settled_pose(workspace: Workspace, robot: Robot, q: ArrayLike) -> ArrayLike:
 
 
 def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.ndarray, "robots dof"]:
+    """Check starts or goals, and return them as a read-only array.
+
+    Configurations in 32-bit floats that rounding moved into an obstacle are moved back.
+    """
     robots, dof = problem.robots, team_dof(problem.robots)
     shape = f"(robots, dof) = ({len(robots)}, {dof})"
     configurations = as_numbers(name, value, f"numbers of shape {shape}").copy()
     if is_single(value) and configurations.shape == (len(robots), dof):
         poses = np.asarray(value)
-        configurations[:] = [settled_pose(problem.workspace, *each) for each in zip(robots, poses, strict=True)]
+        configurations[:] = [settled_pose(problem.workspace, *pair) for pair in zip(robots, poses, strict=True)]
     if configurations.shape != (len(robots), dof):
         reason = ""
         if configurations.shape == (len(robots), 2):
@@ -189,6 +194,7 @@ def _configurations(name: str, value: ArrayLike, problem: Problem) -> Float[np.n
 
 
 def _require_free(problem: Problem, name: str) -> None:
+    """Raise a ``ValueError`` if a robot leaves the bounds or overlaps an obstacle at its start or goal."""
     workspace = problem.workspace
     for i, (robot, q) in enumerate(zip(problem.robots, getattr(problem, name), strict=True)):
         inside, clearance, obstacle = _room(workspace, robot, q)
@@ -218,6 +224,7 @@ def _room(workspace: Workspace, robot: Robot, q: Float[np.ndarray, " dof"]) -> t
 
 
 def _require_no_overlap(problem: Problem, name: str) -> None:
+    """Raise a ``ValueError`` if two robots overlap at their starts or at their goals."""
     configurations = getattr(problem, name)
     cores = np.array([footprint(robot, q) for robot, q in zip(problem.robots, configurations, strict=True)])
     rounding = np.array([robot.rounding for robot in problem.robots])
@@ -259,8 +266,8 @@ def separation(a: Any, b: Any) -> float:
     if distance > 0 or a.geom_type == b.geom_type == "Point":
         return distance
     if "Point" in (a.geom_type, b.geom_type):
-        point, other = (a, b) if a.geom_type == "Point" else (b, a)
-        return -shapely.distance(point, shapely.boundary(other))
+        point, shape = (a, b) if a.geom_type == "Point" else (b, a)
+        return -shapely.distance(point, shapely.boundary(shape))
     overlap = shapely.intersection(a, b)
     area = shapely.area(overlap)
     return -2 * area / shapely.length(overlap) if area > 0 else 0.0

@@ -23,7 +23,7 @@ from plr_jax.robots.robot import Robot, shorter_turn
 
 _TOLERANCE = 1e-7  # accuracy, and deepest overlap that counts as touching, as a share of the workspace's extent
 Path: TypeAlias = Float[np.ndarray, "steps robots dof"]
-_SHARE = 1e-3  # of the distance by which a point may be outside of free space: less than any wall is thick
+_SLACK = 1e-3  # share of the distance by which a point may be outside of free space: less than any wall is thick
 _MOMENT = 2.0**-14  # accuracy of the time of a violation, in steps
 
 
@@ -110,6 +110,7 @@ class _Encounter:
         return self.robot.rounding + (0.0 if self.other_path is None else self.other.rounding)
 
     def clearances(self, when: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        """Return the signed distance between both bodies at times ``when``, negative if they overlap."""
         bodies, others = _bodies(self.robot, _at(self.path, when)), np.full(len(when), self.other)
         if self.other_path is not None:
             others = _bodies(self.other, _at(self.other_path, when))
@@ -166,9 +167,9 @@ class _Encounter:
         while len(motion):
             middle = self.clearances(motion + begin + size / 2)
             np.minimum.at(smallest, motion, middle)
-            bound = middle - self.max_rates[motion] * size / 2
+            lower_bound = middle - self.max_rates[motion] * size / 2
             # Drop motions that collide, and intervals that are free and cannot have the smallest clearance.
-            unsure = (bound < -self.tolerance) | (bound < smallest.min() - self.tolerance)
+            unsure = (lower_bound < -self.tolerance) | (lower_bound < smallest.min() - self.tolerance)
             unsure &= smallest[motion] >= -self.tolerance
             size /= 2
             motion, begin = np.repeat(motion[unsure], 2), np.repeat(begin[unsure], 2)
@@ -238,16 +239,16 @@ def _tolerance(workspace: Workspace) -> float:
 def _least_clearances(robots: Sequence[Robot], path: Path) -> list[tuple[float, int, int]]:
     """Return lower bounds of the clearances between robots, ascending, each with the indices of both robots."""
     radius = np.array([robot.circumscribed_radius for robot in robots])
-    found = []
+    clearances = []
     for j in range(1, len(robots)):
         offset = path[:, :j, :2] - path[:, j, None, :2]
         begin, change = offset[:-1], np.diff(offset, axis=0)
         squared = (change**2).sum(axis=2)
-        share = np.clip(-(begin * change).sum(axis=2) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
-        nearest = begin + share[..., None] * change
+        t = np.clip(-(begin * change).sum(axis=2) / np.where(squared > 0, squared, 1.0), 0.0, 1.0)
+        nearest = begin + t[..., None] * change
         least = np.sqrt((nearest**2).sum(axis=2).min(axis=0)) - radius[:j] - radius[j]
-        found += [(float(least[i]), i, j) for i in np.flatnonzero(radius[:j] + radius[j] > 0).tolist()]
-    return sorted(found)
+        clearances += [(float(least[i]), i, j) for i in np.flatnonzero(radius[:j] + radius[j] > 0).tolist()]
+    return sorted(clearances)
 
 
 def _at(path: Float[np.ndarray, "steps dof"], when: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n dof"]:
@@ -281,29 +282,26 @@ def _bodies(robot: Robot, q: Float[np.ndarray, "n dof"]) -> Any:
 
 def _find_crossing(problem: Problem, path: Path, margin: float) -> tuple[int, float, str] | None:
     """Find the first passage of a point robot through a wall or a contact; return robot, time and message."""
-    workspace, found = problem.workspace, []
+    workspace, crossings = problem.workspace, []
     for i, robot in enumerate(problem.robots):
         if robot.circumscribed_radius <= _tolerance(workspace):
-            found += [(when, i) for when in _crossings(workspace, path[:, i, :2], margin)[:1]]
-    if not found:
+            crossings += [(when, i) for when in _crossings(workspace, path[:, i, :2], margin)[:1]]
+    if not crossings:
         return None
-    when, i = min(found)
-    return (
-        i,
-        when,
-        f"Robot {i} crosses a wall, or squeezes between obstacles that touch, in the motion from step {when}.",
-    )
+    when, i = min(crossings)
+    message = f"Robot {i} crosses a wall, or squeezes between obstacles that touch, in the motion from step {when}."
+    return i, when, message
 
 
-def _crossings(workspace: Workspace, way: Float[np.ndarray, "steps 2"], margin: float) -> list[int]:
+def _crossings(workspace: Workspace, track: Float[np.ndarray, "steps 2"], margin: float) -> list[int]:
     """Return the motions at whose ends a point is on another side of a wall or contact than a free path allows.
 
     Thin walls and contacts part the free space within ``margin`` of a motion. The point is in the part nearest to its
     start. It may only change to parts that overlap this one where the next motion begins.
     """
-    segments: Any = shapely.linestrings(np.stack([way[:-1], way[1:]], axis=1))
-    points: Any = shapely.points(way)
-    contacts, crossings, own = workspace.boundary.contact_tree, [], None
+    segments: Any = shapely.linestrings(np.stack([track[:-1], track[1:]], axis=1))
+    points: Any = shapely.points(track)
+    contacts, crossings, part_before = workspace.boundary.contact_tree, [], None
     is_doubtful = ~shapely.covers(workspace.free_space, segments)
     is_doubtful[contacts.query(segments, predicate="dwithin", distance=margin)[0]] = True
     # At both ends of its path, a point near a contact is on all sides. Between two doubtful motions, it may be inside
@@ -316,22 +314,22 @@ def _crossings(workspace: Workspace, way: Float[np.ndarray, "steps 2"], margin: 
         parts = parts[shapely.area(parts) > 0]
         group = part_groups(parts, workspace.squeeze)
         away = [shapely.distance(parts, points[row]) for row in (k, k + 1)]
-        most = [margin if is_loose[k + end] else away[end].min(initial=np.inf) + _SHARE * margin for end in (0, 1)]
-        if own is None or not is_doubtful[k - 1]:
-            is_own = away[0] <= most[0]
+        most = [margin if is_loose[k + end] else away[end].min(initial=np.inf) + _SLACK * margin for end in (0, 1)]
+        if part_before is None or not is_doubtful[k - 1]:
+            is_same_part = away[0] <= most[0]
         else:
-            is_own = shapely.area(shapely.intersection(parts, own)) > 0
-        is_own = np.isin(group, group[is_own]) & (away[1] <= margin)
-        own = shapely.union_all(parts[is_own])
-        if not (is_own & (away[1] <= most[1])).any():
+            is_same_part = shapely.area(shapely.intersection(parts, part_before)) > 0
+        is_same_part = np.isin(group, group[is_same_part]) & (away[1] <= margin)
+        part_before = shapely.union_all(parts[is_same_part])
+        if not (is_same_part & (away[1] <= most[1])).any():
             crossings.append(k)
     return crossings
 
 
 def _find_wrong_end(problem: Problem, path: Path) -> tuple[int, float, str] | None:
-    for row, wanted, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
+    for row, expected, verb in ((0, problem.starts, "begins"), (len(path) - 1, problem.goals, "ends")):
         for i, robot in enumerate(problem.robots):
-            got, should = path[row, i, : robot.dof].tolist(), wanted[i, : robot.dof].tolist()
+            got, should = path[row, i, : robot.dof].tolist(), expected[i, : robot.dof].tolist()
             if got != should:
                 return i, float(row), f"Robot {i} {verb} at {got} and not exactly at {should}."
     return None
@@ -341,7 +339,7 @@ def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> V
     workspace, when, depth = problem.workspace, collision.first_moment, collision.depth
     q = _at(collision.path, np.array([when]))
     x, y = q[0, :2].tolist()
-    what = f"Robots {collision.who[0]} and {collision.who[-1]} collide"
+    event = f"Robots {collision.who[0]} and {collision.who[-1]} collide"
     if collision.other_path is None:
         body, obstacles = _bodies(collision.robot, q)[0], np.array(workspace.obstacles, dtype=object)
         # The distance to an empty (removed) obstacle is NaN: it counts as infinite.
@@ -349,6 +347,6 @@ def _collision_report(problem: Problem, collision: _Encounter, cost: float) -> V
         bounds = shapely.box(*workspace.bounds.lo, *workspace.bounds.hi)
         outside = not shapely.covers(bounds, body) or shapely.distance(body, bounds.exterior) < distance.min()
         hits = "leaves the bounds" if outside else f"collides with obstacle {np.argmin(distance)}"
-        what = f"Robot {collision.who[0]} {hits}"
-    message = f"{what} at step {when:.6g}, the first at ({x:.6g}, {y:.6g}) (clearance {depth:.3g})."
+        event = f"Robot {collision.who[0]} {hits}"
+    message = f"{event} at step {when:.6g}, the first at ({x:.6g}, {y:.6g}) (clearance {depth:.3g})."
     return ValidationReport(False, cost, depth, message, collision.who, when, (x, y))

@@ -70,19 +70,19 @@ def error_map(approximation: Callable[[ArrayLike], ArrayLike], distance_fn: Dist
     distance = as_distances("The distance function", distance_fn(x.copy()), x)
     answer = as_values("The approximation", approximation(x.copy()), len(x))
     reachable, answered = np.isfinite(distance), np.isfinite(answer)
-    both = reachable & answered
-    if not both.any():
+    is_compared = reachable & answered
+    if not is_compared.any():
         raise ValueError(
             f"No error is defined: of {len(x)} points, the distance function is finite at {reachable.sum()}, "
             "and the approximation is finite at none of these."
         )
-    error = np.abs(answer[both] - distance[both])
+    error = np.abs(answer[is_compared] - distance[is_compared])
     worst = int(np.argmax(error))
     return ErrorReport(
         max=float(error[worst]),
         mean=float(error.mean()),
         quantiles={q: float(np.quantile(error, q)) for q in _QUANTILES},
-        max_at=tuple(map(float, x[both][worst])),
+        max_at=tuple(map(float, x[is_compared][worst])),
         max_distance=float(distance[reachable].max()),
         num_points=len(x),
         num_unreachable=int((~reachable).sum()),

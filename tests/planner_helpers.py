@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, robot_distance_fns, scenes, validate
-from plr_jax.collision.team import JointMotionTest, motions_apart
+from plr_jax.collision.motions import JointMotionTest, motions_apart
 from plr_jax.planners import BLOptions, bl_plan, sum_of_distances
 from plr_jax.planners._solution import SearchBudget
 from plr_jax.planners.lattice import build_lattices

@@ -17,11 +17,11 @@ PACKAGE = Path(__file__).parent.parent / "plr_jax"
 LAYERS = """_types / _arrays / _compiled _files / geometry / robots / collision / _problem / _validate /
     oracles plr planners spaces traced / pairs / _io / _lookahead / _descend metrics plot scenes eikonal ompl /
     cli guides / __main__"""
-PLR_LAYERS = """tree folding / faces cell_memory / finite_elements frame coding sampling / container parallel_builds /
-    certificate / growth / best_partition / leaves / _file / _proof / tables / query small_batches / team / portable /
-    _plr / _stack / source_sight / _trace / _construct / _construct_many"""
+PLR_LAYERS = """tree folding / leaf_faces source_cache / finite_elements frame coding sampling /
+    container parallel_builds / certificate / growth / best_partition / leaves / _file / _proof / tables /
+    query small_batches / team / portable / _plr / _stack / source_sight / _trace / _construct / _construct_many"""
 PLANNER_LAYERS = """_heuristics _solution / lattice /
-    best_first lacam reservations sequential shorten through_time / driver / under_way"""
+    best_first lacam reservations sequential shorten through_time / driver / replanning"""
 PLR_IMPORTS = {"growth": {"tree", "sampling", "coding", "certificate"}}  # parts that may import less
 ROOMS = {"": LAYERS, "plr": PLR_LAYERS, "planners": PLANNER_LAYERS}
 LEAF_MODELS = tuple(f"plr_jax.plr.leaves.{name}" for name in ("plane", "continuous", "cone"))

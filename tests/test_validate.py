@@ -11,7 +11,7 @@ from robot_helpers import BAR, DISC, PEBBLE, POINT, WING, along, random_motions,
 
 from experiments import _dbcbs
 from plr_jax import DiscRobot, Problem, RectangleRobot, Workspace, validate
-from plr_jax.collision.team import JointMotionTest
+from plr_jax.collision.motions import JointMotionTest
 from plr_jax.collision.walls import MotionTest
 from plr_jax.robots.robot import team_dof
 

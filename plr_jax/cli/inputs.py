@@ -63,9 +63,9 @@ class NamedMap:
         """Return the map that a file's label names, or None if it names no map."""
         try:
             name, *words = shlex.split(label)
-            given = dict(word.removeprefix("--").split("=", 1) for word in words)
-            goals = parse_goals(given.pop("goal").split(";")) if "goal" in given else None
-            options = {key.replace("-", "_"): value for key, value in given.items()}
+            arguments = dict(word.removeprefix("--").split("=", 1) for word in words)
+            goals = parse_goals(arguments.pop("goal").split(";")) if "goal" in arguments else None
+            options = {key.replace("-", "_"): value for key, value in arguments.items()}
             named = cls(name, goals, {key: _OPTION_TYPES[key](value) for key, value in options.items()})
         except (ValueError, KeyError):
             return None

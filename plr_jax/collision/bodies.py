@@ -27,6 +27,7 @@ Booleans: TypeAlias = Bool[np.ndarray, " n"]
 Verdict: TypeAlias = tuple[Booleans, Booleans]  # motions that certainly stay apart, and that certainly do not
 Sides: TypeAlias = Float[np.ndarray, "sides n"]
 Corners: TypeAlias = Float[np.ndarray, "2 _ n"]
+# The corners of two bodies, at the begin of their motions and at the end.
 Ends: TypeAlias = tuple[tuple[Corners, Corners], tuple[Corners, Corners]]
 
 
@@ -93,6 +94,9 @@ def bisect(
 
 def rotation_bounds(a: MovingBodies, b: MovingBodies, radius_a: Column, radius_b: Column) -> Columns:
     # Bound how far the gap along an axis that turns with ``a``, or with ``b``, falls below its end values.
+    # In a unit of time, a function f falls below the smaller of f(0) and f(1) by at most max |f''| / 8. Along an axis
+    # that turns with a, the offset of b has |f''| <= far * turn_a**2 + 2 * speed * |turn_a|, and the extent of b,
+    # which turns by turn_b - turn_a against the axis, radius_b * (turn_b - turn_a)**2. The extent of a is constant.
     x, y, dx, dy = b.x - a.x, b.y - a.y, b.dx - a.dx, b.dy - a.dy
     far, speed = np.maximum(np.hypot(x, y), np.hypot(x + dx, y + dy)), np.hypot(dx, dy)
     relative = (b.turn - a.turn) ** 2
@@ -120,8 +124,8 @@ def convex_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict
     gap = np.maximum(_smaller_gap(ends, nx, ny), _smaller_gap(ends, -nx, -ny)) - bulge
     for first, last, riding in zip(*gaps, rotation_bounds(a, b, rim_a, rim_b), strict=True):
         gap = np.maximum(gap, np.minimum(first, last).max(axis=0, initial=-np.inf) - riding)
-    separation = [np.concatenate(each) for each in gaps]
-    separation = [each.max(axis=0) if len(each) else np.zeros(len(a.x)) for each in separation]
+    separation = [np.concatenate(side_gaps) for side_gaps in gaps]
+    separation = [side_gaps.max(axis=0) if len(side_gaps) else np.zeros(len(a.x)) for side_gaps in separation]
     if reach > 0:
         (nx, ny), distances = _nearest(ends)
         gap = np.maximum(gap, _smaller_gap(ends, nx, ny) - bulge)
@@ -219,6 +223,7 @@ def box_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
 
 
 def box_point_separation(a: MovingBodies, b: MovingBodies, reach: float) -> Verdict:
+    """Return which motions certainly keep a point ``reach`` away from a box, and which certainly do not."""
     ends, distances = [], []
     for end in (0.0, 1.0):
         (x, y), (c, s) = _offset(a, b, end), _heading(a, end)

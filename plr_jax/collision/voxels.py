@@ -75,30 +75,33 @@ def ball_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float
 
 
 def _ball_keeps_clear(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, radius: float) -> Booleans:
+    # Bisect each motion until its parts are far from blocked voxels, the ball hits one in the middle of a part, or a
+    # part is so short that the few voxels near it are tested exactly.
     keeps_off = ~(blocked_within(grid, q0, q0, radius) | blocked_within(grid, q1, q1, radius))
-    motion, share = np.flatnonzero(keeps_off), 1.0
+    motion, width = np.flatnonzero(keeps_off), 1.0
     begin = np.zeros(len(motion))
     while len(motion):
         change = q1[:, motion] - q0[:, motion]
-        a, b = q0[:, motion] + begin * change, q0[:, motion] + (begin + share) * change
+        a, b = q0[:, motion] + begin * change, q0[:, motion] + (begin + width) * change
         near = blocked_within(grid, np.minimum(a, b), np.maximum(a, b), radius)
         motion, begin, a, b = motion[near], begin[near], a[:, near], b[:, near]
         middle = (a + b) / 2
         keeps_off[motion[blocked_within(grid, middle, middle, radius)]] = False
         short = (np.abs(b - a) <= _SHORT * grid.sides[:, None]).all(axis=0) & keeps_off[motion]
-        of, lo, hi = motion[short], np.minimum(a, b)[:, short], np.maximum(a, b)[:, short]
+        owner, lo, hi = motion[short], np.minimum(a, b)[:, short], np.maximum(a, b)[:, short]
         for piece, voxel in _blocked_voxels_within(grid, lo, hi, radius):
-            meets = squared_distances(grid, q0[:, of[piece]], q1[:, of[piece]], voxel) < radius**2
-            keeps_off[of[piece[meets]]] = False
+            meets = squared_distances(grid, q0[:, owner[piece]], q1[:, owner[piece]], voxel) < radius**2
+            keeps_off[owner[piece[meets]]] = False
         halved = keeps_off[motion] & ~short
-        motion, begin, share = motion[halved], begin[halved], share / 2
-        motion, begin = np.append(motion, motion), np.append(begin, begin + share)
+        motion, begin, width = motion[halved], begin[halved], width / 2
+        motion, begin = np.append(motion, motion), np.append(begin, begin + width)
     return keeps_off
 
 
 def _blocked_voxels_within(
     grid: VoxelGrid, lo: Coordinates, hi: Coordinates, radius: float
 ) -> Iterator[tuple[Which, Numbers]]:
+    """Yield pairs of a box and a blocked voxel within ``radius`` of it: indices of boxes, and numbers of voxels."""
     for box, begin, end in _rows_within(grid, lo, hi, radius):
         some = np.flatnonzero(grid.num_blocked(begin, end))
         row, place = ragged_indices(end[-1, some] - begin[-1, some] + 1)
@@ -122,12 +125,14 @@ def squared_distances(grid: VoxelGrid, q0: Coordinates, q1: Coordinates, voxel: 
     level = [np.divide(face - q0, change, out=np.zeros_like(q0), where=moves) for face in (lo, hi)]
     times = np.sort(np.clip([np.zeros(q0.shape[1]), *level[0], *level[1], np.ones(q0.shape[1])], 0, 1), axis=0)
     slopes = np.stack([np.sum(change * excess(time), axis=0) for time in times])
-    # The slope is linear between the last time at which it is negative and the next time: find its zero.
+    # Half the derivative of the squared distance, sum(change * excess(t)) over axes, never decreases in t, and is
+    # linear between the times at which an axis crosses a face. Find its zero: it lies between the last time at which
+    # this slope is negative and the next time, or at an end of the motion.
     after = np.count_nonzero(slopes < 0, axis=0)
-    both = np.maximum(after - 1, 0), np.minimum(after, len(times) - 1)
-    (t0, t1), (s0, s1) = ([np.take_along_axis(of, at[None], axis=0)[0] for at in both] for of in (times, slopes))
-    share = np.divide(-s0, s1 - s0, out=np.zeros_like(s0), where=s1 > s0)
-    return np.sum(excess(t0 + np.clip(share, 0, 1) * (t1 - t0)) ** 2, axis=0)
+    ends = np.maximum(after - 1, 0), np.minimum(after, len(times) - 1)
+    (t0, t1), (s0, s1) = ([np.take_along_axis(of, at[None], axis=0)[0] for at in ends] for of in (times, slopes))
+    fraction = np.divide(-s0, s1 - s0, out=np.zeros_like(s0), where=s1 > s0)
+    return np.sum(excess(t0 + np.clip(fraction, 0, 1) * (t1 - t0)) ** 2, axis=0)
 
 
 def point_passes(grid: VoxelGrid, q0: Coordinates, q1: Coordinates) -> Booleans:
@@ -156,6 +161,7 @@ class _Traversal:
         self.strides = np.array(grid.padded.strides)
 
     def passes(self) -> Booleans:
+        """Return whether each motion passes: whether it reaches its end with a voxel left in which it can be."""
         lowest, highest = np.minimum(self.at, self.last), np.maximum(self.at, self.last) + self.layers
         passes = self.grid.num_blocked(lowest, highest) == 0
         rows = np.flatnonzero(~passes)
@@ -179,10 +185,10 @@ class _Traversal:
         narrow = np.flatnonzero(~around.all(axis=1))
         doubtful = narrow[crossed[:, narrow].sum(axis=0) > 1]
         if len(doubtful):
-            of = rows[doubtful]
-            first = _first_crossed(crossed[:, doubtful], face[:, doubtful], self.q0[:, of], self.q1[:, of])
+            motions = rows[doubtful]
+            first = _first_crossed(crossed[:, doubtful], face[:, doubtful], self.q0[:, motions], self.q1[:, motions])
             crossed[:, doubtful] = first
-            around[doubtful] = self._free_around(of, np.where(first, step[:, doubtful], layers[:, doubtful]))
+            around[doubtful] = self._free_around(motions, np.where(first, step[:, doubtful], layers[:, doubtful]))
         # Voxels beyond the crossed faces are reached from free voxels on the near side.
         beyond = (crossed.T @ self.bits_of_axes)[:, None]
         reached = around
@@ -195,6 +201,7 @@ class _Traversal:
         return self.grid.padded.ravel()[at[:, None] + (span.T * self.strides) @ self.bits.T]
 
     def _crossed_next(self, rows: Int[np.ndarray, " some"]) -> tuple[Bool[np.ndarray, "dim some"], Coordinates]:
+        """Return across which axes each motion leaves its current voxels next, and the next face along each axis."""
         at, q0 = self.at[:, rows], self.q0[:, rows]
         further = at + (self.step[:, rows] > 0)
         face = np.stack([faces[k] for faces, k in zip(self.grid.faces, further, strict=True)])
@@ -210,7 +217,7 @@ def _first_crossed(
     first = np.zeros_like(crossed)
     for i in range(crossed.shape[1]):
         axes = np.flatnonzero(crossed[:, i])
-        ends = ([Fraction(x) for x in each[axes, i].tolist()] for each in (face, q0, q1))
+        ends = ([Fraction(x) for x in table[axes, i].tolist()] for table in (face, q0, q1))
         times = [(at - begin) / (end - begin) for at, begin, end in zip(*ends, strict=True)]
         first[axes, i] = [time == min(times) for time in times]
     return first

@@ -92,6 +92,7 @@ class MotionTest:
         return self._clearance[cell] - away > radius + self.robot.circumscribed_radius
 
     def _test(self, q0: Configurations, q1: Configurations, deadline: float) -> Booleans:
+        """Return which motions are free: by clearance where that decides, else by tests against walls."""
         pieces, owner = _cut_into_pieces(self.robot, q0, q1, self._longest)
         x, y = pieces.x + 0.5 * pieces.dx, pieces.y + 0.5 * pieces.dy
         half = 0.5 * np.sqrt(pieces.dx * pieces.dx + pieces.dy * pieces.dy)  # hypot is slow
@@ -121,19 +122,21 @@ class MotionTest:
         return row * columns + column, np.sqrt(dx * dx + dy * dy)
 
     def _test_walls(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
+        """Test pieces of motions against the walls near their cells; a point, against all walls."""
         work = np.full(len(cell), _EDGES_PER_POINT) if self._is_point else self._first[cell + 1] - self._first[cell]
         clear = np.empty(len(cell), dtype=bool)
         for part in parts(work, _PAIRS):
             require_time(deadline, _PURPOSE)
-            some = pieces.take(part)
+            batch = pieces.take(part)
             if self._is_point:
-                a = np.stack([some.x, some.y], axis=1)
-                clear[part] = self.workspace.is_visible(a, a + np.stack([some.dx, some.dy], axis=1))
+                a = np.stack([batch.x, batch.y], axis=1)
+                clear[part] = self.workspace.is_visible(a, a + np.stack([batch.dx, batch.dy], axis=1))
             else:
-                clear[part] = self._test_edges(some, cell[part], deadline)
+                clear[part] = self._test_edges(batch, cell[part], deadline)
         return clear
 
     def _test_edges(self, pieces: MovingBodies, cell: Int[np.ndarray, " n"], deadline: float) -> Booleans:
+        """Return which pieces of motions keep clear of the walls near their cells."""
         robot, tolerance = self.robot, self.workspace.tolerance
         index, owner = take_ragged(self._first, cell)
         edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)
@@ -154,15 +157,15 @@ class MotionTest:
             return clear
         # 2. Test the undecided pieces against one edge each: a body at rest, as a flat box or with two vertices.
         doubtful = np.flatnonzero((distance < robot.circumscribed_radius) & clear[owner])
-        edges, tangent, rest = edges[doubtful], tangent[doubtful], np.zeros(len(doubtful))
+        edges, tangent, zeros = edges[doubtful], tangent[doubtful], np.zeros(len(doubtful))
         reach, half, center = robot.rounding - tolerance, robot.half_sides, edges.mean(axis=1)
         if half is not None and reach <= 0:
             kernel, size, theta = box_separation, half, np.arctan2(tangent[:, 1], tangent[:, 0])
-            of_edges = np.stack([length[doubtful] / 2, rest])
+            of_edges = np.stack([length[doubtful] / 2, zeros])
         else:
-            kernel, size, theta = convex_separation, robot.core.T, rest
+            kernel, size, theta = convex_separation, robot.core.T, zeros
             of_edges = (edges - center[:, None]).transpose(2, 1, 0)
-        flat = MovingBodies(of_edges, center[:, 0], center[:, 1], theta, rest, rest, rest)
+        flat = MovingBodies(of_edges, center[:, 0], center[:, 1], theta, zeros, zeros, zeros)
         keeps_off = bisect(kernel, near.take(doubtful).with_size(size), flat, reach, deadline)
         clear[owner[doubtful[~keeps_off]]] = False
         return clear
@@ -195,7 +198,7 @@ def _cut_into_pieces(
         return whole, None
     count = np.maximum(count, 1)
     owner, step = ragged_indices(count)
-    t, share = step / count[owner], 1 / count[owner]
+    t, fraction = step / count[owner], 1 / count[owner]
     whole = whole.take(owner)
     pose = [q + t * rate for q, rate in zip(whole[1:4], whole[4:], strict=True)]
-    return MovingBodies(whole.size, *pose, *(rate * share for rate in whole[4:])), owner
+    return MovingBodies(whole.size, *pose, *(rate * fraction for rate in whole[4:])), owner

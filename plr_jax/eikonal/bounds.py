@@ -23,9 +23,9 @@ from plr_jax.plr._file import DecodedFile, cut_off_leaves, filled_coefficients
 from plr_jax.plr._plr import PLR, plr_of_leaves
 from plr_jax.plr.certificate import MOST_GOALS, Certificate, LeafBounds, Proof, StraightBound
 from plr_jax.plr.container import frame_size
-from plr_jax.plr.faces import overlapping_leaves
 from plr_jax.plr.frame import enumerate_boxes
 from plr_jax.plr.growth import best_axis, largest_error
+from plr_jax.plr.leaf_faces import overlapping_leaves
 from plr_jax.plr.leaves import StoredValues, TiedPartition, leaf_model
 from plr_jax.plr.leaves.base import UNIT, Rules, check_limits, largest_coordinates
 from plr_jax.plr.sampling import Sampler, least_squares, sample_pattern
@@ -95,14 +95,15 @@ class CostToGoField:
 
     @cached_property
     def _lower_at_corners(self) -> CellCorners:
+        # The larger of two proven bounds: the rescaled solution, and the cost of a straight motion at the least rate.
         is_corner = np.isin(self.program.space.lattice, (0, 1)).all(axis=1)
         proven = np.interp(self._nodal[:, is_corner], *self._rescaling)
         mesh, costs = self.mesh, self.program.costs
         places = mesh.domain.at(self.paths.points)
         if len(self.goals) == 1:
-            straight = costs.motion.norm(mesh.domain.difference(places, self.goals))
+            straight = costs.motion_cost.norm(mesh.domain.difference(places, self.goals))
         else:
-            straight = nearest_goals(self.goals, mesh.domain, costs.motion, places)[0][:, 0]
+            straight = nearest_goals(self.goals, mesh.domain, costs.motion_cost, places)[0][:, 0]
         return np.maximum(proven, (costs.least_rate * straight)[mesh.corners])
 
     @cached_property
@@ -130,24 +131,25 @@ class CostToGoField:
         return MeshEstimate(mesh, values, self.reach)
 
     def which(self, x: Points) -> CellIndex:
+        """Return the index of the goal to which the estimated path from each point leads."""
         mesh = self.mesh
         if self.nodal_goal is None:
             assert self.guide is not None
             return self.guide.which(x)
         at = (mesh.domain.wrapped(x) - mesh.domain.lo) / mesh.domain.width
         node = mesh.corners[mesh.locate(at)]
-        to = mesh.domain.difference(mesh.domain.at(mesh.nodes[node]), x[:, None])
-        straight = self.program.costs.motion.norm(to.reshape(-1, mesh.dim)).reshape(node.shape)
+        offset = mesh.domain.difference(mesh.domain.at(mesh.nodes[node]), x[:, None])
+        straight = self.program.costs.motion_cost.norm(offset.reshape(-1, mesh.dim)).reshape(node.shape)
         total = self.nodal_estimate[node] + straight * self.program.costs.least_rate
         best = node[np.arange(len(x)), total.argmin(axis=1)]
-        distance, nearest = nearest_goals(self.goals, mesh.domain, self.program.costs.motion, x)
+        distance, nearest = nearest_goals(self.goals, mesh.domain, self.program.costs.motion_cost, x)
         is_near = distance[:, 0] * self.program.costs.least_rate <= total.min(axis=1)
         return np.where(is_near | np.isinf(self.nodal_estimate[best]), nearest[:, 0], self.nodal_goal[best])
 
     @property
     def mean_gap(self) -> float:
-        known = np.isfinite(self._upper_at_corners)
-        return float((self._upper_at_corners - self._lower_at_corners)[known].mean()) if known.any() else 0.0
+        is_known = np.isfinite(self._upper_at_corners)
+        return float((self._upper_at_corners - self._lower_at_corners)[is_known].mean()) if is_known.any() else 0.0
 
     def bounds_over(self, cell: CellIndex, lo: Points, hi: Points, corners: AtCorners) -> tuple[Numbers, Numbers]:
         """Bound the difference between the cost-to-go and a multilinear function from below and above in each box.
@@ -159,9 +161,9 @@ class CostToGoField:
         """
         mesh, space, dim = self.mesh, self.program.space, self.mesh.dim
         below, above = np.empty(len(cell)), np.empty(len(cell))
-        shares = np.array(list(product((0.0, 0.5, 1.0), repeat=dim)))
+        grid = np.array(list(product((0.0, 0.5, 1.0), repeat=dim)))
         middles = 0.25 + corner_bits(dim) / 2
-        vertices = np.stack([np.flatnonzero(np.all(np.abs(shares - middle) <= 0.25, axis=1)) for middle in middles])
+        vertices = np.stack([np.flatnonzero(np.all(np.abs(grid - middle) <= 0.25, axis=1)) for middle in middles])
         for some in parts(np.ones(len(cell), np.int64), _BOXES_AT_ONCE):
             c, spare = cell[some], self._spare[cell[some]]
             # 1. Lower bounds: control values of the difference bound it.
@@ -175,8 +177,8 @@ class CostToGoField:
             below[some] = np.maximum(proven, (straight - corners[some]).min(axis=1)) - spare
             # 2. Upper bounds by straight motions to corners of the cell, or to its targets. Costs are convex, so the
             #    largest is at a vertex of a part of the box.
-            at = lo[some, None] + (hi - lo)[some, None] * shares
-            function = corners[some] @ basis(1, shares).T
+            at = lo[some, None] + (hi - lo)[some, None] * grid
+            function = corners[some] @ basis(1, grid).T
             most = np.full((len(c), len(vertices)), np.inf)
             for corner, place in enumerate(corner_bits(dim)):
                 change = ((place - at) * mesh.widths[c][:, None]).reshape(-1, dim)
@@ -187,7 +189,7 @@ class CostToGoField:
             x = mesh.fractions(c[:, None], at)
             for target in self._targets[:, c]:
                 change = (self.paths.points[target, None] - x) * mesh.domain.width
-                straight = self.program.costs.motion.norm(change.reshape(-1, dim)).reshape(at.shape[:2])
+                straight = self.program.costs.motion_cost.norm(change.reshape(-1, dim)).reshape(at.shape[:2])
                 by_target = self.paths.cost[target, None] + straight - function
                 by_target[target < 0] = np.inf
                 most = np.minimum(most, by_target[:, vertices].max(axis=2))
@@ -200,14 +202,14 @@ class CostToGoField:
         if domain.is_periodic:  # costs of motions either way around are not convex
             return np.zeros((len(lo), len(bits)))
         # The tangent of the cost to the nearest goal, and for others the cost from the middle less half a diagonal's.
-        distance, nearest = nearest_goals(self.goals, domain, costs.motion, (lo + hi) / 2, 2)
+        distance, nearest = nearest_goals(self.goals, domain, costs.motion_cost, (lo + hi) / 2, 2)
         goal = self.goals[nearest[:, 0]]
         middle, slope = (lo + hi) / 2 - goal, np.zeros_like(lo)
-        for axes, weight in costs.motion.blocks:
+        for axes, weight in costs.motion_cost.blocks:
             length = np.linalg.norm(middle[:, axes], axis=1, keepdims=True)
             slope[:, axes] = weight * middle[:, axes] / np.maximum(length, np.finfo(float).tiny)
         corners = lo[:, None] + (hi - lo)[:, None] * bits - goal[:, None]
-        others = distance[:, 1] - np.linalg.norm(costs.motion.scale * (hi - lo) / 2, axis=1)
+        others = distance[:, 1] - np.linalg.norm(costs.motion_cost.scale * (hi - lo) / 2, axis=1)
         return costs.least_rate * np.minimum(np.einsum("nk,nck->nc", slope, corners), others[:, None])
 
     @cached_property
@@ -225,18 +227,18 @@ class CostToGoField:
         lo, hi = (np.broadcast_to(end[free], place.shape) for end in mesh.grown_boxes)
         hull = np.minimum(lo, place).reshape(-1, mesh.dim), np.maximum(hi, place).reshape(-1, mesh.dim)
         sees = (self.space.classify(*hull) == CellState.FREE).reshape(3, -1)
-        seen = np.full_like(target, -1)
-        seen[:, free] = np.where(sees, target[:, free], -1)
-        return seen
+        visible = np.full_like(target, -1)
+        visible[:, free] = np.where(sees, target[:, free], -1)
+        return visible
 
     @cached_property
     def _spare(self) -> Float[np.ndarray, " cells"]:
         # A margin for rounding: of values, and of points just outside a cell that count as inside.
         costs, beside = self.program.costs, PLACING * self.mesh.domain.width
-        way = costs.motion.norm(beside[None]) * costs.upper
+        margin = costs.motion_cost.norm(beside[None]) * costs.upper
         if costs.pulls is not None:
-            way = way + (np.abs(costs.pulls) @ beside).max(axis=0)
-        return ROUNDING * max(np.abs(self._nodal).max(), self._lower_at_corners.max()) + way
+            margin = margin + (np.abs(costs.pulls) @ beside).max(axis=0)
+        return ROUNDING * max(np.abs(self._nodal).max(), self._lower_at_corners.max()) + margin
 
     @cached_property
     def _sees(self) -> Bool[np.ndarray, "cells corners"]:
@@ -267,19 +269,20 @@ def _filled(values: CellCorners, node: Int[np.ndarray, "cells corners"]) -> Cell
     # Average the known values of a cell at its unknown corners, and such averages at a node, until nothing changes.
     values, num = values.copy(), int(node.max()) + 1
     while True:
-        known = np.isfinite(values)
-        count = known.sum(axis=1, keepdims=True)
-        near = np.where(known, values, 0.0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
-        use = ~known & (count > 0)
+        is_known = np.isfinite(values)
+        count = is_known.sum(axis=1, keepdims=True)
+        near = np.where(is_known, values, 0.0).sum(axis=1, keepdims=True) / np.maximum(count, 1)
+        use = ~is_known & (count > 0)
         if not use.any():
-            return np.where(known, values, 0.0)
+            return np.where(is_known, values, 0.0)
         total = np.bincount(node[use], np.broadcast_to(near, values.shape)[use], num)
         weight = np.bincount(node[use], minlength=num)
         fill = np.divide(total, weight, out=np.full(num, np.nan), where=weight > 0)
-        values = np.where(known, values, fill[node])
+        values = np.where(is_known, values, fill[node])
 
 
 def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: float) -> PLR | None:
+    """Return a PLR whose leaves are the cells of the mesh, or None if its file takes more than ``max_bytes``."""
     mesh = estimate.mesh
     closed, values = mesh.state == CellState.BLOCKED, estimate.corner_values
     step = _SMALLEST_STEP_UNPROVEN * float(values.max()) if field is None else _STEP_PER_GAP * field.mean_gap
@@ -295,6 +298,7 @@ def plr_on_mesh(estimate: MeshEstimate, field: CostToGoField | None, max_bytes: 
 
 
 def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostToGoField | None) -> PLR:
+    """Return a PLR of at most ``max_bytes`` bytes, fitted to an estimate; ``field`` has its bounds, if any."""
     straight = None if field is None else _line_of(field, max_bytes)
     of_straight = 0 if straight is None else straight.num_bytes
     model, domain = leaf_model("continuous"), estimate.mesh.domain
@@ -315,6 +319,7 @@ def plr_of_bytes(estimate: MeshEstimate, max_bytes: int, seed: int, field: CostT
 
 
 def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightBound | None) -> DecodedFile:
+    """Add proven bounds to each leaf: the worst bounds of the cells of the mesh that it meets."""
     mesh, tree, corners = field.mesh, contents.tree, corner_bits(field.mesh.dim)
     cells, num_leaves = tree.leaves, len(tree.leaves)
     # 1. Pairs of a leaf and a cell that it meets, with the open cell whose bounds hold there: the cell itself or, for
@@ -325,9 +330,9 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     first, last = (np.searchsorted(cell[order], flush, side=side) for side in ("left", "right"))
     pair, place = ragged_indices(last - first)
     is_open = mesh.state[cell] != CellState.BLOCKED
-    own, others = (leaf[is_open], cell[is_open]), leaf[order[first[pair] + place]]
-    leaf = np.append(own[0], others)
-    within, cell = np.append(own[1], flush[pair]), np.append(own[1], beside[pair])
+    open_pairs, flush_leaves = (leaf[is_open], cell[is_open]), leaf[order[first[pair] + place]]
+    leaf = np.append(open_pairs[0], flush_leaves)
+    within, cell = np.append(open_pairs[1], flush[pair]), np.append(open_pairs[1], beside[pair])
     # Free points without a path have no upper bound.
     closed = np.flatnonzero(mesh.state == CellState.BLOCKED)
     closed = closed[field.space.classify(*(end[closed] for end in mesh.boxes)) != CellState.BLOCKED]
@@ -337,7 +342,7 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
     position, depth = cells.position[leaf], cells.depth[leaf]
     lo, hi = np.maximum(lo, np.ldexp(position, -depth)), np.minimum(hi, np.ldexp(position + 1.0, -depth))
     meet = (lo <= hi).all(axis=1)
-    leaf, cell, turn, lo, hi = (each[meet] for each in (leaf, cell, turn, lo, hi))
+    leaf, cell, turn, lo, hi = (column[meet] for column in (leaf, cell, turn, lo, hi))
     coefficients = filled_coefficients(contents)
     is_lost = np.isinf(coefficients[:, 0]) & (True if contents.cut_off is None else ~contents.cut_off)
     if is_lost[leaf].any():
@@ -368,11 +373,11 @@ def _with_proof(contents: DecodedFile, field: CostToGoField, straight: StraightB
 
 def _line_of(field: CostToGoField, max_bytes: int | float) -> StraightBound | None:
     costs = field.program.costs
-    return straight_bound(field.mesh.domain, costs.motion, costs.least_rate, field.program.at, max_bytes)
+    return straight_bound(field.mesh.domain, costs.motion_cost, costs.least_rate, field.program.at, max_bytes)
 
 
 def straight_bound(
-    domain: Box, motion: MotionCost, least_rate: float, goals: Goals, max_bytes: int | float
+    domain: Box, motion_cost: MotionCost, least_rate: float, goals: Goals, max_bytes: int | float
 ) -> StraightBound | None:
     """Return the least cost of straight motions to goals, less a margin for rounding.
 
@@ -380,7 +385,7 @@ def straight_bound(
     is 0 if there are more than 64 goals, if goals take more than 40 % of ``max_bytes``, or if 32 bits do not hold the
     squares of costs; None if 32 bits do not hold the squares of lengths.
     """
-    largest, blocks = float(largest_coordinates(domain).sum()), motion.blocks
+    largest, blocks = float(largest_coordinates(domain).sum()), motion_cost.blocks
     if not _TINIEST < largest < _LARGEST:
         return None
     # Rates cover the rounding of lengths, the margin that of coordinates to 32 bits.

@@ -14,7 +14,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from plr_jax.eikonal.mesh import Mesh
-from plr_jax.plr.faces import eliminate_constraints, face_points, resolve_constraints
+from plr_jax.plr.leaf_faces import eliminate_constraints, face_points, resolve_constraints
 
 _MOST_WEIGHTS_OF_NODE = 2**8  # in the equations of nodes that hang on several cells
 _QUADRATURE = {1: np.array([1, 1]) / 2, 2: np.array([1, 4, 1]) / 6}
@@ -42,13 +42,16 @@ class FunctionSpace:
         mesh, degree, size = self.mesh, self.degree, len(self.lattice)
         rows = (mesh.open_cells[:, None] * size + np.arange(size)).ravel()
         values, width = csr_array(self.values[rows]), mesh.widths[mesh.open_cells] * scale
-        # The degree along the derivative is raised to the degree along other axes.
+        # Along the axis of the derivative, for degree n and the Bernstein coefficients c_0 to c_n of the function:
+        #   d_i = n * (c_(i+1) - c_i)                      coefficients of the derivative, of degree n - 1
+        #   e_i = i / n * d_(i-1) + (1 - i / n) * d_i      the same function with degree n, as along other axes
+        # The matrix from a cell's nodes to its control points is the Kronecker product of matrices of all axes.
         difference = degree * (np.eye(degree + 1)[1:] - np.eye(degree + 1)[:-1])
-        share = np.arange(degree + 1)[:, None] / degree
-        raised = share * np.eye(degree + 1, degree, -1) + (1 - share) * np.eye(degree + 1, degree)
+        weight = np.arange(degree + 1)[:, None] / degree
+        raised = weight * np.eye(degree + 1, degree, -1) + (1 - weight) * np.eye(degree + 1, degree)
         along, operators = raised @ difference @ _TO_BERNSTEIN[degree], []
         for axis in range(mesh.dim):
-            control = reduce(np.kron, [along if each == axis else _TO_BERNSTEIN[degree] for each in range(mesh.dim)])
+            control = reduce(np.kron, [along if k == axis else _TO_BERNSTEIN[degree] for k in range(mesh.dim)])
             num, (i, j) = len(width), np.nonzero(control)
             entries = control[i, j] / width[:, axis, None]
             first = np.arange(num)[:, None] * size
@@ -57,10 +60,14 @@ class FunctionSpace:
         return operators
 
     def basis_integrals(self) -> Float[np.ndarray, " dofs"]:
+        """Return the integral of each degree of freedom's basis function over the open cells of the mesh.
+
+        The trapezoidal rule is exact for degree 1, Simpson's rule for degree 2.
+        """
         mesh = self.mesh
-        share = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * mesh.dim).ravel()
-        weights = mesh.volumes[mesh.open_cells, None] * share
-        rows = (mesh.open_cells[:, None] * len(share) + np.arange(len(share))).ravel()
+        quadrature = reduce(np.multiply.outer, [_QUADRATURE[self.degree]] * mesh.dim).ravel()
+        weights = mesh.volumes[mesh.open_cells, None] * quadrature
+        rows = (mesh.open_cells[:, None] * len(quadrature) + np.arange(len(quadrature))).ravel()
         return np.asarray(self.values[rows].T @ weights.ravel())
 
 
@@ -82,6 +89,7 @@ def to_bernstein(degree: int, dim: int) -> Float[np.ndarray, "nodes nodes"]:
 
 
 def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
+    """Build the space of functions of ``degree`` 1 or 2 that are continuous between the unblocked cells of a mesh."""
     lattice = np.array(list(product(np.arange(degree + 1) / degree, repeat=mesh.dim)))
     size, num_nodes = len(lattice), len(mesh.state) * len(lattice)
     # 1. Find nodes that are one with a node of another cell, and nodes that hang on a cell, with their place in it.
@@ -114,7 +122,9 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
         places.append(t[:, ~is_node])
     same, crossing, places = (np.concatenate(part, axis=1) for part in (same, crossing, places))
     hanging, on_cell, at = (np.concatenate(part) for part in (hanging, on_cell, at))
-    # 2. Number groups of nodes that are one, and express hanging groups by free ones.
+    # 2. Number groups of nodes that are one, and express hanging groups by free ones: a hanging group's value is the
+    #    sum over the cell's nodes of the basis function at its place times the value of the node's group. Groups are
+    #    replaced until only free ones remain: row i of `resolved` has their weights in the value of group i.
     tied = coo_array((np.ones(same.shape[1], bool), tuple(same)), (num_nodes, num_nodes))
     num_groups, group = connected_components(tied, directed=False)
     of_hanging, first = np.unique(group[hanging], return_index=True)
@@ -124,12 +134,13 @@ def function_space(mesh: Mesh, degree: int) -> FunctionSpace:
     resolved = resolve_constraints(
         csr_array((basis(degree, at[first]).ravel(), where), (num_groups, num_groups)), is_free
     )
-    # 3. A node may hang on two cells: their polynomials must agree there.
-    again = np.setdiff1d(np.arange(len(hanging)), first)
-    if mesh.dim > 2 and len(again) + crossing.shape[1]:
-        cell, node = np.divmod(hanging[again], size)
+    # 3. A node may hang on two cells: their polynomials must agree there, a linear equation between values of free
+    #    groups. Each equation is solved for a group with a node in the smallest cell, which is then no longer free.
+    repeated = np.setdiff1d(np.arange(len(hanging)), first)
+    if mesh.dim > 2 and len(repeated) + crossing.shape[1]:
+        cell, node = np.divmod(hanging[repeated], size)
         here = np.append(cell, crossing[0]), np.append(lattice[node], places[0], axis=0)
-        there = np.append(on_cell[again], crossing[1]), np.append(at[again], places[1], axis=0)
+        there = np.append(on_cell[repeated], crossing[1]), np.append(at[repeated], places[1], axis=0)
         of_group = csr_array((np.ones(num_nodes), (np.arange(num_nodes), group)), (num_nodes, num_groups))
         change = _interpolation(degree, *here, num_nodes) - _interpolation(degree, *there, num_nodes)
         depth = np.zeros(num_groups, np.int64)

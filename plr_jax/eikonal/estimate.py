@@ -71,16 +71,16 @@ class GridEstimate:
     known_goal: GoalIndex  # the goal to which the path of each node leads, -1 where unknown
     unseen: Int[np.ndarray, " unseen"]  # indices of the goals that no node sees
     is_open: IsOpen  # nodes that paths may pass
-    rest: Costs | None = None  # the cost-to-go beside each closed node, if nodes are groups of voxels
+    closed_cost: Costs | None = None  # the cost-to-go beside each closed node, if nodes are groups of voxels
 
     def __call__(self, x: Points) -> Float[np.ndarray, " n"]:
         ratio, is_open = self.ratio.interpolated(x)
         divisor = _divisors(self.space, self.goals, self.at_goals, x)
         cost = np.multiply(ratio, divisor, out=np.zeros(len(x)), where=divisor != 0)  # not inf * 0 at a goal
-        if self.rest is not None:
+        if self.closed_cost is not None:
             closed = np.flatnonzero(~is_open)
-            rest = self.rest[self._nodes(x[closed])]
-            cost[closed] = np.where(np.isfinite(rest), rest, cost[closed])
+            closed_cost = self.closed_cost[self._nodes(x[closed])]
+            cost[closed] = np.where(np.isfinite(closed_cost), closed_cost, cost[closed])
         beside = np.flatnonzero(~is_open & np.isfinite(cost))
         cost[beside[~self.space.is_free(x[beside])]] = np.inf
         return cost
@@ -92,7 +92,7 @@ class GridEstimate:
 
     def reach(self, domain: Box) -> Reach:
         """Return which boxes of a domain hold nodes that reach a goal, and open nodes that do not."""
-        is_reached = np.isfinite(self.cost if self.rest is None else np.minimum(self.cost, self.rest))
+        is_reached = np.isfinite(self.cost if self.closed_cost is None else np.minimum(self.cost, self.closed_cost))
         # Points beside a node that reaches a goal may have a value.
         mode: Any = ["wrap" if wraps else "nearest" for wraps in self.space.domain.periodic]
         beside: Any = ndimage.maximum_filter(is_reached, 3, mode=mode)
@@ -105,8 +105,8 @@ class GridEstimate:
         distance, nearest = nearest_goals(self.goals, self.space.domain, self.space.motion_cost, x)
         step = float(np.linalg.norm(self.space.motion_cost.scale * self.ratio.bounds.width / self.cost.shape))
         close = np.flatnonzero(distance[:, 0] < step)
-        to = self.goals[nearest[close, 0]]
-        close = close[self.space.are_free(x[close], x[close] + self.space.domain.difference(to, x[close]))]
+        target = self.goals[nearest[close, 0]]
+        close = close[self.space.are_free(x[close], x[close] + self.space.domain.difference(target, x[close]))]
         goal[close] = nearest[close, 0]
         return goal
 
@@ -139,8 +139,8 @@ def _divisors(space: ConfigurationSpace, goals: Goals, at_goals: Rates, x: Point
     if _is_euclidean(space, goals, at_goals):
         return nearest_goals(goals, space.domain, space.motion_cost, x)[0][:, 0]
     least = np.full(len(x), np.inf)
-    for number in range(len(goals)):
-        index = np.full(len(x), number)
+    for goal_index in range(len(goals)):
+        index = np.full(len(x), goal_index)
         change = space.domain.difference(goals[index], x)
         least = np.minimum(least, _straight_costs(space, at_goals, index, change))
     return least
@@ -155,11 +155,11 @@ def grid_estimate(
     space: ConfigurationSpace, cost_map: CostMap | None, goals: Goals, num_leaves: int = 0
 ) -> GridEstimate:  # goals must differ
     """Estimate the cost-to-go on a grid of at least 16 nodes for each of the ``num_leaves`` pieces of a later PLR."""
-    domain, motion, dim = space.domain, space.motion_cost, space.domain.dim
-    is_isotropic = len(motion.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
+    domain, motion_cost, dim = space.domain, space.motion_cost, space.domain.dim
+    is_isotropic = len(motion_cost.blocks) == 1 and not isinstance(cost_map, DirectionalCost)
     box, shape = _grid(space, cost_map, is_isotropic, num_leaves * _NODES_A_LEAF)
     side = box.width / shape
-    groups = rest = None
+    groups = closed_cost = None
     if is_isotropic and isinstance(space, VoxelSpace) and space.radius == 0 and shape < space.free.shape:
         groups = VoxelGroups.of(space.free, domain, box, shape, goals)
         node, is_open, is_clear, cells = groups.middles, groups.is_open, groups.has_part, np.zeros(shape, np.int8)
@@ -172,8 +172,8 @@ def grid_estimate(
     at_goals: Rates = np.ones(len(goals)), None
     if cost_map is not None:
         is_free = is_open if groups is None else groups.has_part
-        factor[is_free], pulls_of_free = point_costs(motion, cost_map, node[is_free])
-        at_goals = point_costs(motion, cost_map, goals)
+        factor[is_free], pulls_of_free = point_costs(motion_cost, cost_map, node[is_free])
+        at_goals = point_costs(motion_cost, cost_map, goals)
         if pulls_of_free is not None:
             pulls = np.zeros((2, *shape, dim))
             pulls[:, is_free] = pulls_of_free
@@ -181,15 +181,15 @@ def grid_estimate(
     # 2. The cost of straight motions from open nodes to goals near them; inf if no motion is free.
     flat = node.reshape(-1, dim)
     at_nodes = factor.ravel(), None if pulls is None else pulls.reshape(2, -1, dim)
-    distance, nearest = nearest_goals(goals, domain, motion, flat, min(len(goals), _NEAR_GOALS))
+    distance, nearest = nearest_goals(goals, domain, motion_cost, flat, min(len(goals), _NEAR_GOALS))
     radius = _RADIUS[dim] * float(side.min()) / len(goals) ** (0.5 / dim)  # less, the more goals there are
     reach = radius + 2 * np.linalg.norm(side)
-    straight, known = np.full(shape, np.inf), np.full(shape, -1)
+    straight, known_goal = np.full(shape, np.inf), np.full(shape, -1)
     lengths, sees_nearest, is_seen = np.full(shape, np.inf), np.zeros(shape, bool), np.zeros(len(goals), bool)
     for rank, index in enumerate(nearest.T):
         rows = np.arange(len(flat))
         if rank:
-            rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion.scale.max() * reach))
+            rows = np.flatnonzero(is_open.ravel() & (distance[:, rank] <= motion_cost.scale.max() * reach))
         to_goal = domain.difference(goals[index[rows]], flat[rows])
         length = np.linalg.norm(to_goal, axis=1)
         if rank == 0:
@@ -205,9 +205,9 @@ def grid_estimate(
         costs = _straight_costs(space, at_nodes, near, change) + _straight_costs(space, at_goals, goal, change)
         costs = costs / 2
         if cost_map is not None:  # by Simpson's rule
-            costs = (costs + 2 * motion_rates(motion, cost_map, flat[near] + change / 2, change)) / 3
+            costs = (costs + 2 * motion_rates(motion_cost, cost_map, flat[near] + change / 2, change)) / 3
         better = costs < straight.ravel()[near]
-        straight.ravel()[near[better]], known.ravel()[near[better]] = costs[better], goal[better]
+        straight.ravel()[near[better]], known_goal.ravel()[near[better]] = costs[better], goal[better]
 
     if len(goals) > _NEAR_GOALS:  # other goals may be nearer to all nodes
         open_ = flat[is_open.ravel()]
@@ -229,25 +229,25 @@ def grid_estimate(
             place = (boundary.vertices[boundary.contacts] - box.lo) / side - 0.5
             for corner in product((0, 1), repeat=2):
                 is_open[tuple(np.clip(np.floor(place).astype(np.int64) + corner, 0, np.array(shape) - 1).T)] = True
-        slowness = motion.blocks[0][1] * factor
-        at_goal = motion.blocks[0][1] * at_nearest
-        start, level = balls(is_open, slowness, at_goal, straight, known, sees_nearest, lengths, radius, side)
+        slowness = motion_cost.blocks[0][1] * factor
+        at_goal = motion_cost.blocks[0][1] * at_nearest
+        start, level = balls(is_open, slowness, at_goal, straight, known_goal, sees_nearest, lengths, radius, side)
         cost = marched(is_open, slowness, start, level, side, domain.periodic)
         if cost_map is None:
             cost = np.minimum(cost, straight)
-        known = np.where(cost == straight, known, -1)
+        known_goal = np.where(cost == straight, known_goal, -1)
         if not (domain.is_periodic or has_thin_walls) and has_coarse_grid(is_open, is_clear, factor):
             is_beyond = is_open & (~sees_nearest | (lengths >= 2 * radius))
             cost = extrapolated(cost, is_open, slowness, float(cost[is_beyond].min(initial=np.inf)), side)
         if groups is not None:
-            cost, rest = groups.completed(cost, slowness)
+            cost, closed_cost = groups.completed(cost, slowness)
     else:
-        cost, known = _shortest_grid_paths(space, cells, is_open, node, (factor, pulls), straight, known, side)
+        cost, known_goal = _stencil_paths(space, cells, is_open, node, (factor, pulls), straight, known_goal, side)
     divisor = _divisors(space, goals, at_goals, flat).reshape(shape)
     at_goal = at_nearest.copy() if _is_euclidean(space, goals, at_goals) else np.ones(shape)
     ratio = np.divide(cost, divisor, out=at_goal, where=divisor > 0)
     field, unseen = GridField(ratio.T, box), np.flatnonzero(~is_seen)
-    return GridEstimate(space, goals, at_goals, field, cost, known, unseen, is_open, rest)
+    return GridEstimate(space, goals, at_goals, field, cost, known_goal, unseen, is_open, closed_cost)
 
 
 def _grid(
@@ -358,7 +358,7 @@ def _close_beside_walls(
     is_open &= ~closed
 
 
-def _shortest_grid_paths(
+def _stencil_paths(
     space: ConfigurationSpace,
     cells: CellStates,
     is_open: IsOpen,
@@ -369,16 +369,16 @@ def _shortest_grid_paths(
     side: Sides,
 ) -> tuple[Costs, GoalIndex]:
     # Edges are a few steps long, and change the coordinates of one group of axes.
-    domain, motion, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
+    domain, motion_cost, shape, num = space.domain, space.motion_cost, is_open.shape, is_open.size
     factor, pulls = costs
     # Edges from nodes whose whole stencil is free need no test.
     mode = ["wrap" if wraps else "nearest" for wraps in domain.periodic]
-    far = [max(_REACH[len(axes)] for axes, _ in motion.blocks)] * len(shape)
+    far = [max(_REACH[len(axes)] for axes, _ in motion_cost.blocks)] * len(shape)
     is_clear: Any = cells == CellState.FREE
     for axis, reach in enumerate(far):
         is_clear = ndimage.minimum_filter1d(is_clear, 2 * reach + 1, axis, mode=mode[axis])
-    number, begin, end, cost = np.arange(num).reshape(shape), [], [], []
-    for axes, _ in motion.blocks:
+    node_index, begin, end, cost = np.arange(num).reshape(shape), [], [], []
+    for axes, _ in motion_cost.blocks:
         reach = _REACH[len(axes)]
         for offset in product(range(-reach, reach + 1), repeat=len(axes)):
             if offset <= (0,) * len(axes) or gcd(*offset) > 1:
@@ -389,19 +389,19 @@ def _shortest_grid_paths(
             b = a + step
             inside = (((b >= 0) & (b < shape)) | np.array(domain.periodic)).all(axis=1)
             a, b = a[inside], b[inside] % shape
-            both = is_open[tuple(b.T)]
-            a, b = tuple(a[both].T), tuple(b[both].T)
+            is_edge = is_open[tuple(b.T)]
+            a, b = tuple(a[is_edge].T), tuple(b[is_edge].T)
             change = np.broadcast_to(step * side, (len(a[0]), len(shape)))
             tested = np.flatnonzero(~is_clear[a])
             is_free = np.ones(len(a[0]), bool)
             q = node[a][tested]
             is_free[tested] = space.are_free(q, q + change[tested])
-            a, b, change = (tuple(each[is_free] for each in a), tuple(each[is_free] for each in b), change[is_free])
-            for tail, head, way in ((a, b, change), (b, a, -change)):
+            a, b, change = (tuple(rows[is_free] for rows in a), tuple(rows[is_free] for rows in b), change[is_free])
+            for tail, head, vector in ((a, b, change), (b, a, -change)):
                 mean = None if pulls is None else (pulls[(slice(None), *tail)] + pulls[(slice(None), *head)]) / 2
-                begin.append(number[tail])
-                end.append(number[head])
-                cost.append((factor[tail] + factor[head]) / 2 * motion.norm(way) + pulled(mean, way))
+                begin.append(node_index[tail])
+                end.append(node_index[head])
+                cost.append((factor[tail] + factor[head]) / 2 * motion_cost.norm(vector) + pulled(mean, vector))
     near = np.flatnonzero(np.isfinite(straight).ravel())
     last = num + goal.ravel()[near]
     goals = np.unique(np.append(last, num))
@@ -409,6 +409,6 @@ def _shortest_grid_paths(
     begin, end = np.concatenate([*begin, near]), np.concatenate([*end, last])
     weight = np.maximum(np.concatenate([*cost, straight.ravel()[near]]), np.finfo(float).tiny)
     graph = csr_array((weight, (end, begin)), shape=(size, size))
-    found: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
-    to_goals, _, source = (each[:num].reshape(shape) for each in found)
+    result: Any = dijkstra(graph, indices=goals, min_only=True, return_predecessors=True)
+    to_goals, _, source = (rows[:num].reshape(shape) for rows in result)
     return to_goals, np.where(np.isfinite(to_goals), source - num, -1)

@@ -19,14 +19,14 @@ _CHECK_BITS = 8  # of a goal's code, beside the bits of its index
 
 
 def nearest_goals(
-    goals: Goals, domain: Box, motion: MotionCost, x: Points, count: int = 1
+    goals: Goals, domain: Box, motion_cost: MotionCost, x: Points, count: int = 1
 ) -> tuple[Float[np.ndarray, "n count"], Int[np.ndarray, "n count"]]:
     """Return distances from each point to its ``count`` nearest goals, nearest first, and these goals' indices.
 
     Distances are Euclidean, with each axis scaled by its cost per unit of length; so they are lower bounds of the
     motion cost. If there are fewer goals, the other distances are ``inf``, and the other indices the number of goals.
     """
-    scale = motion.scale
+    scale = motion_cost.scale
     if len(goals) == 1:
         distance, index = np.full((len(x), count), np.inf), np.ones((len(x), count), np.int64)
         distance[:, 0], index[:, 0] = np.linalg.norm(scale * domain.difference(goals[0], x), axis=1), 0
@@ -44,22 +44,22 @@ def nearest_goals(
 
 def carried_goals(
     cost: Float[np.ndarray, "*shape"],
-    known: GoalIndex,
+    known_goal: GoalIndex,
     side: Float[np.ndarray, " dim"],
     periodic: tuple[bool, ...],
     num_goals: int,
 ) -> GoalIndex:
     """Return the index of the goal to which each grid node's cheapest path leads; -1 without a path.
 
-    ``cost`` is the cost-to-go of each node, ``known`` the goal's index where it is known and else -1, and ``side``
-    the grid step along each axis.
+    ``cost`` is the cost-to-go of each node, ``known_goal`` the goal's index where it is known and else -1, and
+    ``side`` the grid step along each axis.
     """
     # 1. A path divides among the cheapest neighbors along the axes: by the fall of the cost over the squared step.
     open_ = np.flatnonzero(np.isfinite(cost))
     order = open_[np.argsort(cost.ravel()[open_], kind="stable")]
     place = np.full(cost.size, -1)
     place[order] = np.arange(len(order))
-    cheapest, share = [], []
+    cheapest, weights = [], []
     for axis, wraps in enumerate(periodic):
         sides = []
         for step in (1, -1):
@@ -71,29 +71,29 @@ def carried_goals(
         least = np.minimum(before, after)[order]
         fall = np.where(least < cost.ravel()[order], cost.ravel()[order] - least, 0.0)
         cheapest.append(np.where(before <= after, of_before, of_after)[order])
-        share.append(np.where(known.ravel()[order] < 0, fall / side[axis] ** 2, 0.0))
-    shares, neighbor = np.stack(share), np.stack(cheapest)
-    total = shares.sum(axis=0)
-    shares = np.divide(shares, total, out=np.zeros_like(shares), where=total > 0)
+        weights.append(np.where(known_goal.ravel()[order] < 0, fall / side[axis] ** 2, 0.0))
+    weights, neighbor = np.stack(weights), np.stack(cheapest)
+    total = weights.sum(axis=0)
+    weights = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0)
     # 2. Average the bits of goals, as 1 and -1. The signs are the bits of a goal that gets over half of the path, if
     #    one does: check bits tell.
     index, bits = np.arange(num_goals), max((num_goals - 1).bit_length(), 1)
     code = index + ((hash64(index) & np.uint64((1 << _CHECK_BITS) - 1)).astype(np.int64) << bits)
     digit = np.arange(bits + _CHECK_BITS if num_goals > 2 else 1)
-    has = known.ravel()[order]
+    has = known_goal.ravel()[order]
     load = np.where(has[:, None] < 0, 0.0, 2.0 * ((code[has][:, None] >> digit) & 1) - 1)
-    axis, row = np.nonzero(shares)
+    axis, row = np.nonzero(weights)
     # Before 1.17.1, SciPy's triangular solver takes 32-bit indices only.
-    steps = csr_array((-shares[axis, row], np.array([row, neighbor[axis, row]], np.int32)), (len(order),) * 2)
+    steps = csr_array((-weights[axis, row], np.array([row, neighbor[axis, row]], np.int32)), (len(order),) * 2)
     averaged = spsolve_triangular(csr_array(eye_array(len(order)) + steps), load, unit_diagonal=True)
     read = ((averaged > 0) << digit).sum(axis=1)
-    found = read & ((1 << bits) - 1)
-    is_code = (found < num_goals) & (code[np.minimum(found, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
+    decoded = read & ((1 << bits) - 1)
+    is_code = (decoded < num_goals) & (code[np.minimum(decoded, num_goals - 1)] & ((1 << len(digit)) - 1) == read)
     # 3. Elsewhere follow the largest shares.
-    best = neighbor[shares.argmax(axis=0), np.arange(len(order))]
+    best = neighbor[weights.argmax(axis=0), np.arange(len(order))]
     ahead = np.where(is_code | (total == 0), np.arange(len(order)), best)
     while (ahead != ahead[ahead]).any():
         ahead = ahead[ahead]
     goal = np.full(cost.size, -1)
-    goal[order] = np.where(is_code, found, -1)[ahead]
+    goal[order] = np.where(is_code, decoded, -1)[ahead]
     return goal.reshape(cost.shape)

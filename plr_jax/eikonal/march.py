@@ -35,6 +35,9 @@ def balls(
     side: Sides,  # grid step along each axis
 ) -> tuple[Costs, float]:
     """Return costs-to-go of grid nodes near goals, ``inf`` elsewhere, and the cost at which marching starts."""
+    # Around a goal, straight motions are cheapest up to the least cost (`largest`) of a node that does not see its
+    # nearest goal, that lies outside the ball, or whose cost per length is another than the goal's. All nodes below
+    # that cost, and the cheapest node of each goal, get the cost of their straight motion.
     differs = (slowness > _NEARLY * at_goal) | (_NEARLY * slowness < at_goal)
     stops = is_open & (~sees_nearest | differs | (lengths >= radius))
     largest = np.minimum(straight, at_goal * lengths)[stops].min(initial=np.inf)
@@ -43,6 +46,7 @@ def balls(
     np.minimum.at(cheapest, goal[near], straight[near])
     is_cheapest = near & (straight == cheapest[goal]) if near.any() else near
     start = np.where(is_cheapest | ((straight < largest) & ~differs), straight, np.inf)
+    # March from one step below the largest of these costs, so that nodes on both sides of the first front have them.
     inside = np.isfinite(start)
     step = float(slowness[inside].max(initial=0.0) * side.max())
     level = min(largest, float(start[inside].max(initial=0.0))) - step
@@ -53,8 +57,9 @@ def marched(
     is_open: IsOpen, slowness: Costs, start: Costs, level: float, side: Sides, periodic: tuple[bool, ...]
 ) -> Costs:
     """Return costs of grid nodes by fast marching from the nodes whose costs ``start`` are at most ``level``."""
+    # The first front lies between core nodes and open nodes beside them, which get the cheapest known cost.
     is_core = start <= level
-    known, inverse_square = start.copy(), np.zeros(is_open.shape)
+    reached, inverse_square = start.copy(), np.zeros(is_open.shape)
     for axis, wraps in enumerate(periodic):
         is_cut = np.zeros(is_open.shape, bool)
         for step in (1, -1):
@@ -62,41 +67,45 @@ def marched(
             if not wraps:
                 cut[(slice(None),) * axis + (0 if step == 1 else -1,)] = False
             is_cut |= cut
-            way = side[axis] * (slowness + np.roll(slowness, step, axis)) / 2
+            step_cost = side[axis] * (slowness + np.roll(slowness, step, axis)) / 2
             unknown = cut & np.isinf(start)
-            known[unknown] = np.minimum(known, np.roll(start, step, axis) + way)[unknown]
+            reached[unknown] = np.minimum(reached, np.roll(start, step, axis) + step_cost)[unknown]
         inverse_square += np.where(is_cut, 4 / side[axis] ** 2, 0.0)
     front = inverse_square > 0
     if not front.any():
         return np.where(is_core, start, np.inf)
-    time = np.where(is_core[front], level - known[front], known[front] - level)
-    # scikit-fmm starts at a surface between nodes, and errs beside it: nodes there get the slowness that corrects it.
+    time = np.where(is_core[front], level - reached[front], reached[front] - level)
+    # scikit-fmm puts the first front halfway between nodes. A node with neighbors beyond it along some axes counts as
+    # 1 / sqrt(sum over these axes of (2 / side)**2) away from it, and its time is this distance times its slowness.
+    # So these nodes get the slowness at which the time is the difference of their known cost and the level.
     slowness = slowness.copy()
     slowness[front] = np.maximum(time, _NO_TIME * slowness[front] * side.min()) * np.sqrt(inverse_square[front])
-    found = skfmm.travel_time(
+    travel_time = skfmm.travel_time(
         np.ma.MaskedArray(np.where(is_core, -1.0, 1.0), ~is_open),
         1 / slowness,
         dx=side.tolist(),
         order=2,
         periodic=cast(Any, list(periodic)),
     )
-    return np.where(is_core, start, np.ma.filled(found, np.inf) + level)
+    return np.where(is_core, start, np.ma.filled(travel_time, np.inf) + level)
 
 
 def has_coarse_grid(is_open: IsOpen, is_clear: IsOpen, factor: Costs) -> bool:
-    """Return whether a grid of every second node has the same walls, and no jumps of the nodes' costs ``factor``.
+    """Return whether the coarse grid of every second node shows the same walls, and no jumps of the costs ``factor``.
 
-    ``is_clear`` marks the open nodes that lie on no wall.
+    It must have an odd number of nodes along each axis. Consider two nodes of the coarse grid that are neighbors
+    along an axis. If both are open, the node between them must be open too, and their costs must not jump. If one
+    is closed, the other must be closed or lie on a wall: ``is_clear`` marks the open nodes that lie on no wall.
     """
     if any(n % 2 == 0 for n in is_open.shape):
         return False
     for axis in range(is_open.ndim):
         (here, between, there), (clear_here, _, clear_there), (cost_here, _, cost_there) = (
             (nodes[:-2:2], nodes[1::2], nodes[2::2])
-            for nodes in (np.moveaxis(each, axis, 0) for each in (is_open, is_clear, factor))
+            for nodes in (np.moveaxis(table, axis, 0) for table in (is_open, is_clear, factor))
         )
         jumps = np.maximum(cost_here, cost_there) > _NO_JUMP * np.minimum(cost_here, cost_there)
-        hides_wall = (clear_here & ~there) | (clear_there & ~here)  # which should lie on the other node
+        hides_wall = (clear_here & ~there) | (clear_there & ~here)  # a wall between the nodes, not on the open one
         if (hides_wall | (here & there & (jumps | ~between))).any():
             return False
     return True
@@ -107,7 +116,7 @@ def extrapolated(cost: Costs, is_open: IsOpen, slowness: Costs, level: float, si
     coarse = (slice(None, None, 2),) * is_open.ndim
     cost_there = cost[coarse]
     twice = marched(is_open[coarse], slowness[coarse], cost_there, level, 2 * side, (False,) * len(side))
-    known = np.isfinite(twice) & np.isfinite(cost_there)
-    change = np.subtract(cost_there, twice, out=np.zeros(twice.shape), where=known)
+    is_known = np.isfinite(twice) & np.isfinite(cost_there)
+    change = np.subtract(cost_there, twice, out=np.zeros(twice.shape), where=is_known)
     change[np.abs(change) > _LARGEST_CHANGE * cost_there] = 0.0
     return cost + ndimage.map_coordinates(change, np.indices(cost.shape) / 2, order=1)

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.voxels import spread
-from plr_jax.plr.faces import SharedFaces, shared_faces, touching_leaves
+from plr_jax.plr.leaf_faces import SharedFaces, shared_faces, touching_leaves
 from plr_jax.plr.tree import Cells, Tree, corner_bits, tree_of
 from plr_jax.spaces import CellState, ConfigurationSpace, as_states
 
@@ -74,6 +74,7 @@ class Mesh:
 
     @cached_property
     def _corners(self) -> tuple[Float[np.ndarray, "nodes dim"], Int[np.ndarray, "cells corners"]]:
+        """Nodes, as fractions of the domain, and for each cell the indices of its corners among them."""
         slots = 1 << self._finest
         size = (self._finest - self.cells.depth)[:, None]
         place = (self.cells.position[:, None] + corner_bits(self.dim)) << size
@@ -161,44 +162,45 @@ class Mesh:
         mesh.state = state
         return mesh
 
-    def refined(self, which: Int[np.ndarray, " some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
-        """Return the mesh with cells ``which`` halved, in this order, as long as at most ``room`` cells are added."""
-        parts, known, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
-        while num < len(which) and room >= most:
-            batch = which[num : num + room // most]
+    def refined(self, chosen: Int[np.ndarray, " some"], space: ConfigurationSpace, room: int = 1 << 60) -> "Mesh":
+        """Return the mesh with the ``chosen`` cells halved, in this order, while at most ``room`` cells are added."""
+        parts, states, num, most = [], [], 0, 2**self.dim - 1  # most cells that refining a cell adds
+        while num < len(chosen) and room >= most:
+            batch = chosen[num : num + room // most]
             children, *of_children = self._parts(batch, space)
             parts.append(children)
-            known.append(of_children)
+            states.append(of_children)
             num += len(batch)
             room -= len(children) - len(batch)
-        stays = np.ones(len(self.state), bool)
-        stays[which[:num]] = False
-        known.insert(0, (self.state[stays], self.is_flush[stays]))
-        state, is_flush = (np.concatenate(each) for each in zip(*known, strict=True))
-        return _mesh(self.domain, self.cells[stays].append(*parts), state, is_flush)
+        is_kept = np.ones(len(self.state), bool)
+        is_kept[chosen[:num]] = False
+        states.insert(0, (self.state[is_kept], self.is_flush[is_kept]))
+        state, is_flush = (np.concatenate(column) for column in zip(*states, strict=True))
+        return _mesh(self.domain, self.cells[is_kept].append(*parts), state, is_flush)
 
-    def _parts(self, which: Int[np.ndarray, " some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
-        cells, bits, mixed = self.cells[which], corner_bits(self.dim), self.state[which] != CellState.FREE
+    def _parts(self, chosen: Int[np.ndarray, " some"], space: ConfigurationSpace) -> tuple[Cells, States, Mask]:
+        """Halve cells, and return their parts, the states of the parts, and whether they are flush."""
+        cells, bits, mixed = self.cells[chosen], corner_bits(self.dim), self.state[chosen] != CellState.FREE
         # 1. Classify the parts of cells that are not free, halved along all axes.
-        state = np.repeat(self.state[which, None], len(bits), axis=1)
+        state = np.repeat(self.state[chosen, None], len(bits), axis=1)
         is_flush = np.zeros(state.shape, bool)
         halved = cells[mixed]
         for axis in range(self.dim):
             halved = halved.split(np.full(len(halved), axis))
-        for known, of_parts in zip((state, is_flush), _classify(halved, self.domain, space), strict=True):
-            known[mixed] = of_parts.reshape(-1, len(bits))
+        for table, of_parts in zip((state, is_flush), _classify(halved, self.domain, space), strict=True):
+            table[mixed] = of_parts.reshape(-1, len(bits))
         # 2. Choose one axis that gives a proven half, so that walls along halves take few cells, else all long axes.
-        width = self.widths[which] * space.motion_cost.scale
+        width = self.widths[chosen] * space.motion_cost.scale
         width = width / width.max(axis=1, keepdims=True)
         halves = np.stack([state[:, bits[:, axis] == end] for axis in range(self.dim) for end in (0, 1)], axis=1)
         is_proven = (halves == halves[:, :, :1]).all(axis=2) & (halves[:, :, 0] != CellState.MIXED)
-        proven = is_proven.reshape(len(which), self.dim, 2).sum(axis=2)
+        proven = is_proven.reshape(len(chosen), self.dim, 2).sum(axis=2)
         best = np.argmax(proven + width / 2, axis=1)
         alone = mixed & proven.any(axis=1)
         is_halved = np.where(alone[:, None], np.arange(self.dim) == best[:, None], width > _LONG)
         # 3. Join parts along the other axes.
-        one = np.arange(len(bits)) & (is_halved @ (1 << np.arange(self.dim)[::-1]))[:, None]
-        key, of_part = np.unique(np.arange(len(which))[:, None] * len(bits) + one, return_inverse=True)
+        code = np.arange(len(bits)) & (is_halved @ (1 << np.arange(self.dim)[::-1]))[:, None]
+        key, of_part = np.unique(np.arange(len(chosen))[:, None] * len(bits) + code, return_inverse=True)
         least, most = np.full(len(key), max(CellState), np.int8), np.full(len(key), min(CellState), np.int8)
         np.minimum.at(least, of_part.ravel(), state.ravel())
         np.maximum.at(most, of_part.ravel(), state.ravel())
@@ -259,15 +261,15 @@ def with_open_contacts(mesh: Mesh, space: ConfigurationSpace) -> Mesh:
     open cells around it, and a path may pass through it if the space lets robots squeeze between obstacles.
     """
     dim, periodic = mesh.dim, mesh.domain.periodic
-    signs, shares = (np.array(list(product(ends, repeat=dim))) for ends in ((-1, 1), (0.0, 0.5, 1.0)))
+    signs, grid = (np.array(list(product(ends, repeat=dim))) for ends in ((-1, 1), (0.0, 0.5, 1.0)))
     inset = np.ldexp(0.25, -mesh.cells.depth.max(axis=0))  # a quarter of the smallest cell's width along each axis
     while dim > 1:
         # 1. Find edges and corners that flush and open cells share, as middles and half widths in fractions.
         flush, beside = mesh.flush_pairs
         lo, hi = (mesh.fractions(flush, np.full(dim, end)) for end in (0.0, 1.0))
         low, high, _ = mesh.shared_boxes(flush, beside)
-        x = low[:, None] + (high - low)[:, None] * shares
-        half = np.where(shares == 0.5, (high - low)[:, None] / 2, 0.0)
+        x = low[:, None] + (high - low)[:, None] * grid
+        half = np.where(grid == 0.5, (high - low)[:, None] / 2, 0.0)
         is_edge = ((x == lo[:, None]) | (x == hi[:, None])).sum(axis=2) > 1
         edges = np.unique(np.append(np.where(periodic, x % 1.0, x), half, axis=2)[is_edge], axis=0)
         middle, half = edges[:, :dim], edges[:, dim:]

@@ -66,21 +66,21 @@ def shortest_paths(mesh: Mesh, costs: CellCosts, goals: Points, space: Configura
     graph = _FreeGraph(mesh, costs, goals, space)
     next_, leg = graph.cheapest_edges()
     cost, node = _path_costs(next_, leg), np.arange(len(next_))
-    tested, found = np.full((2, len(next_)), -1), np.full((2, len(next_)), np.inf)  # last targets, and their costs
+    tested, bound = np.full((2, len(next_)), -1), np.full((2, len(next_)), np.inf)  # last targets, and their costs
     for _ in range(_ROUNDS):
         before = cost
         for kind in range(2):
             ahead = next_[next_] if kind == 0 else graph.next_of_neighbors(cost, next_)
             gains = graph.lower_bounds(node, ahead) + cost[ahead] < (1 - _GAIN) * cost
-            straight = np.where(gains & (ahead == tested), found, np.inf).min(axis=0)
+            straight = np.where(gains & (ahead == tested), bound, np.inf).min(axis=0)
             some = np.flatnonzero(gains & (ahead != tested).all(axis=0))
-            straight[some] = found[kind, some] = graph.upper_bounds(some, ahead[some])
+            straight[some] = bound[kind, some] = graph.upper_bounds(some, ahead[some])
             tested[kind, some] = ahead[some]
             better = straight + cost[ahead] < (1 - _GAIN) * cost
             next_, leg = np.where(better, ahead, next_), np.where(better, straight, leg)
             cost = _path_costs(next_, leg)
-        known = np.isfinite(cost)
-        if np.sum(before[known] - cost[known]) <= _ENOUGH * np.sum(cost[known]):
+        is_reached = np.isfinite(cost)
+        if np.sum(before[is_reached] - cost[is_reached]) <= _ENOUGH * np.sum(cost[is_reached]):
             break
     return NodePaths(graph.points, (1 + _ROUNDING) * cost, next_)
 
@@ -105,16 +105,16 @@ class _FreeGraph:
             # Nodes near the goal from which the straight motion is free, and upper bounds of its cost.
             change = self._changes(np.arange(num), np.full(num, goal))
             most = max(_NEAR_GOAL // len(goals), _LEAST_NEAR_GOAL)
-            near = np.argsort(costs.motion.norm(change), kind="stable")[:most]
+            near = np.argsort(costs.motion_cost.norm(change), kind="stable")[:most]
             q, change = mesh.domain.at(self.points[near]), change[near]
             free = np.flatnonzero(space.are_free(q, q + change))
-            q, change, straight = q[free], change[free], costs.motion.norm(change[free])
+            q, change, straight = q[free], change[free], costs.motion_cost.norm(change[free])
             if costs.cost_map is not None:
                 box = np.minimum(q, q + change), np.maximum(q, q + change)
-                _, upper, pulls = cost_bounds(costs.motion, costs.cost_map, *box)
+                _, upper, pulls = cost_bounds(costs.motion_cost, costs.cost_map, *box)
                 straight = straight * upper + pulled(pulls, change)
             edges.append((near[free].astype(np.int32), np.full(len(free), goal, np.int32), straight))
-        begin, end, cost = (np.concatenate(each) for each in zip(*edges, strict=True))
+        begin, end, cost = (np.concatenate(column) for column in zip(*edges, strict=True))
         order = np.argsort(begin, kind="stable")
         self.begin, self.end, self.cost = begin[order], end[order], cost[order]
         self.first = np.flatnonzero(np.diff(self.begin, prepend=-1))  # the first edge of each node
@@ -123,7 +123,8 @@ class _FreeGraph:
         change = self.points[end] - self.points[begin]
         return (change - np.where(self.mesh.domain.periodic, np.rint(change), 0.0)) * self.mesh.domain.width
 
-    def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:  # homes: the cells of the goals
+    def _edges(self, homes: Nodes) -> Iterator[tuple[Edges, Edges, EdgeCosts]]:
+        """Yield the edges within free cells, as both ends and cost; ``homes`` are the cells of goals."""
         mesh = self.mesh
         is_free = mesh.state == CellState.FREE
         nodes, cells = [self.goals[is_free[homes]]], [homes[is_free[homes]]]
@@ -134,27 +135,27 @@ class _FreeGraph:
                     (mesh.cells.depth[cell] > mesh.cells.depth[other]).any(axis=1) & is_free[cell] & is_free[other]
                 )
                 on_face = mesh.corners[cell[hangs]][:, bits == end]
-                of = np.repeat(other[hangs], on_face.shape[1])
-                t = mesh.within(of, self.points[on_face.ravel()])
+                owner = np.repeat(other[hangs], on_face.shape[1])
+                t = mesh.within(owner, self.points[on_face.ravel()])
                 touches = ((t >= 0) & (t <= 1)).all(axis=1)  # where long cells cross, some corners lie beyond
                 nodes.append(on_face.ravel()[touches])
-                cells.append(of[touches])
+                cells.append(owner[touches])
         hanging = np.unique(np.concatenate(cells) * len(self.points) + np.concatenate(nodes))
         cell, node = np.divmod(hanging, len(self.points))
         num, free = mesh.corners.shape[1], np.flatnonzero(is_free)
         in_cells = np.append(mesh.corners, node)  # corners of all cells, then hanging nodes by cell
         first = mesh.corners.size + np.searchsorted(cell, np.arange(len(mesh.state) + 1))
         # Corners have edges to all nodes of a cell, hanging nodes to its corners.
-        begin, of = np.append(mesh.corners[free], node), np.append(np.repeat(free, num), cell)
+        begin, owner = np.append(mesh.corners[free], node), np.append(np.repeat(free, num), cell)
         count = num + np.append(np.repeat(np.diff(first)[free], num), np.zeros_like(cell))
         order = np.argsort(begin, kind="stable")
-        begin, of, count = begin[order], of[order], count[order]
+        begin, owner, count = begin[order], owner[order], count[order]
         for some in parts(np.bincount(begin, count, len(self.points)).astype(np.int64), _EDGES_AT_ONCE):
             rows = slice(*np.searchsorted(begin, [some.start, some.stop]))
             row, place = ragged_indices(count[rows])
-            a, c = begin[rows][row], of[rows][row]
+            a, c = begin[rows][row], owner[rows][row]
             b = in_cells[np.where(place < num, c * num + place, first[c] + place - num)]
-            a, b, c = (each[a != b] for each in (a, b, c))
+            a, b, c = (column[a != b] for column in (a, b, c))
             change = self._changes(a, b)
             middle = mesh.within(c, self.points[a]) + np.ldexp(change / mesh.domain.width, mesh.cells.depth[c]) / 2
             cost = self.costs.of_motions(change, c, middle)
@@ -187,30 +188,30 @@ class _FreeGraph:
         return best
 
     def lower_bounds(self, begin: Edges, end: Edges) -> EdgeCosts:
-        return self.costs.motion.norm(self._changes(begin, end)) * self.costs.least_rate
+        return self.costs.motion_cost.norm(self._changes(begin, end)) * self.costs.least_rate
 
     def upper_bounds(self, begin: Edges, end: Edges) -> EdgeCosts:
         """Return upper bounds of the costs of straight motions; ``inf`` for a motion that leaves the free cells."""
         x = self.points[begin]
         change = self._changes(begin, end)
         mesh, total, t = self.mesh, np.zeros(len(x)), np.zeros(len(x))
-        length, rate = self.costs.motion.norm(change), change / mesh.domain.width
+        length, rate = self.costs.motion_cost.norm(change), change / mesh.domain.width
         rate[np.abs(rate) < _AHEAD] = 0.0  # else steps along a face would be rounding errors
         ahead = _AHEAD / np.maximum(np.abs(rate).max(axis=1, initial=0.0), _AHEAD)
-        going = np.flatnonzero(length > 0)
-        while len(going):
-            here = x[going] + np.minimum(t[going] + ahead[going], 1.0)[:, None] * rate[going]
-            here = np.where(mesh.domain.periodic, here % 1.0, here)
-            cell = mesh.locate(here)
+        moving = np.flatnonzero(length > 0)
+        while len(moving):
+            position = x[moving] + np.minimum(t[moving] + ahead[moving], 1.0)[:, None] * rate[moving]
+            position = np.where(mesh.domain.periodic, position % 1.0, position)
+            cell = mesh.locate(position)
             is_free = mesh.state[cell] == CellState.FREE
-            total[going[~is_free]] = np.inf
-            going, here, cell = going[is_free], here[is_free], cell[is_free]
-            within, speed = mesh.local(cell, here), np.ldexp(rate[going], mesh.cells.depth[cell])
+            total[moving[~is_free]] = np.inf
+            moving, position, cell = moving[is_free], position[is_free], cell[is_free]
+            within, speed = mesh.local(cell, position), np.ldexp(rate[moving], mesh.cells.depth[cell])
             with np.errstate(divide="ignore", invalid="ignore"):
                 to_face = np.where(speed > 0, (1 - within) / speed, np.where(speed < 0, -within / speed, np.inf))
-            step = np.minimum(t[going] + ahead[going] + np.maximum(to_face.min(axis=1), 0.0), 1.0) - t[going]
-            middle = within + speed * (step / 2 - ahead[going])[:, None]
-            total[going] += self.costs.of_motions(step[:, None] * change[going], cell, middle)
-            t[going] += step
-            going = going[t[going] < 1.0]
+            step = np.minimum(t[moving] + ahead[moving] + np.maximum(to_face.min(axis=1), 0.0), 1.0) - t[moving]
+            middle = within + speed * (step / 2 - ahead[moving])[:, None]
+            total[moving] += self.costs.of_motions(step[:, None] * change[moving], cell, middle)
+            t[moving] += step
+            moving = moving[t[moving] < 1.0]
         return total

@@ -35,7 +35,7 @@ _TINY = float(np.finfo(float).tiny)
 # Number of parts of a cell along each axis in which the factor of costs is bounded, by the number of axes.
 _PARTS = {1: 16, 2: 8, 3: 3, 4: 2}
 # A linear bound of the factor may fall in a cell to this share of the constant bound, but no lower.
-_LEAST_SHARE = 0.5
+_LEAST_LINEAR_BOUND = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +43,11 @@ class CellCosts:
     """Bounds of the cost of motions in each cell of a mesh; upper bounds hold at all points that round into the cell.
 
     A motion by the vector ``dq`` costs from ``lower |dq| + p`` to ``upper |dq| + p``. Here ``|dq|`` is the norm
-    ``motion``, and ``p`` the larger scalar product of ``dq`` with one of two vectors, the ``pulls``. Without pulls,
-    ``p`` is 0, and two linear functions of the position in the cell bound the factor of ``|dq|`` more tightly.
+    of ``motion_cost``, and ``p`` the larger scalar product of ``dq`` with one of two vectors, the ``pulls``. Without
+    pulls, ``p`` is 0, and two linear functions of the position in the cell bound the factor of ``|dq|`` more tightly.
     """
 
-    motion: MotionCost
+    motion_cost: MotionCost
     cost_map: CostMap | None
     lower: Float[np.ndarray, " cells"]
     upper: Float[np.ndarray, " cells"]
@@ -73,45 +73,56 @@ class CellCosts:
         return float(np.maximum(self.lower - np.linalg.norm(self.pulls, axis=2).min(axis=0), 0.0).min())
 
     def of_motions(self, change: Motions, cell: CellIndex, middle: Motions | None = None) -> Numbers:
-        # Upper bounds. The middles of motions, in local coordinates of the cells, tighten them.
+        """Return upper bounds of the costs of motions by vectors ``change``, each in one cell.
+
+        The middles of motions, in local coordinates of the cells (0 to 1), tighten the bounds: the linear bound of
+        the factor has its mean along a motion at the motion's middle.
+        """
         factor = self.upper[cell]
         if middle is not None:
             factor = np.minimum(self.most[cell] + np.sum(self.slope[cell] * (middle - 0.5), axis=1), factor)
         pulls = None if self.pulls is None else self.pulls[:, cell]
-        return self.motion.norm(change) * factor + pulled(pulls, change)
+        return self.motion_cost.norm(change) * factor + pulled(pulls, change)
 
 
 def cell_costs(space: ConfigurationSpace, cost_map: CostMap | None, mesh: Mesh) -> CellCosts:
-    motion, num = space.motion_cost, len(mesh.state)
+    """Bound the cost of motions in each cell of a mesh, by constants and, without pulls, by linear functions."""
+    # Let x be a position relative to the cell's middle, from -1/2 to 1/2 along each axis, and x_j the middle of part
+    # j of the cell, in which lower_j and upper_j bound the factor. Along each axis,
+    #   slope = sum over j of x_j * (lower_j + upper_j) / 2 / sum over j of x_j**2,     the least-squares fit.
+    # With `within` the largest value of slope . (x - x_j) in a part,
+    #   least = min over j of lower_j - slope . x_j - within,     so least + slope . x is a lower bound in each part;
+    #   most  = max over j of upper_j - slope . x_j + within,     so most + slope . x is an upper bound.
+    motion_cost, num = space.motion_cost, len(mesh.state)
     flat, ones = np.zeros((num, mesh.dim)), np.ones(num)
     if cost_map is None:
-        return CellCosts(motion, None, ones, ones, flat, ones, ones)
+        return CellCosts(motion_cost, None, ones, ones, flat, ones, ones)
     if isinstance(cost_map, DirectionalCost):
-        lower, upper, pulls = cost_bounds(motion, cost_map, *mesh.grown_boxes)
-        return CellCosts(motion, cost_map, lower, upper, flat, lower, upper, pulls)
-    # A linear function bounds the factor in a cell if it does so in each part.
+        lower, upper, pulls = cost_bounds(motion_cost, cost_map, *mesh.grown_boxes)
+        return CellCosts(motion_cost, cost_map, lower, upper, flat, lower, upper, pulls)
     parts = _PARTS.get(mesh.dim, 1)
     place = np.array(list(product(range(parts), repeat=mesh.dim)))
 
     def bounds_of_parts(lo, hi):
         ends = (lo[:, None] + (hi - lo)[:, None] * (place + end) / parts for end in (0, 1))
-        bounds = cost_bounds(motion, cost_map, *(end.reshape(-1, mesh.dim) for end in ends))
+        bounds = cost_bounds(motion_cost, cost_map, *(end.reshape(-1, mesh.dim) for end in ends))
         return (bound.reshape(num, -1) for bound in bounds[:2])
 
     lo, hi = mesh.grown_boxes
     (lower, _), (_, upper) = bounds_of_parts(*mesh.boxes), bounds_of_parts(lo, hi)
     at = (place + 0.5) / parts - 0.5
     slope = (lower + upper) / 2 @ at / np.maximum(np.sum(at**2, axis=0), _TINY)
-    # Parts are of boxes that are a little larger than the cells.
+    # Half a part, and a bit more: the parts with upper bounds are of boxes that are a little larger than the cells.
     half = (hi - lo) / (2 * parts) + (hi - lo - mesh.widths)
     within, linear = np.sum(np.abs(slope) * half / mesh.widths, axis=1, keepdims=True), slope @ at.T
     least, most = np.min(lower - linear - within, axis=1), np.max(upper - linear + within, axis=1)
     lower, upper = lower.min(axis=1), upper.max(axis=1)
-    # Where the factor jumps, its least and its largest value are better bounds.
-    is_flat = (least - np.abs(slope).sum(axis=1) / 2 < _LEAST_SHARE * lower) | (least < lower) | (most > upper)
+    # Where the factor jumps, its least and its largest value are better bounds: use them if the linear bounds are
+    # worse in the middle of the cell, or the lower one is far lower somewhere.
+    is_flat = (least - np.abs(slope).sum(axis=1) / 2 < _LEAST_LINEAR_BOUND * lower) | (least < lower) | (most > upper)
     slope[is_flat] = 0.0
     least, most = np.where(is_flat, lower, least), np.where(is_flat, upper, most)
-    return CellCosts(motion, cost_map, lower, upper, slope, least, most)
+    return CellCosts(motion_cost, cost_map, lower, upper, slope, least, most)
 
 
 def rescaling_of(
@@ -123,6 +134,8 @@ def rescaling_of(
     ``factor[i]`` times the slope allowed there. So between these values ``g`` has slopes of at most ``1/factor[i]``,
     and of at most 1 everywhere; ``g(0)`` is 0.
     """
+    # Between neighbor levels, g has the slope 1 / max(1, factors of all cells whose values include this interval). By
+    # the chain rule, the slope of g(u) in a cell is the slope of g times the slope of u, so at most the allowed one.
     order = np.argsort(factor, kind="stable")
     order = order[factor[order] > 1]
     level = np.unique(np.concatenate([lowest[order], highest[order], [lowest.min(), 0.0, highest.max()]]))
@@ -144,13 +157,17 @@ class SlopeSets:
     """
 
     blocks: Sequence[Sequence[int]]
-    radius: PerControl
+    radius: PerControl  # the lower bound of the cost of motions of norm 1, at each coefficient's control point
     pulls: Float[np.ndarray, "2 dim controls"] | None = None
 
     def lengths(self, g: Vectors) -> list[PerControl]:
+        """Return the norm of each vector over each group of axes."""
         return [np.sqrt(np.sum(g[list(block)] ** 2, axis=0)) for block in self.blocks]
 
     def project(self, g: Vectors) -> Vectors:
+        """Return the nearest point to each vector in its set."""
+        # Shorten the part over each group of axes to the radius. With pulls, shorten the vector from the segment's
+        # nearest point instead.
         offset, radius = self._nearest_offset(g), self.radius
         g, nearest = g - offset, np.empty_like(g)
         for block, length in zip(self.blocks, self.lengths(g), strict=True):
@@ -158,6 +175,7 @@ class SlopeSets:
         return nearest + offset
 
     def _nearest_offset(self, g: Vectors) -> Vectors | float:
+        # The point nearest to g on the segment from -pulls[0] to -pulls[1]; 0 without pulls.
         if self.pulls is None:
             return 0.0
         first, along = -self.pulls[0], self.pulls[0] - self.pulls[1]
@@ -165,7 +183,14 @@ class SlopeSets:
         return first + np.clip(t, 0.0, 1.0) * along
 
     def factors(self, g: Vectors) -> PerControl:
-        """Return a factor for each vector: divided by it, the vector lies in its set; at most 1 if it lies there."""
+        """Return a factor ``(controls,)`` by which each vector may be divided so that it lies in its convex set.
+
+        A vector whose factor is at most 1 lies in its set already. With pulls, a larger factor may be more than
+        needed; otherwise it is the least.
+        """
+        # With pulls, let d be the distance of g to the segment, and r the radius of a ball around 0 within the set K.
+        # If d > radius, g is the sum of a point of K and a vector of length d - radius, which lies in the multiple
+        # (d - radius) / r of K. So g lies in the multiple 1 + (d - radius) / r.
         g = g - self._nearest_offset(g)
         length = np.max(self.lengths(g), axis=0)
         if self.pulls is None:
@@ -174,7 +199,8 @@ class SlopeSets:
         return 1 + (length - self.radius) / np.maximum(inner, _TINY)
 
     def costs(self, flow: Vectors) -> PerControl:
-        # Of motions by the vectors -flow.
+        """Return the least costs of motions by the vectors ``-flow``, the support functions of the sets."""
+        # The support function is the maximum of flow . g over g in the set: of a ball, radius * |flow|.
         norm = np.sum(self.lengths(flow), axis=0)
         if self.pulls is None:
             return self.radius * norm
@@ -208,13 +234,17 @@ class SlopeProgram:
     space: FunctionSpace
     gradient: csr_array  # maps dofs to control vectors, axis by axis, in the coordinates of `sets`
     costs: CellCosts
-    volume: PerControl  # share of the cell's volume
+    volume: PerControl  # the share of each control point in the volume of its cell
     weight: Dofs  # integrals of the basis functions
     goal: Dofs | csr_array  # maps dofs to the value at the goal; a matrix if there are several goals
     at: Float[np.ndarray, "goals dim"]  # the goals, fractions of the domain
 
     @classmethod
     def on(cls, mesh: Mesh, space: ConfigurationSpace, cost_map: CostMap | None, goals: Motions) -> "SlopeProgram":
+        """Set up the program on a mesh, whose cells count as blocked if no open faces join them to a goal's cell.
+
+        ``goals`` are fractions of the domain. Cells of goals are never blocked.
+        """
         homes, state = mesh.locate(goals), mesh.state.copy()
         state[homes[state[homes] == CellState.BLOCKED]] = CellState.MIXED  # goals are free to a tolerance
         mesh = with_open_contacts(mesh.with_state(state), space)
@@ -238,15 +268,17 @@ class SlopeProgram:
         return self.space.mesh.locate(self.at)
 
     def below_goals(self, u: Dofs) -> Dofs:
+        """Shift a function by a constant so that its largest value at a goal is 0."""
         return u - np.max(self.goal @ u)
 
     @cached_property
     def sets(self) -> SlopeSets:
         cell = np.repeat(self.space.mesh.open_cells, len(self.space.lattice))
         pulls = None if self.costs.pulls is None else np.moveaxis(self.costs.pulls[:, cell], 2, 1)
-        return SlopeSets([axes for axes, _ in self.costs.motion.blocks], self._linear(self.costs.least), pulls)
+        return SlopeSets([axes for axes, _ in self.costs.motion_cost.blocks], self._linear(self.costs.least), pulls)
 
     def _linear(self, middle: Float[np.ndarray, " cells"]) -> PerControl:
+        # Linear bounds of the factor at the control points of open cells, from their values in the cells' middles.
         cell = self.space.mesh.open_cells
         return (middle[cell, None] + self.costs.slope[cell] @ (self.space.lattice - 0.5).T).ravel()
 
@@ -255,10 +287,12 @@ class SlopeProgram:
         return (self.gradient @ u).reshape(self.dim, -1)
 
     def mean_gradients(self, u: Dofs) -> Float[np.ndarray, "open dim"]:
+        # The mean of a polynomial over a cell is the mean of its Bernstein coefficients.
         return self.gradients(u).reshape(self.dim, -1, len(self.space.lattice)).mean(axis=2).T
 
     def rescaling(self, u: Dofs) -> tuple[Float[np.ndarray, " levels"], Float[np.ndarray, " levels"]]:
-        # See `rescaling_of`: it makes `u` a lower bound, rounding included.
+        # See `rescaling_of`: it makes `u` a lower bound, rounding included. Bernstein coefficients enclose the values
+        # of `u` in a cell, and the largest factor of its gradient's coefficients holds for the gradient.
         space, mesh = self.space, self.space.mesh
         nodal = (space.values @ u).reshape(len(mesh.state), -1)[mesh.open_cells]
         control = nodal @ to_bernstein(space.degree, mesh.dim).T
@@ -281,8 +315,12 @@ class SlopeProgram:
 
     def losses_at_goals(self, iterate: Iterate) -> Float[np.ndarray, "open"]:
         # Losses of the goals' cells as if all flow there went straight to the goal; 0 for other cells.
+        # Let e be the cost of the straight motion to the nearest goal minus the lower bound. Partial integration with
+        # the flow f, whose sources are spread evenly and which enters the goals, gives
+        #   integral of e = integral of f . grad e + sum over goals of inflow * e(goal).
+        # Of both sums, take the terms of the goals' cells.
         space, mesh, domain = self.space, self.space.mesh, self.space.mesh.domain
-        nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion, domain.at(space.points))[1][:, 0]
+        nearest = nearest_goals(domain.at(self.at), domain, self.costs.motion_cost, domain.at(space.points))[1][:, 0]
         change = domain.difference(domain.width * self.at[nearest], domain.width * space.points)
         excess = self.costs.of_motions(change, self.goal_cells[nearest]) - self.below_goals(iterate.values)
         climbed = self.volume * np.sum(iterate.flow * self.gradients(excess), axis=0)
@@ -292,7 +330,7 @@ class SlopeProgram:
         return np.where(np.isin(mesh.open_cells, self.goal_cells), gap[mesh.open_cells], 0.0)
 
     def solve(self, num_iterations: int, start: Iterate | None, factor_at: Sequence[int] = ()) -> Iterate:
-        # Before the iterations in `factor_at`, penalties are fitted to the flow.
+        # Before the iterations in `factor_at`, penalties are fitted to the flow, and the matrix is factored again.
         if start is None:
             flow, inflow = np.zeros((self.dim, len(self.volume))), np.full(len(self.at), self.weight.sum())
             start = Iterate(np.zeros(len(self.weight)), flow, inflow)
@@ -305,7 +343,7 @@ class SlopeProgram:
 
     def solve_thoroughly(self, start: Iterate, most_iterations: int) -> tuple[Iterate, bool]:
         """Return the iterate with the best proven bound, and whether the bound stopped rising before the limit."""
-        state, best, highest, found = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
+        state, best, highest, improved_at = _Splitting(self, start, _LEAST_PENALTY_AT_LAST), start, 0.0, 0
         for iteration in range(most_iterations):
             state.step()
             if iteration % _LOOK_EVERY:
@@ -313,8 +351,8 @@ class SlopeProgram:
             u = self.below_goals(state.u)
             value = float(self.weight @ np.interp(u, *self.rescaling(u)))
             if value > (1 + _GAIN) * highest:
-                best, highest, found = state.iterate, value, iteration
-            elif iteration >= found + _PATIENCE:
+                best, highest, improved_at = state.iterate, value, iteration
+            elif iteration >= improved_at + _PATIENCE:
                 return best, True
         return best, False
 
@@ -322,9 +360,17 @@ class SlopeProgram:
 class _Splitting:
     """The alternating direction method of multipliers for a :class:`SlopeProgram`.
 
-    The unknowns are the degrees of freedom ``u``, the gradients ``z``, projected to their sets, and the scaled
-    multipliers ``y``, so that ``penalty * y`` is the flow. With several goals, values at the goals must be at most 0:
-    these values have projections and multipliers too.
+    It maximizes the integral ``load . u`` over degrees of freedom ``u`` whose gradients ``G u`` lie in convex sets.
+    The vectors ``z`` in these sets approach ``G u``, and ``y`` are scaled multipliers: the flow is ``penalty * y``.
+    With the over-relaxation ``a``, a step is::
+
+        u = argmin  sum(volume * penalty * |G u - z + y|**2) / 2 - load . u      (a Poisson equation)
+        v = a * G u + (1 - a) * z + y
+        z = the vectors of the sets that are nearest to v
+        y = v - z
+
+    With one goal, ``load . u`` is the integral of ``u - u(goal)``. With several goals, values at goals must be at
+    most 0: they have projections and multipliers too, with the penalty ``stiffness``.
     """
 
     def __init__(self, program: SlopeProgram, start: Iterate, least_penalty: float):
@@ -332,14 +378,16 @@ class _Splitting:
         self._load, flow, inflow = program.weight, start.flow, start.inflow
         if len(inflow) == 1:
             self._load = self._load - program.weight.sum() * program.goal
-        # A cell's costs are to values at goals what the radius is to slopes.
+        # The least cost across a goal's cell is to values at goals what the radius of a set is to slopes.
         lower, widths = program.costs.lower[program.goal_cells], program.space.mesh.widths[program.goal_cells]
-        across = lower * program.costs.motion.norm(widths)
+        across = lower * program.costs.motion_cost.norm(widths)
         if not flow.any():  # start from the flow of least squares, which has the right size in any units
             system = _Poisson(program, 1 / radius, inflow * lower / across**2)
             potential = system.solve(self._load, np.zeros_like(flow), 0 * inflow, np.zeros(len(self._load)))
             flow = program.gradients(potential) / radius
             inflow = inflow if len(inflow) == 1 else system.stiffness * (program.goal @ potential)
+        # Penalties of |flow| / radius make multipliers as long as gradients may be; where little flows, penalties are
+        # larger.
         norm = program.sets.costs(flow) / radius
         carried = norm[norm > 0]
         self._penalty = np.maximum(norm, least_penalty * np.median(carried) if carried.size else 1.0) / radius
@@ -371,7 +419,11 @@ class _Poisson:
     """The linear system, a Poisson equation, of each iteration of :class:`_Splitting`, with its factored matrix."""
 
     def __init__(self, program: SlopeProgram, penalty: PerControl, stiffness: Float[np.ndarray, " goals"]):
-        # All flow enters a single goal. The solution is then unique up to a constant, and the first unknown is 0.
+        # Minimize sum(volume * penalty * |G u - field|**2) / 2 + sum(stiffness * (u at goals - at_goals)**2) / 2
+        # - load . u, with G the gradient and V the diagonal matrix of volume * penalty:
+        #   (G' V G + goal' stiffness goal) u = load + G' V field + goal' stiffness at_goals.
+        # All flow enters a single goal. Without terms of goals, the solution is then unique up to a constant, and the
+        # first unknown is 0.
         weights = np.tile(penalty * program.volume, program.dim)
         self.divergence = csr_array((diags_array(weights) @ program.gradient).T)
         matrix, self.stiffness, self._first = self.divergence @ program.gradient, stiffness, 1
@@ -398,6 +450,7 @@ class _Poisson:
             return np.append(np.zeros(self._first), self._factors.solve(right))
         guess = guess - guess[0] if self._first else guess
         guess = guess[self._first :]
-        left = float(np.linalg.norm(right - self.matrix @ guess))
-        u, _ = cg(self.matrix, right, guess, rtol=0.0, atol=_RESIDUAL * left, maxiter=_MOST_STEPS, M=self._multigrid)
+        # The guess is from the last step: a step reduces its residual, but need not solve exactly.
+        norm = float(np.linalg.norm(right - self.matrix @ guess))
+        u, _ = cg(self.matrix, right, guess, rtol=0.0, atol=_RESIDUAL * norm, maxiter=_MOST_STEPS, M=self._multigrid)
         return np.append(np.zeros(self._first), u)

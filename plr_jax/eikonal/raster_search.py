@@ -90,7 +90,7 @@ def search_finely(
     if bounds:
         assert at_corners is not None
         results += [_below(fine, of_part, points, distance, at_corners), distance * (1 + _ROUNDING)]
-    return [each[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for each in results], tree
+    return [table[parts[0] // 2 :: parts[0], parts[1] // 2 :: parts[1]] for table in results], tree
 
 
 def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_corners: AtCorners) -> Raster:
@@ -109,26 +109,26 @@ def _below(cost: Raster, side: Sides, points: Points, at_centers: Raster, at_cor
     most = [np.where(is_known[p] & is_known[q], cost, np.inf) for p, q in sides]
     middle, corner = (np.where(np.isfinite(u), (1 - _SLACK) * u, 0.0) for u in (at_centers, at_corners))
 
-    def steepness(number: int) -> Raster:
-        (p, q), axis = sides[number], axes[number]
+    def steepness(triangle: int) -> Raster:
+        (p, q), axis = sides[triangle], axes[triangle]
         along, across = (corner[q] - corner[p]) / side[axis], (corner[p] + corner[q] - 2 * middle) / side[1 - axis]
-        return np.sqrt(along * along + across * across) / most[number]
+        return np.sqrt(along * along + across * across) / most[triangle]
 
     # 2. Project.
     for _ in range(_PROJECTIONS):
         change, count = ([np.zeros_like(values) for values in (middle, corner)] for _ in range(2))
-        for number, (p, q) in enumerate(sides):
-            excess, mean = np.maximum(steepness(number), 1.0), (corner[p] + corner[q] + middle) / 3
-            share, is_steep = 1 / excess - 1, excess > 1
+        for triangle, (p, q) in enumerate(sides):
+            excess, mean = np.maximum(steepness(triangle), 1.0), (corner[p] + corner[q] + middle) / 3
+            shrinkage, is_steep = 1 / excess - 1, excess > 1
             for kind, values, place in ((0, middle, ...), (1, corner, p), (1, corner, q)):
-                change[kind][place] += share * (values[place] - mean)
+                change[kind][place] += shrinkage * (values[place] - mean)
                 count[kind][place] += is_steep
         middle += _RELAXATION * change[0] / np.maximum(count[0], 1)
         corner += _RELAXATION * change[1] / np.maximum(count[1], 1)
     # 3. Rescale. A corner that nothing binds counts as the reflection of the opposite corner in the center.
-    factor = (1 + _ROUNDING) * np.max([steepness(number) for number in range(4)], axis=0)
-    around = np.stack([each for p in ends for each in (corner[p], 2 * middle - corner[p])])
-    lower = np.interp(middle, *rescaling_of(*(each.ravel() for each in (around.min(0), around.max(0), factor))))
+    factor = (1 + _ROUNDING) * np.max([steepness(triangle) for triangle in range(4)], axis=0)
+    around = np.stack([u for p in ends for u in (corner[p], 2 * middle - corner[p])])
+    lower = np.interp(middle, *rescaling_of(*(u.ravel() for u in (around.min(0), around.max(0), factor))))
     # 4. Subtract the largest value that a source may have.
     home = cells_of(points, side, cost.shape)
     to_center = np.linalg.norm(points - (home[:, ::-1] + 0.5) * side, axis=1)
@@ -144,16 +144,15 @@ def cells_of(points: Float[np.ndarray, "*k 2"], side: Sides, shape: tuple[int, i
 
 
 def march(cost: Raster, side: Sides, points: Points) -> tuple[Raster, Nearest]:
+    """Return approximate cost distances of all cells, and the nearest source of each, by fast marching."""
     least, most = cost.min(), cost.max(where=np.isfinite(cost), initial=0)
     if most > _LARGEST_RATIO * least:
         raise ValueError(
             f"costs of more than {MOST_CELLS:,} cells must differ by a factor of at most {_LARGEST_RATIO:,.0f}, got "
             f"costs from {least:g} to {most:g}. Reduce the largest, or make their cells barriers."
         )
-    cost, home = (
-        cost / least,
-        tuple(cells_of(points, side, cost.shape)[::-1].T),
-    )  # scikit-fmm ignores some small costs
+    cost = cost / least  # scikit-fmm ignores some small costs
+    home = tuple(cells_of(points, side, cost.shape)[::-1].T)
     front, label = np.full(cost.shape, side.min()), np.full(cost.shape, -1, np.int32)
     front[home], label[home] = -_TINY * side.min(), np.arange(len(points))[::-1]  # the first of several sources
     distance = np.where(label >= 0, 0.0, np.inf)
@@ -170,7 +169,7 @@ def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Near
     # `step`: width and height of a cell; `label`: the source's index in cells with a source, -1 in other cells.
     # 1. The next node: of sixteen around it, the one through which the distance is least.
     toward = np.arange(distance.size, dtype=np.int32 if distance.size < 2**31 else np.int64).reshape(distance.shape)
-    number, least = toward.copy(), np.full(distance.shape, np.inf)
+    index, least = toward.copy(), np.full(distance.shape, np.inf)
     for i, j in ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (1, -2), (2, 1), (2, -1)):
         first = np.maximum([0, 0], [-i, -j])
         last = np.array(distance.shape) - np.maximum([0, 0], [i, j])
@@ -178,13 +177,13 @@ def _labels(distance: Raster, cost: Raster, step: Sides, label: Nearest) -> Near
         def part(values: np.ndarray, cell: tuple[int, int], first=first, last=last) -> np.ndarray:
             return values[first[0] + cell[0] : last[0] + cell[0], first[1] + cell[1] : last[1] + cell[1]]
 
-        way = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(2 * i, 2 * j, 1, partial(part, cost))
+        cost_of_step = float(np.hypot(*(step[::-1] * (i, j)))) * _mean_along(2 * i, 2 * j, 1, partial(part, cost))
         for a, b in (((0, 0), (i, j)), ((i, j), (0, 0))):
-            through = part(distance, b) + way
+            through = part(distance, b) + cost_of_step
             is_better = (through < part(least, a)) & (part(distance, b) < part(distance, a))
             part(least, a)[is_better] = through[is_better]
-            part(toward, a)[is_better] = part(number, b)[is_better]
-    del number, least
+            part(toward, a)[is_better] = part(index, b)[is_better]
+    del index, least
     # 2. Replace each successor by its successor until nothing changes.
     toward = np.where(label >= 0, np.arange(label.size).reshape(label.shape), toward).ravel()
     while not np.array_equal(further := toward[toward], toward):
@@ -215,7 +214,9 @@ def search(
         )
         height = np.pad(height[tuple(nearest_open)], _REACH, mode="edge")
     cost = np.pad(cost, _REACH, constant_values=np.inf)
-    # 2. Nodes are corners of cells, then centers. Steps of edges are in half cells, and pass no other node.
+    # 2. Nodes are corners of cells, then centers. Steps of edges are in half cells, and pass no other node. Counted
+    #    in half cells, corners have even places and centers odd ones. So both numbers of a step are odd, or both are
+    #    even. A step (2 i, 2 j) passes the place (i, j), which is a node if i + j is even.
     halves, corner_shape = (1,), (0, 0)
     steps = [(2 * i, 2 * j) for i, j in product(range(-_REACH, _REACH + 1), repeat=2) if gcd(i, j) == 1]
     if height is None:
@@ -223,22 +224,22 @@ def search(
         half_steps = product(range(-_HALVES, _HALVES + 1), repeat=2)
         steps = [(i, j) for i, j in half_steps if (gcd(i, j), (i + j) % 4) in ((1, 0), (1, 2), (2, 2))]
     corners = corner_shape[0] * corner_shape[1]
-    number = np.arange(corners + rows * columns)
-    nodes = number[:corners].reshape(corner_shape), number[corners:].reshape(rows, columns)
+    node = np.arange(corners + rows * columns)
+    nodes = node[:corners].reshape(corner_shape), node[corners:].reshape(rows, columns)
     # 3. Straight motions from sources to nodes in and beside their cells. With heights, sources are moved to centers.
     near, straight = np.zeros((1, 2), int), np.zeros((len(points), 1))
     if height is None:
         near = np.array([step for step in product(range(-3, 4), repeat=2) if sum(step) % 2 == 0])
         straight = _straight_costs(cost, side, points, home, near)
     # 4. The cost of each edge: its length, times the mean cost along it, times the mean factor of its parts' slopes.
-    size = len(number) * len(steps)
+    size = len(node) * len(steps)
     ends, costs = np.zeros(size + straight.size, np.int32), np.append(np.empty(size), straight)
-    end, weight = ends[:size].reshape(len(number), -1), costs[:size].reshape(len(number), -1)
+    end, weight = ends[:size].reshape(len(node), -1), costs[:size].reshape(len(node), -1)
     for half in halves:
-        here = nodes[half]
-        rows_here = slice(here[0, 0], here[-1, -1] + 1)
+        begin_nodes = nodes[half]
+        rows_here = slice(begin_nodes[0, 0], begin_nodes[-1, -1] + 1)
 
-        def beside(values: np.ndarray, offset: tuple[int, int], shape=here.shape) -> np.ndarray:
+        def beside(values: np.ndarray, offset: tuple[int, int], shape=begin_nodes.shape) -> np.ndarray:
             i, j = _REACH + offset[0], _REACH + offset[1]
             return values[i : i + shape[0], j : j + shape[1]]
 
@@ -248,16 +249,16 @@ def search(
             if height is not None:
                 of_edges *= _mean_factor(i // 2, j // 2, length, partial(beside, height), slope_fn, from_sources)
             weight[rows_here, edge] = of_edges.ravel()
-            there = nodes[(half + i) % 2]
+            end_nodes = nodes[(half + i) % 2]
             row, column = (
-                np.clip(np.arange(n, dtype=np.int32) + (half + by) // 2, 0, most - 1)
-                for n, most, by in zip(here.shape, there.shape, (i, j), strict=True)
+                np.clip(np.arange(n, dtype=np.int32) + (half + offset) // 2, 0, most - 1)
+                for n, most, offset in zip(begin_nodes.shape, end_nodes.shape, (i, j), strict=True)
             )
-            end[rows_here, edge] = ((there[0, 0] + row * there.shape[1])[:, None] + column).ravel()
+            end[rows_here, edge] = ((end_nodes[0, 0] + row * end_nodes.shape[1])[:, None] + column).ravel()
     to_near = ends[size:].reshape(straight.shape)
     for edge, step in enumerate(near):
-        there = nodes[(1 + step[0]) % 2]
-        to_near[:, edge] = there[tuple(np.clip(home + (1 + step) // 2, 0, np.array(there.shape) - 1).T)]
+        end_nodes = nodes[(1 + step[0]) % 2]
+        to_near[:, edge] = end_nodes[tuple(np.clip(home + (1 + step) // 2, 0, np.array(end_nodes.shape) - 1).T)]
     if height is None:  # no path passes where two barriers touch in a corner
         is_barrier = np.isinf(cost[_REACH - 1 : 1 - _REACH, _REACH - 1 : 1 - _REACH])
         a, b, c, d = (is_barrier[i : i + rows + 1, j : j + columns + 1] for i, j in product((0, 1), repeat=2))
@@ -266,9 +267,9 @@ def search(
     # 5. Shortest paths from all sources at once; an infinite weight is no edge.
     begins = np.append(np.arange(0, size, len(steps)), size + len(near) * np.arange(len(points) + 1))
     graph = csr_array((costs, ends, begins), shape=(len(begins) - 1,) * 2)
-    sources = len(number) + np.arange(len(points))
+    sources = len(node) + np.arange(len(points))
     distance, toward, source = dijkstra(graph, indices=sources, min_only=True, return_predecessors=True)
-    nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - len(number), -1)]
+    nearest = np.append(first, -1)[np.maximum(source[nodes[1]] - len(node), -1)]
     tree = PathTree(toward, (rows, columns), side, points if height is None else (home[:, ::-1] + 0.5) * side)
     if height is not None:
         return distance[nodes[1]], None, nearest, tree
@@ -312,10 +313,10 @@ def _mean_factor(
     # Of motions from all cells by (i, j) cells if `from_sources`, else of the motions back.
     heights, count = [], max(abs(i), abs(j))
     for part in range(count + 1):
-        (i0, to_i), (j0, to_j) = (divmod(each * part, count) for each in (i, j))
+        (i0, to_i), (j0, to_j) = (divmod(steps * part, count) for steps in (i, j))
         # One of the two coordinates is whole: between two cells, heights are interpolated.
-        beyond, rest = (i0 + (to_i > 0), j0 + (to_j > 0)), max(to_i, to_j) / count
-        heights.append((1 - rest) * height_at((i0, j0)) + rest * height_at(beyond))
+        beyond, fraction = (i0 + (to_i > 0), j0 + (to_j > 0)), max(to_i, to_j) / count
+        heights.append((1 - fraction) * height_at((i0, j0)) + fraction * height_at(beyond))
     slopes = np.diff(heights, axis=0) * (count if from_sources else -count) / length
     factor = as_numbers("slope_cost's answer", slope_fn(slopes), "numbers")
     if factor.shape not in ((), slopes.shape) or not (factor > 0).all():
@@ -332,11 +333,11 @@ def _mean_along(i: int, j: int, half: int, cost_at: Callable[[tuple[int, int]], 
     """
     # 1. Cut the motion where it enters another cell.
     ends = {0.0, 1.0}
-    for by in (i, j):
+    for change in (i, j):
         ends |= {
-            abs(at - half) / abs(by)
-            for at in range(min(half, half + by), max(half, half + by) + 1)
-            if by and at % 2 == 0
+            abs(at - half) / abs(change)
+            for at in range(min(half, half + change), max(half, half + change) + 1)
+            if change and at % 2 == 0
         }
     cuts = sorted(ends)
     middles = [((half + i * (a + b) / 2) / 2, (half + j * (a + b) / 2) / 2) for a, b in pairwise(cuts)]

@@ -168,7 +168,7 @@ def cost_distance(
             return values if values is None else values[order]
         result = costs.copy(data=values[order]).rename(name)
         result.attrs, result.encoding = (
-            {key: known[key] for key in _REFERENCES if key in known} for known in (costs.attrs, costs.encoding)
+            {key: table[key] for key in _REFERENCES if key in table} for table in (costs.attrs, costs.encoding)
         )
         if name == "nearest":
             result.attrs["_FillValue"] = -1  # files then know that -1 is no source
@@ -247,8 +247,8 @@ def _as_sources(sources: ArrayLike, cost: Raster, box: Box, order: tuple[slice, 
         raise ValueError("sources must have at least one source, got none.")
 
     def first(wrong: Bool[np.ndarray, " k"]) -> str:
-        number = int(np.argmax(wrong))
-        return f"source {number} at {(points[number] + box.lo).tolist()}, one of {wrong.sum()}"
+        row = int(np.argmax(wrong))
+        return f"source {row} at {(points[row] + box.lo).tolist()}, one of {wrong.sum()}"
 
     is_outside: Any = ~((points >= 0) & (points <= box.width)).all(axis=1)
     if is_outside.any():

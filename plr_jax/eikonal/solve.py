@@ -65,21 +65,7 @@ def solve_eikonal(
         plr(points)  # costs-to-go (n,) of points (n, dim); plr.bounds(points) are proven
 
     Here the space is that of a ball among the unblocked cells. ``plr(x)`` is an estimate between the lower and the
-    upper bounds, which hold for every point from which the goal can be reached:
-
-    - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
-      every face that is not proven blocked, and along every motion rises by no more than the motion costs. The
-      least cost of straight motions to the goals is a lower bound too, if the file holds the goals: at most 64, in at
-      most 40 % of ``max_bytes``.
-    - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
-      near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
-
-    ``certified=False`` gives the estimate alone. It is nowhere below the least cost of straight motions to the
-    goals, or below 0 if the file does not hold the goals. In the plane it takes about a second: scikit-fmm marches
-    over 160,000 nodes, and the mean error is mostly 0.01 to 0.5 %. In volumes, nodes are voxels, or groups of
-    voxels if there are more than 4 million. In three made volumes of up to 128 x 128 x 128 voxels the mean error
-    was 0.4 to 6 % of the mean cost (``experiments/volumes``): paths over centers of voxels stay half a voxel away
-    from walls. In rock, where a leaf may hold several rooms and tunnels, errors are larger.
+    upper bounds, which hold for every point from which the goal can be reached.
 
     Args:
         space: What is free, and what motions cost. A space that only tests configurations (:class:`FreeTest`) proves
@@ -118,6 +104,22 @@ def solve_eikonal(
             axis, for cells at most 200,000 times as long as wide, or for samples in all cells not blocked. If
             ``certified=False`` comes with more than three axes or a tolerance, or no node of the grid sees a goal. If
             a directional cost map comes with a space whose costs are no lengths.
+
+    How bounds are proven:
+
+    - The lower bound is the largest function that is 0 at the goal (at most 0 at several goals), continuous across
+      every face that is not proven blocked, and along every motion rises by no more than the motion costs. The
+      least cost of straight motions to the goals is a lower bound too, if the file holds the goals: at most 64, in at
+      most 40 % of ``max_bytes``.
+    - The upper bound is the cost of paths that are proven free: through free cells of the mesh, by straight motions
+      near goals and walls, and in voxel spaces also from voxel to voxel. It is ``inf`` where no path was found.
+
+    ``certified=False`` gives the estimate alone. It is nowhere below the least cost of straight motions to the
+    goals, or below 0 if the file does not hold the goals. In the plane it takes about a second: scikit-fmm marches
+    over 160,000 nodes, and the mean error is mostly 0.01 to 0.5 %. In volumes, nodes are voxels, or groups of
+    voxels if there are more than 4 million. In three made volumes of up to 128 x 128 x 128 voxels the mean error
+    was 0.4 to 6 % of the mean cost (``experiments/volumes``): paths over centers of voxels stay half a voxel away
+    from walls. In rock, where a leaf may hold several rooms and tunnels, errors are larger.
 
     References: Section VII of the paper asks for such a PLR. Finding the largest lower bound is dual to Beckmann's
     problem of a cheapest flow, "A continuous model of transportation", 1952.
@@ -182,7 +184,7 @@ def solve_eikonal(
             assert max_bytes is not None
             raise BudgetTooSmall(max_bytes, error.num_bytes + spare) from None
         plr = plr_of_leaves(replace(plr._contents, straight=straight))
-        which = guide.which_reached
+        nearest_goal = guide.which_reached
     else:
         most = _MAX_CELLS.get(domain.dim, _MAX_CELLS_BEYOND) if max_leaves is None else int(max_leaves)
         check_memory(2.0 * most, _BYTES_A_CELL / 2)
@@ -193,11 +195,11 @@ def solve_eikonal(
         if len(estimate.mesh.state) <= _LEAVES_PER_BYTE * most_bytes:
             on_mesh = plr_on_mesh(estimate, proven, most_bytes)
         plr = plr_of_bytes(estimate, int(most_bytes), int(seed), proven) if on_mesh is None else on_mesh
-        which = field.which
+        nearest_goal = field.which
         warn_if_cut_off(field.reach or (field.guide and field.guide.reach(domain)), plr._contents)
     if certified and goal.ndim == 1:
         return plr
-    return plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), which))
+    return plr.with_nearest_goal(partial(_row_of_goal, np.append(first, -1), nearest_goal))
 
 
 def _row_of_goal(
@@ -275,7 +277,7 @@ def _field(
 
 # Share of all cells in the first mesh, and its least number: in one cell, flows to a goal in its middle cancel.
 _COARSEST, _FEWEST = 1 / 16, 2
-_SHARE = 0.8  # share of the loss (gap) in the cells that are refined together
+_REFINED_LOSS = 0.8  # share of the loss (gap) in the cells that are refined together
 # If mixed cells have more than `_LEAKING` of the loss, flows leak through walls. Some cells are then saved for later,
 # unless fewer than `_LAST` of all are left.
 _LEAKING, _LAST = 0.1, 0.01
@@ -317,15 +319,16 @@ class SlopeSolver:
         return self.program.below_goals(self.iterate.values)
 
     def refine(self, progress: tqdm) -> None:
+        """Solve on finer and finer meshes, then thoroughly on the last one."""
         self.iterate = self.program.solve(_FIRST, None, _FACTORED_FIRST)
         progress.update(len(self.mesh.state))
         parts = 2**self.mesh.dim - 1  # most cells that a refined cell adds
         while True:
-            which, room = self._marked(parts, self.iterate)
-            if not len(which) or room < parts:
+            marked, room = self._marked(parts, self.iterate)
+            if not len(marked) or room < parts:
                 break
             coarse = self.mesh
-            mesh = self._without_borders(coarse.refined(which, self.space, room))
+            mesh = self._without_borders(coarse.refined(marked, self.space, room))
             finer = SlopeProgram.on(mesh, self.space, self.cost_map, self.goals)
             fine = finer.space.mesh
             # Interpolate function and flow on the finer mesh.
@@ -374,8 +377,8 @@ class SlopeSolver:
         slope[mesh.open_cells] = self.program.mean_gradients(self.values) / self.space.motion_cost.scale
         lo, hi = (corner[new] for corner in mesh.boxes)
         # The motion passes the middle of the cell along the gradient of the lower bound.
-        share = np.abs(slope[new] / (hi - lo)).max(axis=1, keepdims=True)
-        half = np.divide(slope[new], 2 * share, out=np.zeros_like(lo), where=share > 0)
+        steepest = np.abs(slope[new] / (hi - lo)).max(axis=1, keepdims=True)
+        half = np.divide(slope[new], 2 * steepest, out=np.zeros_like(lo), where=steepest > 0)
         is_free = self.space.are_free((lo + hi) / 2 - half, (lo + hi) / 2 + half)
         self._through[new] = np.where(is_free, CellState.FREE, CellState.BLOCKED)
         return mesh.with_state(np.where(mesh.state == CellState.MIXED, self._through, mesh.state))
@@ -392,23 +395,23 @@ class SlopeSolver:
         is_reached = np.isfinite(at_corners)
         highest, least = np.max(at_corners, axis=1, where=is_reached, initial=-np.inf), at_corners.min(axis=1)
         across = costs.of_motions(mesh.widths[mesh.open_cells], mesh.open_cells)
-        share = np.divide(highest - least, across, out=np.ones(len(loss)), where=np.isfinite(least))
+        detour = np.divide(highest - least, across, out=np.ones(len(loss)), where=np.isfinite(least))
         is_mixed = mesh.state[mesh.open_cells] == CellState.MIXED
-        loss = np.where(is_mixed, np.clip(share, 1.0, _DETOUR), 1.0) * loss
+        loss = np.where(is_mixed, np.clip(detour, 1.0, _DETOUR), 1.0) * loss
         if max(loss.sum(), at_goals.sum()) <= self.tolerance * self.program.weight.sum():
             return np.zeros(0, np.int64), 0
         # 2. Cells of goals come first if they hide a loss, then cells by their loss.
         is_first = at_goals > loss
         order = np.argsort(-np.where(is_first, np.inf, loss), kind="stable")[: np.count_nonzero(loss + is_first)]
         # 3. Refine most of the loss, but neither too few nor too many cells.
-        enough = parts * (np.searchsorted(np.cumsum(loss[order]), _SHARE * loss.sum()) + 1)
+        num_needed = parts * (np.searchsorted(np.cumsum(loss[order]), _REFINED_LOSS * loss.sum()) + 1)
         fewest, most = (max(int((growth - 1) * num_cells), parts) for growth in _GROWTH)
         most_splits = min(_DEEPEST, max_axis_depth(mesh.dim, None, 1, False))
         deepest = mesh.cells.depth[mesh.open_cells[order]].max(axis=1) >= most_splits
-        left = self.max_cells - num_cells
-        if loss[is_mixed].sum() > _LEAKING * loss.sum() and left > _LAST * self.max_cells:
-            left = int(_SHARE * left)  # the next flow finds the walls that are still open
-        return mesh.open_cells[order[~deepest]], int(min(max(enough, fewest), most, left))
+        num_left = self.max_cells - num_cells
+        if loss[is_mixed].sum() > _LEAKING * loss.sum() and num_left > _LAST * self.max_cells:
+            num_left = int(_REFINED_LOSS * num_left)  # the next flow finds the walls that are still open
+        return mesh.open_cells[order[~deepest]], int(min(max(num_needed, fewest), most, num_left))
 
 
 _NUM_SAMPLES, _NUM_OF_MOTION = 8, 33  # numbers of samples of a box, and of a motion

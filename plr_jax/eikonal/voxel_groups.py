@@ -42,6 +42,7 @@ class VoxelGroups:
     def of(
         cls, free: Bool[np.ndarray, "..."], domain: Box, box: Box, shape: tuple[int, ...], goals: Goals
     ) -> "VoxelGroups":
+        """Group the voxels of a domain; ``shape`` has the number of groups along each axis, ``box`` is theirs."""
         dim, side = free.ndim, domain.width / free.shape
         size = round(float((box.width / side / shape)[0]))
         before = np.rint((domain.lo - box.lo) / side).astype(int)
@@ -55,7 +56,8 @@ class VoxelGroups:
             parts = (*is_full.shape[:axis], shape[axis], size, *is_full.shape[axis + 1 :])
             is_full = np.logical_and.reduce(is_full.reshape(parts), axis + 1)
             has_part = np.logical_or.reduce(has_part.reshape(parts), axis + 1)
-        # 1. The voxel `x` of each group, and the part of the group that is joined to it.
+        # 1. The voxel `x` of each group, and the part of the group that is joined to it. In groups that are not full,
+        #    `far` ranks voxels: those of goals, then free ones by their distance from the middle, then blocked ones.
         mixed = np.nonzero(has_part & ~is_full)
         offset = np.array(list(product(range(size), repeat=dim)))
         far = np.where(blocks[mixed].reshape(-1, size**dim), np.sum((offset - size // 2) ** 2, axis=1), size**2 * dim)
@@ -68,8 +70,8 @@ class VoxelGroups:
         nearest = far.argmin(axis=1)
         live = np.zeros(far.shape, bool)
         live[np.arange(len(far)), nearest] = True
-        faces = ndimage.generate_binary_structure(dim, 1)[None]
-        live = ndimage.binary_propagation(live.reshape(-1, *(size,) * dim), faces, blocks[mixed])
+        stencil = ndimage.generate_binary_structure(dim, 1)[None]
+        live = ndimage.binary_propagation(live.reshape(-1, *(size,) * dim), stencil, blocks[mixed])
         of_part[mixed] = live
         middles = np.moveaxis(np.indices(shape), 0, -1) * size + size / 2
         middles[mixed] += offset[nearest] - size // 2
@@ -104,16 +106,17 @@ class VoxelGroups:
             is_here, start = region[box] == index, of_parts[box]
             first = float(start[is_here].min())
             start = np.where(is_here & (start == first), first, np.inf)
-            found = marched(is_here, slowness[box], start, first, self.box.width / cost.shape, (False,) * cost.ndim)
-            cost[box] = np.where(is_here, np.minimum(found, of_parts[box]), cost[box])
+            costs = marched(is_here, slowness[box], start, first, self.box.width / cost.shape, (False,) * cost.ndim)
+            cost[box] = np.where(is_here, np.minimum(costs, of_parts[box]), cost[box])
         return cost, self._costs_across_faces(cost, slowness)[1]
 
     def _costs_across_faces(self, cost: Costs, slowness: Costs) -> tuple[Costs, Costs]:
-        # Of paths from the parts whose cost is known to other voxels: the least of each other part, and group.
+        # Paths lead from the parts whose cost is known, across faces, through all other free voxels. Return their
+        # least cost in each group: to the group's part, if its cost is not known, and to any of these voxels.
         dim, size, shape = self.free.ndim, self.size, np.array(self.free.shape)
-        known = self.part.copy()
-        _blocks(known, size)[...] &= np.isfinite(cost)[(..., *(None,) * dim)]
-        voxel = np.argwhere(self.free & ~known)
+        is_known = self.part.copy()
+        _blocks(is_known, size)[...] &= np.isfinite(cost)[(..., *(None,) * dim)]
+        voxel = np.argwhere(self.free & ~is_known)
         flat = np.asarray(np.ravel_multi_index(tuple(voxel.T), self.free.shape))
         num, side = len(voxel), self.box.width / shape
         group = tuple((voxel // size).T)
@@ -121,24 +124,24 @@ class VoxelGroups:
         for axis, step in product(range(dim), (-1, 1)):
             beside = voxel + step * (np.arange(dim) == axis)
             inside = np.flatnonzero((beside[:, axis] >= 0) & (beside[:, axis] < shape[axis]))
-            seen = inside[known[tuple(beside[inside].T)]]
+            seen = inside[is_known[tuple(beside[inside].T)]]
             away = (voxel[seen] - beside[seen] // size * size - size // 2) * side
-            there = tuple((beside[seen] // size).T)
-            start[seen] = np.minimum(start[seen], cost[there] + slowness[there] * np.linalg.norm(away, axis=1))
-            to = np.asarray(np.ravel_multi_index(tuple(beside[inside].T), self.free.shape))
-            place = np.searchsorted(flat, to)
-            joined = np.flatnonzero(flat[np.minimum(place, num - 1)] == to)
+            node = tuple((beside[seen] // size).T)
+            start[seen] = np.minimum(start[seen], cost[node] + slowness[node] * np.linalg.norm(away, axis=1))
+            target = np.asarray(np.ravel_multi_index(tuple(beside[inside].T), self.free.shape))
+            place = np.searchsorted(flat, target)
+            joined = np.flatnonzero(flat[np.minimum(place, num - 1)] == target)
             begin.append(inside[joined])
             end.append(place[joined])
             length.append(side[axis] * slowness[group][inside[joined]])
         first = np.flatnonzero(np.isfinite(start))
         begin, end = np.concatenate([*begin, np.full(len(first), num)]), np.concatenate([*end, first])
         weight = np.maximum(np.concatenate([*length, start[first]]), np.finfo(float).tiny)
-        found: Any = dijkstra(csr_array((weight, (begin, end)), (num + 1, num + 1)), indices=num)
+        distance: Any = dijkstra(csr_array((weight, (begin, end)), (num + 1, num + 1)), indices=num)
         of_parts, others = np.full(cost.shape, np.inf), np.full(cost.shape, np.inf)
         in_part = np.flatnonzero(self.part[tuple(voxel.T)])
-        np.minimum.at(of_parts, tuple(voxel[in_part].T // size), found[in_part])
-        np.minimum.at(others, group, found[:num])
+        np.minimum.at(of_parts, tuple(voxel[in_part].T // size), distance[in_part])
+        np.minimum.at(others, group, distance[:num])
         return of_parts, others
 
 

@@ -85,12 +85,12 @@ class Boundary:
         return orientation(*to_start.T, *to_end.T) < 0
 
 
-def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) -> Boundary | None:
+def ring_boundary(region: Any, tolerance: float, old: Boundary | None = None) -> Boundary | None:
     """Return the boundary of a Shapely (multi)polygon, each edge split at the vertices that lie on it.
 
     A vertex lies on an edge if their distance is at most ``tolerance / 4``. The result is None if edges coincide, or
-    a vertex is within ``tolerance`` of an edge but not on it. Vertices of ``known``, such as the boundary before a
-    local change, are not tested against edges of ``known``.
+    a vertex is within ``tolerance`` of an edge but not on it. Vertices of ``old``, such as the boundary before a
+    local change, are not tested against edges of ``old``.
     """
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
@@ -99,8 +99,8 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
     edges = np.stack([index[:-1][inner], index[1:][inner]], axis=1)
     # 1. Pairs of a vertex and an edge within the tolerance; at least one of the two is new.
     is_new_vertex, is_new_edge = np.ones(len(vertices), bool), np.ones(len(edges), bool)
-    if known is not None:
-        same_vertex, same_edge = match_boundary(vertices, edges, known)
+    if old is not None:
+        same_vertex, same_edge = match_boundary(vertices, edges, old)
         is_new_vertex[same_vertex[same_vertex >= 0]] = is_new_edge[same_edge[same_edge >= 0]] = False
     new_edges, old_edges = np.flatnonzero(is_new_edge), np.flatnonzero(~is_new_edge)
     of_new = vertices_near_edges(vertices, edges, tolerance, np.arange(len(vertices)), new_edges)
@@ -108,11 +108,11 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
     vertex, edge = np.concatenate([of_new, of_old], axis=1)
     # 2. Cut edges at the vertices on them, to a quarter of the tolerance. No other vertex may be near.
     start, end = vertices[edges[edge]].transpose(1, 0, 2)
-    along, way = end - start, vertices[vertex] - start
-    is_beside = np.abs(cross_product(along, way)) > tolerance / 4 * np.linalg.norm(along, axis=1)
-    is_beyond = ((way * along).sum(axis=1) <= 0) | (((way - along) * along).sum(axis=1) >= 0)
+    along, offset = end - start, vertices[vertex] - start
+    is_beside = np.abs(cross_product(along, offset)) > tolerance / 4 * np.linalg.norm(along, axis=1)
+    is_beyond = ((offset * along).sum(axis=1) <= 0) | (((offset - along) * along).sum(axis=1) >= 0)
     owner, first = np.append(np.arange(len(edges)), edge), np.append(edges[:, 0], vertex)
-    order = np.lexsort((np.append(np.zeros(len(edges)), np.linalg.norm(way, axis=1)), owner))
+    order = np.lexsort((np.append(np.zeros(len(edges)), np.linalg.norm(offset, axis=1)), owner))
     owner, first = owner[order], first[order]
     is_last = np.append(owner[1:] != owner[:-1], True)
     edges = np.stack([first, np.where(is_last, edges[owner, 1], np.roll(first, -1))], axis=1)
@@ -120,13 +120,17 @@ def ring_boundary(region: Any, tolerance: float, known: Boundary | None = None) 
     if (is_beside | is_beyond).any() or (pieces[1:] == pieces[:-1]).any():
         return None
     # 3. Leaving and arriving edges alternate around a vertex, so a sector ends at the successor of the leaving edge.
-    at, other = edges.T.ravel(), edges[:, ::-1].T.ravel()
-    direction = vertices[other] - vertices[at]
+    #     s                  Each edge counts twice: row k at its start, and row len(edges) + k at its end, as seen
+    #      \   sector        from there. Sort these rows by vertex, then counterclockwise. The rows of vertex v lie
+    #       v ----- e --->   from begin to end - 1. Cyclically, the row after edge e belongs to the edge that arrives
+    #                        from s, so sector_end[e] = s.
+    at, neighbor = edges.T.ravel(), edges[:, ::-1].T.ravel()
+    direction = vertices[neighbor] - vertices[at]
     order = np.lexsort((pseudo_angle(direction[:, 0], direction[:, 1]), at))
     begin, end = (np.searchsorted(at[order], at[order], side=side) for side in ("left", "right"))
     successor = order[begin + (np.arange(len(order)) - begin + 1) % (end - begin)]
     ends = np.empty(len(order), dtype=np.intp)
-    ends[order] = other[successor]
+    ends[order] = neighbor[successor]
     return Boundary(vertices, edges, ends[: len(edges)])
 
 
@@ -137,8 +141,8 @@ def match_boundary(
     vertex = index_of(vertices @ [1, 1j], old.vertices @ [1, 1j])
     size = np.int64(len(vertices))
     start, end = vertex[old.edges].T
-    wanted = np.where((start < 0) | (end < 0), -1, start * size + end)
-    return vertex, index_of(edges[:, 0] * size + edges[:, 1], wanted)
+    keys = np.where((start < 0) | (end < 0), -1, start * size + end)
+    return vertex, index_of(edges[:, 0] * size + edges[:, 1], keys)
 
 
 def vertices_near_edges(
@@ -178,8 +182,8 @@ def grown_boundary(boundary: Boundary, radius: float) -> Any:
     is_reflex = boundary.is_reflex()
     # ``k`` chords are shorter than their arc by about ``radius * turn**3 / (24 * k**2)``.
     turn, side = turn_between(offset, offset[arriving]), np.ptp(boundary.vertices, axis=0).max()
-    most, enough = _MOST_CHORDS * turn / (np.pi / 2), np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
-    num_chords = np.maximum(1, np.ceil(np.minimum(most, enough) - 1e-9)).astype(int)
+    most, needed = _MOST_CHORDS * turn / (np.pi / 2), np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
+    num_chords = np.maximum(1, np.ceil(np.minimum(most, needed) - 1e-9)).astype(int)
     regions = []
     # Edges of one ring are consecutive, so most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
@@ -251,10 +255,10 @@ def _repaired(name: str, shape: Polygon | MultiPolygon) -> Polygon | MultiPolygo
 def _inside_of_ring(name: str, ring: LinearRing) -> Any:
     # By Green's theorem, an area counts as often as the ring winds around it. The even-odd rule counts it once or
     # never. So both areas differ if the ring crosses itself, but not if it only touches itself.
-    given = Polygon(ring)
-    inside = given if given.is_valid else MultiPolygon(polygons_of(shapely.make_valid(given)))
-    if abs(inside.area - given.area) > _MEETING * ring.length**2:
-        reason = shapely.is_valid_reason(given)
+    polygon = Polygon(ring)
+    inside = polygon if polygon.is_valid else MultiPolygon(polygons_of(shapely.make_valid(polygon)))
+    if abs(inside.area - polygon.area) > _MEETING * ring.length**2:
+        reason = shapely.is_valid_reason(polygon)
         raise ValueError(
             f"{name} is not a simple polygon ({reason}): split it into rings that do not cross, or repair it with "
             "shapely.make_valid, which keeps what an odd number of turns surround."
@@ -263,6 +267,7 @@ def _inside_of_ring(name: str, ring: LinearRing) -> Any:
 
 
 def components_region(components: Any, bounds: Box | ArrayLike | None) -> tuple[Box, MultiPolygon]:
+    """Return the bounds, and free space as the union of components with holes, cut off at the bounds."""
     polygons = []
     components = [components] if isinstance(components, BaseGeometry) else components
     for i, part in enumerate(_flatten_collections(components, BaseMultipartGeometry)):
@@ -304,6 +309,7 @@ def grid_at(tolerance: float) -> float:
 
 
 def advice_on_cells(value: object) -> str:
+    """Advise what to use for an array of cells that is given in place of polygons or bounds."""
     if not isinstance(value, np.ndarray) or value.ndim not in (2, 3):
         return ""
     if value.ndim == 2:
@@ -315,6 +321,7 @@ def advice_on_cells(value: object) -> str:
 
 
 def as_bounds(value: Box | ArrayLike) -> Box:
+    """Check the bounds of a workspace: a box in the plane, not periodic, whose size and place numbers can resolve."""
     if isinstance(value, np.ndarray) and (value.ndim == 3 or value.dtype == bool):
         raise ValueError(f"Bounds must be a Box, got an array of shape {value.shape}.{advice_on_cells(value)}")
     bounds = Box.of(value, "Bounds")
@@ -381,6 +388,8 @@ def prepared_geometry(owner: Any, name: Hashable, make: Callable[[], Any]) -> An
 
 
 class Region(NamedTuple):
+    """A region of free space, and its boundary as a graph."""
+
     polygon: Polygon | MultiPolygon
     boundary: Boundary
     is_in_place: bool  # whether walls moved by rounding only; else thin walls or gaps were closed

@@ -119,13 +119,13 @@ class Box:
             return x
         moved = x.reshape(-1, self.dim).copy()
         steps = np.spacing(np.maximum(np.abs(single), np.float32(reach))).reshape(-1, self.dim)
-        rest = np.flatnonzero(np.isfinite(moved).all(axis=1))
+        pending = np.flatnonzero(np.isfinite(moved).all(axis=1))
         for signs in sorted(product((0, 1, -1), repeat=self.dim), key=np.count_nonzero):
-            if not len(rest):
+            if not len(pending):
                 break
-            tried = x.reshape(-1, self.dim)[rest] + signs * steps[rest]
-            found = as_booleans("is_free", is_free(tried), len(tried))
-            moved[rest[found]], rest = tried[found], rest[~found]
+            candidates = x.reshape(-1, self.dim)[pending] + signs * steps[pending]
+            free = as_booleans("is_free", is_free(candidates), len(candidates))
+            moved[pending[free]], pending = candidates[free], pending[~free]
         return moved.reshape(x.shape)
 
     def moved(self, by: ArrayLike) -> "Box":

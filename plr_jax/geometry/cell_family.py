@@ -19,7 +19,7 @@ from plr_jax.geometry.visibility import VisibilityTable, joined_tables
 
 _PAIRS, _WALL_BOXES = 1 << 18, 1 << 11  # pairs of a sample and a corner, and boxes at walls, in memory at a time
 _CANDIDATES = 1 << 14  # pairs of a piece and a source whose arrays stay in a core's cache
-_LEAST_SHARE = 1e-9  # free share of a box's area below which the box counts as an obstacle
+_LEAST_FREE_AREA = 1e-9  # free share of a box's area below which the box counts as an obstacle
 Corners: TypeAlias = Float[np.ndarray, "boxes 2"]
 Indices: TypeAlias = Int[np.ndarray, " cells"]
 
@@ -48,14 +48,14 @@ class FamilySamples:
         weight[at_wall] = 0.0
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         for begin in range(0, len(at_wall), _WALL_BOXES):
-            some = at_wall[begin : begin + _WALL_BOXES]
-            pieces, box, _ = clip_to_boxes(triangles, lo[some], hi[some])
+            batch = at_wall[begin : begin + _WALL_BOXES]
+            pieces, box, _ = clip_to_boxes(triangles, lo[batch], hi[batch])
             size = areas(pieces)
             order = np.lexsort((-size, box))
             largest = order[np.append(True, box[order[1:]] != box[order[:-1]])] if len(order) else order
-            x[some[box[largest]]] = centers(pieces[:, largest])
-            weight[some] = np.bincount(box, size, len(some)) / area
-        weight[weight < _LEAST_SHARE] = 0.0
+            x[batch[box[largest]]] = centers(pieces[:, largest])
+            weight[batch] = np.bincount(box, size, len(batch)) / area
+        weight[weight < _LEAST_FREE_AREA] = 0.0
         sampled = np.flatnonzero(weight)
         x[weight == 0] = np.nan
         # 2. Test the corners that see a part of each sample's triangle.
@@ -85,10 +85,10 @@ class FamilySamples:
         # ``vertex``: 1 + the index of the corner where the path turns first; 0: straight; -1: no path.
         distance, vertex = np.full(len(self.x), np.inf), np.full(len(self.x), -1)
         if len(self.first):
-            way = corner_distances[self.corner] + self.length
-            distance[self.box] = np.minimum.reduceat(way, self.first)
-            counts = np.diff(self.first, append=len(way))
-            shortest = np.flatnonzero((way == np.repeat(distance[self.box], counts)) & np.isfinite(way))[::-1]
+            length = corner_distances[self.corner] + self.length
+            distance[self.box] = np.minimum.reduceat(length, self.first)
+            counts = np.diff(self.first, append=len(length))
+            shortest = np.flatnonzero((length == np.repeat(distance[self.box], counts)) & np.isfinite(length))[::-1]
             vertex[np.repeat(self.box, counts)[shortest]] = self.corner[shortest] + 1
         lo, hi = _view_box(view)
         near = np.flatnonzero(((self.placed >= lo) & (self.placed <= hi)).all(axis=1))
@@ -104,6 +104,8 @@ def _view_box(view: VisibilityTable) -> tuple[Float[np.ndarray, "2"], Float[np.n
 
 @dataclass(frozen=True, eq=False)
 class FamilyCells:
+    """The free parts of boxes as convex pieces, for oracles of any goal on one map."""
+
     sight: Sight  # for any goal
     lists: TriangleLists  # corners that see a part of each triangle of free space, from `turns_by_triangle`
     first_piece: Int[np.ndarray, " boxes_plus_one"]
@@ -115,6 +117,7 @@ class FamilyCells:
 
     @staticmethod
     def of(visibility: CornerVisibility, triangulation: Triangulation, lo: Corners, hi: Corners) -> "FamilyCells":
+        """Cut free space into convex pieces, box by box; a box that no wall reaches into is one piece."""
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         pieces, box, part = clip_to_boxes(triangles, lo, hi)
         at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
@@ -129,17 +132,15 @@ class FamilyCells:
 
 
 class FamilyGoal(NamedTuple):
+    """The sources, turn points and visibility polygon of one goal, as cells of a family need them."""
+
     sources: Sources  # the goal, then all corners
     turns: TurnPoints  # where paths to the goal turn
     view: VisibilityTable  # the visibility polygon of the goal
 
 
 def cells_of_goals(
-    shared: FamilyCells,
-    corners: ReflexCorners,
-    goals: Sequence[FamilyGoal],
-    box: Indices,
-    goal_of: Indices,
+    shared: FamilyCells, corners: ReflexCorners, goals: Sequence[FamilyGoal], box: Indices, goal_of: Indices
 ) -> CellSources:
     # Cell ``i`` is box ``box[i]``, for paths to goal ``goal_of[i]``.
     sight, count = _sight_of_goals(shared.sight, corners, goals), 1 + len(corners.points)
@@ -149,17 +150,17 @@ def cells_of_goals(
     # 1. List, for each triangle and goal, the corners where paths to the goal turn, around the side in the list.
     first, turns = shared.lists
     firsts, vertices = [np.zeros(1, np.int64)], []
-    for each in goals:
-        vertex, turns_here = each.turns.vertex - 1, np.zeros(2 * len(corners.points), bool)
-        side = (each.turns.normal[1] == turned_left(corners.walls[0, vertex])).all(axis=1)
+    for of_goal in goals:
+        vertex, turns_here = of_goal.turns.vertex - 1, np.zeros(2 * len(corners.points), bool)
+        side = (of_goal.turns.normal[1] == turned_left(corners.walls[0, vertex])).all(axis=1)
         turns_here[2 * vertex + side] = True
-        kept = turns_here[turns]
-        firsts.append(firsts[-1][-1] + np.append(0, np.cumsum(kept))[first[1:]])
-        vertices.append(1 + (turns[kept] >> 1))
+        is_turn = turns_here[turns]
+        firsts.append(firsts[-1][-1] + np.append(0, np.cumsum(is_turn))[first[1:]])
+        vertices.append(1 + (turns[is_turn] >> 1))
     first, vertex = np.concatenate(firsts), np.concatenate(vertices)
     # 2. Pair pieces with the goal if it may see them, and with the corners in the lists of their triangles around
     #    which paths from the piece may bend.
-    lo, hi = np.stack([_view_box(each.view) for each in goals], axis=1)[:, goal]
+    lo, hi = np.stack([_view_box(of_goal.view) for of_goal in goals], axis=1)[:, goal]
     near_goal = [(highest(x) >= lo[:, i]) & (lowest(x) <= hi[:, i]) for i, x in enumerate(pieces)]
     is_near = near_goal[0] & near_goal[1]
     part, piece = take_ragged(shared.first_part, rows)
@@ -167,43 +168,44 @@ def cells_of_goals(
     keys = [np.zeros(0, np.int64)]
     for some in parts(first[part + 1] - first[part], _CANDIDATES):
         entry, run = take_ragged(first, part[some])
-        each = piece[some][is_near[piece[some]]]
-        each, source = np.append(each, piece[some][run]), np.append(0 * each, vertex[entry])
-        source += goal[each] * count
-        pairs = np.flatnonzero(sight.may_bend(pieces[:, each], source))
-        keys.append(each[pairs] * np.int64(len(sources.points)) + source[pairs])
+        near = piece[some][is_near[piece[some]]]
+        owner, source = np.append(near, piece[some][run]), np.append(0 * near, vertex[entry])
+        source += goal[owner] * count
+        pairs = np.flatnonzero(sight.may_bend(pieces[:, owner], source))
+        keys.append(owner[pairs] * np.int64(len(sources.points)) + source[pairs])
     key = np.sort(np.concatenate(keys))  # a source may be in the lists of several triangles of a piece
     piece, source = np.divmod(key[np.append(True, key[1:] != key[:-1])[: len(key)]], len(sources.points))
     # 3. Test what the sources see, once for all goals.
     view, num_views = sight.view[source], len(table.points)
     key, index = np.unique(rows[piece] * num_views + view, return_inverse=True)
     row, view = np.divmod(key, num_views)
-    seen, is_whole = (each[index] for each in sight.shadows.see(view, shared.pieces[:, row], shared.center[row]))
+    seen, is_whole = (flags[index] for flags in sight.shadows.see(view, shared.pieces[:, row], shared.center[row]))
     keep, triangle = seen | ~is_whole, shared.triangle[rows]
     piece, source, by_all, by_center = piece[keep], source[keep], (seen & is_whole)[keep], seen[keep]
     unknown = np.full(len(cell), np.inf), 0 * cell
-    found = CellSources(sight, len(box), cell, pieces, triangle, shared.center[rows], *unknown, piece, source, by_all)
-    return found.prune_dominated(np.ones(len(cell), bool), by_center)
+    cells = CellSources(sight, len(box), cell, pieces, triangle, shared.center[rows], *unknown, piece, source, by_all)
+    return cells.prune_dominated(np.ones(len(cell), bool), by_center)
 
 
 def _sight_of_goals(sight: Sight, corners: ReflexCorners, goals: Sequence[FamilyGoal]) -> Sight:
+    """Join the sources and turns of several goals, one goal after the other, with what corners see."""
     num, count = len(goals), 1 + len(corners.points)
-    tables, shadows = joined_tables([each.view for each in goals]), sight.shadows
+    tables, shadows = joined_tables([goal.view for goal in goals]), sight.shadows
     table, of_goals = joined_tables([tables, shadows.table]), Shadows.of(tables)
     key, unit, start, end = concatenated((of_goals, shadows), "key", "unit", "start", "end")
     key[len(of_goals.key) :] += 4.0 * num
     # Views are those of the goals, then those of the corners.
     view = np.tile(num - 1 + np.arange(count), (num, 1))
     view[:, 0] = np.arange(num)
-    first = np.cumsum([0, *(len(each.turns.vertex) for each in goals)])
+    first = np.cumsum([0, *(len(goal.turns.vertex) for goal in goals)])
     turn = np.full((num, count), first[-1] - 1)  # also of corners that no path turns at, which are never tested
     turn[:, 0] = -1
-    for number, each in enumerate(goals):
-        turn[number, each.turns.vertex] = first[number] + np.arange(len(each.turns.vertex))
-    vertex, at, distance = concatenated([each.turns for each in goals], "vertex", "points", "distance")
-    normal = np.concatenate([each.turns.normal for each in goals], axis=1)
+    for i, goal in enumerate(goals):
+        turn[i, goal.turns.vertex] = first[i] + np.arange(len(goal.turns.vertex))
+    vertex, at, distance = concatenated([goal.turns for goal in goals], "vertex", "points", "distance")
+    normal = np.concatenate([goal.turns.normal for goal in goals], axis=1)
     turns = TurnPoints(vertex, at, distance, normal, goals[0].turns.slack)
-    points, distances, parents = concatenated([each.sources for each in goals], "points", "distances", "parents")
+    points, distances, parents = concatenated([goal.sources for goal in goals], "points", "distances", "parents")
     parents += np.repeat(count * np.arange(num), count)
     sources, shadows = Sources(points, distances, parents), Shadows(table, key, unit, start, end)
     return Sight(sources, view.ravel(), turn.ravel(), shadows, turns, sight.triangulation, True)

@@ -45,7 +45,14 @@ Entries: TypeAlias = Int[np.ndarray, " entries"]
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Segments across which visibility from viewpoints changes: on rays past corners, from the corner to a wall."""
+    """Segments across which visibility from viewpoints changes: on rays past corners, from the corner to a wall.
+
+    ::
+
+        viewpoint . - - - - - corner =============|       The viewpoint sees points above the shadow (=), but not
+                             /                    | wall  points below it, behind the obstacle.
+                   obstacle /                     |
+    """
 
     table: VisibilityTable
     key: Float[np.ndarray, " shadows"]  # 4 times the viewpoint's index, plus the pseudo-angle from its cut; ascending
@@ -55,6 +62,7 @@ class Shadows:
 
     @staticmethod
     def of(table: VisibilityTable) -> "Shadows":
+        """Find the shadows of all viewpoints of a table."""
         view = np.repeat(np.arange(len(table.points)), np.diff(table.first))
         row = np.flatnonzero(np.append(True, view[1:] != view[:-1])[: len(view)] == 0)
         view = view[row]
@@ -95,22 +103,22 @@ class Shadows:
         beyond = np.where(first >= 4, 4.0, 0.0)
         first, last, wraps = first - beyond, last - beyond, wraps & (first < 4)
         # 2. Look up the shadows with such keys, unless the piece contains its viewpoint.
-        some = np.flatnonzero(~contain(pieces, point[:, None], grid)[:, 0])
-        again = some[wraps[some]]  # a range that contains the cut is looked up in two parts
-        begin = 4.0 * view[np.concatenate([some, again])]
-        end = begin + np.concatenate([np.where(wraps, 4.0, last)[some], last[again] - 4])
-        begin[: len(some)] += first[some]
+        outside = np.flatnonzero(~contain(pieces, point[:, None], grid)[:, 0])
+        wrapped = outside[wraps[outside]]  # a range that contains the cut is looked up in two parts
+        begin = 4.0 * view[np.concatenate([outside, wrapped])]
+        end = begin + np.concatenate([np.where(wraps, 4.0, last)[outside], last[wrapped] - 4])
+        begin[: len(outside)] += first[outside]
         low, high = np.searchsorted(self.key, begin, side="right"), np.searchsorted(self.key, end, side="left")
         run, place = ragged_indices(np.maximum(high - low, 0))
-        shadow, owner = low[run] + place, np.concatenate([some, again])[run]
+        shadow, owner = low[run] + place, np.concatenate([outside, wrapped])[run]
         # 3. A shadow crosses a piece if it contains the middle of the chord that its ray cuts out.
         ux, uy = self.unit[shadow].T[:, :, None]
         dx, dy = pieces[0, owner] - point[owner, :1], pieces[1, owner] - point[owner, 1:]
         along, beside = ux * dx + uy * dy, ux * dy - uy * dx
         next_along, next_beside = next_corner(along), next_corner(beside)
         crosses = (beside >= 0) != (next_beside >= 0)
-        share = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
-        at = along + share * (next_along - along)
+        fraction = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=crosses)
+        at = along + fraction * (next_along - along)
         near, far = lowest(np.where(crosses, at, np.inf)), highest(np.where(crosses, at, -1.0))
         middle = np.where(far > 0, (near + far) / 2, np.inf)
         is_whole[owner[(self.start[shadow] < middle) & (middle < self.end[shadow])]] = False
@@ -151,6 +159,10 @@ class Sight:
         return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
+        """Return whether a part of each piece may lie in its source's cone of :class:`TurnPoints`; True for a goal.
+
+        With ``from_all``, return whether all of the piece lies in the cone.
+        """
         turn = self.turn[source]
         may, corner = np.ones(len(source), bool), np.flatnonzero(turn >= 0)  # there may be none but the goal
         turn, (x, y) = turn[corner], pieces[:, corner]
@@ -185,6 +197,7 @@ class CellSources:
 
     @classmethod
     def of_boxes(cls, sight: Sight, lists: TriangleLists, lo: Corners, hi: Corners) -> Self:
+        """Find the convex pieces of free space in boxes; ``lists`` has possible sources by triangle of free space."""
         first, source = lists
         triangles = np.ascontiguousarray(sight.triangulation.triangles.transpose(2, 0, 1))
         pieces, cell, triangle = clip_to_boxes(triangles, lo, hi)
@@ -194,10 +207,10 @@ class CellSources:
             count, part = len(cell[chunk]), pieces[:, chunk]
             unknown = np.full(count, np.inf), np.zeros(count, int), piece, source[entry], np.zeros(len(piece), bool)
             # With ``num_cells=0``, `append` leaves the indices of cells as they are.
-            found = cls(sight, 0, cell[chunk], part, triangle[chunk], centers(part), *unknown)
-            chunks.append(found.prune_sources(np.ones(count, bool)))
-        found = replace(chunks[0].append(*chunks[1:]), num_cells=len(lo))
-        return found.merge_free_boxes(np.zeros(len(found.cell), bool), lo, hi)
+            cells = cls(sight, 0, cell[chunk], part, triangle[chunk], centers(part), *unknown)
+            chunks.append(cells.prune_sources(np.ones(count, bool)))
+        cells = replace(chunks[0].append(*chunks[1:]), num_cells=len(lo))
+        return cells.merge_free_boxes(np.zeros(len(cells.cell), bool), lo, hi)
 
     @property
     def slack(self) -> float:
@@ -242,18 +255,18 @@ class CellSources:
     def append(self, *others: Self) -> Self:
         several, names = (self, *others), (*_OF_PIECES, "piece", "source", "by_all")
         columns = dict(zip(names, concatenated(several, *names), strict=True))
-        pieces = np.concatenate([each.pieces for each in several], axis=1)
+        pieces = np.concatenate([group.pieces for group in several], axis=1)
         # Shift the indices of cells and pieces by the numbers in the preceding objects.
         for name, counts in (("cell", [e.num_cells for e in several]), ("piece", [len(e.cell) for e in several])):
-            columns[name] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(getattr(each, name)) for each in several])
-        return replace(self, num_cells=sum(each.num_cells for each in several), pieces=pieces, **columns)
+            columns[name] += np.repeat(np.cumsum([0, *counts[:-1]]), [len(getattr(group, name)) for group in several])
+        return replace(self, num_cells=sum(group.num_cells for group in several), pieces=pieces, **columns)
 
     def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, " cells"], lo: Corners, hi: Corners) -> Self:
         # Part ``i`` is the box ``lo[i]`` to ``hi[i]``, on one side of a cut of cell ``parent[i]`` across ``axis[i]``.
         rows, cell = take_ragged(self.first_piece, parent)
         along, upper = axis[cell], is_upper[cell]
-        bound = np.where(upper, lo[cell, along], hi[cell, along])
-        height = (self.pieces[along, rows] - bound[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
+        cut = np.where(upper, lo[cell, along], hi[cell, along])
+        height = (self.pieces[along, rows] - cut[:, None]) * np.where(upper, 1.0, -1.0)[:, None]
         reaches = np.flatnonzero(highest(height) > 0)
         rows, cell, height = rows[reaches], cell[reaches], height[reaches]
         pieces, is_cut = self.pieces[:, rows], lowest(height) < 0
@@ -263,37 +276,38 @@ class CellSources:
 
     def merge_free_boxes(self, changed: OfPieces, lo: Corners, hi: Corners) -> Self:
         # Then prune the sources of merged and of changed pieces.
-        cells, found = np.flatnonzero(np.diff(self.first_piece) > 1), self
-        rows, of = take_ragged(self.first_piece, cells)
+        cells = np.flatnonzero(np.diff(self.first_piece) > 1)
+        rows, index = take_ragged(self.first_piece, cells)
         row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
-        triangle, of = self.triangle[rows[row]], of[row]
-        start, end = (self.sight.triangulation.triangles[triangle, each] for each in (side, (side + 1) % 3))
+        triangle, index = self.triangle[rows[row]], index[row]
+        start, end = (self.sight.triangulation.triangles[triangle, corner] for corner in (side, (side + 1) % 3))
         # Separating axis test of walls and boxes. Walls in a box are sides of the triangles of its pieces.
-        from_middle, half = (start + end) / 2 - ((lo + hi) / 2)[cells[of]], ((hi - lo) / 2)[cells[of]]
+        from_middle, half = (start + end) / 2 - ((lo + hi) / 2)[cells[index]], ((hi - lo) / 2)[cells[index]]
         along = np.abs(end - start) / 2
         beside = np.abs(from_middle[:, 0] * (end - start)[:, 1] - from_middle[:, 1] * (end - start)[:, 0])
         meets = (np.abs(from_middle) < half + along).all(axis=1) & (beside < 2 * (along * half[:, ::-1]).sum(axis=1))
         is_free = np.zeros(self.num_cells, bool)
-        is_free[cells] = ~np.isin(np.arange(len(cells)), of[meets])
+        is_free[cells] = ~np.isin(np.arange(len(cells)), index[meets])
         is_merged = is_free[self.cell]
-        stays = (areas(self.pieces) > 0) & ~is_merged
+        is_kept = (areas(self.pieces) > 0) & ~is_merged
+        merged = self
         if is_free.any():
             # The merged piece has the sources of all pieces; none is known to be visible from all of it.
-            owner = np.where(is_merged, self.first_piece[self.cell], np.arange(len(stays)))
+            owner = np.where(is_merged, self.first_piece[self.cell], np.arange(len(is_kept)))
             keys = owner[self.piece] * np.int64(max(self.source.max(initial=0), 0) + 1) + self.source
             pieces, triangle = self.pieces.copy(), self.triangle.copy()
             whole = self.first_piece[:-1][is_free]
-            pieces[:, whole], triangle[whole], stays[whole] = boxes_as_pieces(lo[is_free], hi[is_free]), -1, True
-            found = replace(self.of_pairs(np.unique(keys, return_index=True)[1]), pieces=pieces, triangle=triangle)
-            found = replace(found, piece=owner[found.piece], by_all=found.by_all & ~is_merged[found.piece])
-        kept = np.flatnonzero(stays)
-        return replace(found.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
+            pieces[:, whole], triangle[whole], is_kept[whole] = boxes_as_pieces(lo[is_free], hi[is_free]), -1, True
+            merged = replace(self.of_pairs(np.unique(keys, return_index=True)[1]), pieces=pieces, triangle=triangle)
+            merged = replace(merged, piece=owner[merged.piece], by_all=merged.by_all & ~is_merged[merged.piece])
+        kept = np.flatnonzero(is_kept)
+        return replace(merged.of_pieces(kept), num_cells=len(lo)).prune_sources((changed | is_merged)[kept])
 
     def prune_sources(self, changed: OfPieces) -> Self:
         # 1. Compute the centers of changed pieces. Paths straight to the old centers bound their distances.
         center, has_goal = self.center.copy(), self.sight.has_goal
         center[changed] = centers(self.pieces[:, changed])
-        found = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
+        moved = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
         # 2. Test whether the center or all of a piece sees a source. What is not tested counts as seen by the center.
         pairs = np.flatnonzero(changed[self.piece] & ~(self.by_all & has_goal))
         bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
@@ -304,12 +318,13 @@ class CellSources:
         seen, is_whole = self.sight.shadows.see(view, self.pieces[:, piece], center[piece])
         by_all[pairs], by_center[pairs], keep[pairs] = seen & is_whole, seen, seen | ~is_whole
         if not has_goal:
-            return replace(found, by_all=by_all).of_pairs(keep)
+            return replace(moved, by_all=by_all).of_pairs(keep)
         # Far from the origin, rounding may remove all sources of a very thin piece; it then keeps what it had.
-        keep |= (np.bincount(found.piece[keep], minlength=len(changed)) == 0)[found.piece]
-        return replace(found, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
+        keep |= (np.bincount(moved.piece[keep], minlength=len(changed)) == 0)[moved.piece]
+        return replace(moved, by_all=by_all).of_pairs(keep).prune_dominated(changed, by_center[keep])
 
     def prune_dominated(self, changed: OfPieces, by_center: Bool[np.ndarray, " pairs"]) -> Self:
+        """Find the best source of each changed piece, and drop the sources through which no path is shorter."""
         sources, pairs = self.sources, np.flatnonzero(changed[self.piece] & by_center)
         # 1. Find the best source of each center; ties prefer sources that all of the piece sees.
         piece, source = self.piece[pairs], self.source[pairs]
@@ -334,17 +349,17 @@ class CellSources:
         # best source: beside a thin wall, some paths turn at its other corner, whose cone is hardly lower.
         by_best &= self.sight.may_bend(self.pieces, best, from_all=True)
         keep[rivals[lowest > np.where(by_best[piece], -self.sight.triangulation.tolerance, 0.0)]] = False
-        found = replace(self, distance=distance, best=best).of_pairs(keep)
-        return found.of_pieces(np.flatnonzero(np.isfinite(distance)))
+        pruned = replace(self, distance=distance, best=best).of_pairs(keep)
+        return pruned.of_pieces(np.flatnonzero(np.isfinite(distance)))
 
 
 def goal_sight(
     sources: Sources, turns: TurnPoints, table: VisibilityTable, triangulation: Triangulation, num_goals: int = 1
 ) -> Sight:
-    each = np.arange(len(sources.points))
-    turn = np.full(len(each), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
+    index = np.arange(len(sources.points))
+    turn = np.full(len(index), len(turns.vertex) - 1)  # also of corners that no path turns at, which are never tested
     turn[:num_goals], turn[turns.vertex] = -1, np.arange(len(turns.vertex))
-    return Sight(sources, each, turn, Shadows.of(table), turns, triangulation, True)
+    return Sight(sources, index, turn, Shadows.of(table), turns, triangulation, True)
 
 
 def lists_of_goal(regions: TurnRegions, num_goals: int = 1) -> TriangleLists:
@@ -362,12 +377,12 @@ def corner_sight(visibility: CornerVisibility, triangulation: Triangulation) -> 
     return Sight(sources, turns.vertex >> 1, turns.vertex, shadows, turns, triangulation, False)
 
 
-def corners_of_cells(found: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:
+def corners_of_cells(cells: CellSources) -> tuple[Entries, Entries, Bool[np.ndarray, " entries"]]:
     """Return pairs (cell, corner where paths from it may turn first), and whether all of the cell sees the corner."""
     # The sources of the pieces are entries of ``turns_by_side``.
-    count = np.int64(len(found.sight.turns.points) // 2)
-    of_piece, first = np.unique(found.piece * count + (found.source >> 1), return_index=True)
+    count = np.int64(len(cells.sight.turns.points) // 2)
+    of_piece, first = np.unique(cells.piece * count + (cells.source >> 1), return_index=True)
     piece, corner = np.divmod(of_piece, count)
-    key, index = np.unique(found.cell[piece] * count + corner, return_inverse=True)
+    key, index = np.unique(cells.cell[piece] * count + corner, return_inverse=True)
     cell, corner = np.divmod(key, count)
-    return cell, corner, np.bincount(index, found.by_all[first], len(key)) == np.diff(found.first_piece)[cell]
+    return cell, corner, np.bincount(index, cells.by_all[first], len(key)) == np.diff(cells.first_piece)[cell]

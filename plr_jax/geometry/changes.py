@@ -30,6 +30,8 @@ GoalView: TypeAlias = tuple[VisibilityTable, Indices]  # visibility polygon of a
 
 @dataclass(frozen=True, eq=False)
 class Change:
+    """A change of the boundary of free space, and which vertices and edges stay."""
+
     old: Boundary
     new: Boundary
     vertex: Int[np.ndarray, " old_vertices"]  # new index of each old vertex; -1 if it is gone
@@ -63,16 +65,14 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     """Return the triangulation after a change of walls; None if rounding prevents this and it must be rebuilt."""
     # 1. Keep triangles unless they have a wall that is gone or meet a new edge.
     is_gone = ((old.wall >= 0) & (change.edge[old.wall] < 0)) | (change.vertex[old.origin] < 0)
-    kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
+    is_kept = ~np.asarray(is_gone.reshape(-1, 3).any(axis=1))
     segments = change.new.segments[change.is_new]
     if len(segments):
-        near = np.flatnonzero(boxes_near(old.triangles, segments, old.tolerance) & kept)
-        polygons, tree = (
-            shapely.polygons(old.triangles[near]),
-            shapely.STRtree(np.asarray(shapely.linestrings(segments))),
-        )
-        kept[near[tree.query(polygons, predicate="dwithin", distance=old.tolerance)[0]]] = False
-    half_kept = np.repeat(kept, 3)
+        near = np.flatnonzero(boxes_near(old.triangles, segments, old.tolerance) & is_kept)
+        polygons = shapely.polygons(old.triangles[near])
+        tree = shapely.STRtree(np.asarray(shapely.linestrings(segments)))
+        is_kept[near[tree.query(polygons, predicate="dwithin", distance=old.tolerance)[0]]] = False
+    half_kept = np.repeat(is_kept, 3)
     wall = np.where(old.wall >= 0, change.edge[old.wall], -1)
     has_triangle = np.zeros(len(change.new.edges), bool)
     has_triangle[wall[half_kept & (wall >= 0)]] = True
@@ -94,23 +94,24 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
         return None
     # 3. Concatenate kept half-edges and those of the gap, and link them along the rims.
     kept_half = np.flatnonzero(half_kept)
-    number = np.full(len(half_kept), -1)
-    number[kept_half] = np.arange(len(kept_half))
+    new_index = np.full(len(half_kept), -1)
+    new_index[kept_half] = np.arange(len(kept_half))
     origin = np.concatenate([vertex[kept_half], local[fill.origin]])
-    kept_twin = np.where(old.twin[kept_half] >= 0, number[old.twin[kept_half]], -1)
+    kept_twin = np.where(old.twin[kept_half] >= 0, new_index[old.twin[kept_half]], -1)
     twin = np.concatenate([kept_twin, np.where(fill.twin >= 0, fill.twin + len(kept_half), -1)])
     names = np.append(walls, np.full(len(rims), -1))
     walls_of_fill = np.where(fill.wall >= 0, names[fill.wall], -1)
     is_rim = np.flatnonzero(fill.wall >= len(walls))
-    beyond = number[old.twin[rims[fill.wall[is_rim] - len(walls)]]]
+    beyond = new_index[old.twin[rims[fill.wall[is_rim] - len(walls)]]]
     twin[len(kept_half) + is_rim], twin[beyond] = beyond, len(kept_half) + is_rim
     wall = np.concatenate([wall[kept_half], walls_of_fill])
-    return Triangulation(change.new, old.tolerance, *(each.astype(np.int32) for each in (origin, twin, wall)))
+    return Triangulation(change.new, old.tolerance, *(column.astype(np.int32) for column in (origin, twin, wall)))
 
 
 def changed_visibility(
     old: CornerVisibility, of_goal: GoalView, goal: Viewpoints, workspace: Workspace, change: Change
 ) -> tuple[CornerVisibility, GoalView]:
+    """Return what all corners and the goal see after a change, computed again only where it may differ."""
     corners, views = find_corners(workspace)
     # 1. Match each new corner with an old one between the same walls.
     boundary = change.new
@@ -119,39 +120,39 @@ def changed_visibility(
     before = np.full(len(views.points), -1)
     before[views.owner] = of_vertex[boundary.edges[views.edge, 0]]
     # All sectors of both must open and close at equal edges.
-    stays = np.zeros(len(boundary.edges), bool)
+    is_same = np.zeros(len(boundary.edges), bool)
     old_edge = np.flatnonzero(change.edge >= 0)
     end = change.vertex[change.old.sector_end[old_edge]]
-    stays[change.edge[old_edge]] = boundary.sector_end[change.edge[old_edge]] == end
+    is_same[change.edge[old_edge]] = boundary.sector_end[change.edge[old_edge]] == end
     differs = np.zeros(len(views.points), bool)
-    differs[views.owner[~stays[views.edge]]] = True
+    differs[views.owner[~is_same[views.edge]]] = True
     counts = np.bincount(views.owner, minlength=len(views.points))
     old_counts = np.bincount(old.views.owner, minlength=len(old.views.points))
     differs |= counts != np.append(old_counts, 0)[before]
     same = np.where(differs, -1, before)
     # 2. Recompute what corners see that may see a change, and what the goal sees if it may.
     before = np.where(np.append(_may_see_change(old.table, change), True)[same], -1, same)
-    goal_looks = bool(_may_see_change(of_goal[0], change)[0])
-    kept, looks = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
-    looking = views[looks]
-    if goal_looks:
-        points, owner = np.concatenate([looking.points, goal.points]), goal.owner + len(looks)
-        looking = Viewpoints(points, np.append(looking.owner, owner), np.append(looking.edge, goal.edge))
-    found, (view, vertex) = visibility_of(workspace.triangulation, looking)
-    table = _splice([(old.table, before[kept], kept), (found, np.arange(len(looks)), looks)], change)
+    goal_changed = bool(_may_see_change(of_goal[0], change)[0])
+    unchanged, changed = np.flatnonzero(before >= 0), np.flatnonzero(before < 0)
+    viewpoints = views[changed]
+    if goal_changed:
+        points, owner = np.concatenate([viewpoints.points, goal.points]), goal.owner + len(changed)
+        viewpoints = Viewpoints(points, np.append(viewpoints.owner, owner), np.append(viewpoints.edge, goal.edge))
+    fresh, (view, vertex) = visibility_of(workspace.triangulation, viewpoints)
+    table = _splice([(old.table, before[unchanged], unchanged), (fresh, np.arange(len(changed)), changed)], change)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
-    goal_table, goal_row = (found, len(looks)) if goal_looks else (of_goal[0], 0)
+    goal_table, goal_row = (fresh, len(changed)) if goal_changed else (of_goal[0], 0)
     now = np.full(len(old.corners.points), -1)
     now[same[same >= 0]] = np.flatnonzero(same >= 0)
-    goal_corners = seen[view == len(looks)] if goal_looks else now[of_goal[1]]
+    goal_corners = seen[view == len(changed)] if goal_changed else now[of_goal[1]]
     new = _splice([(goal_table, np.array([goal_row]), np.zeros(1, int))], change), goal_corners
     # 3. Keep the edges between unchanged corners; the others involve a recomputed corner.
-    number = np.full(len(old.corners.points), -1)
-    number[before[kept]] = kept
-    edges = number[old.edges]
+    new_index = np.full(len(old.corners.points), -1)
+    new_index[before[unchanged]] = unchanged
+    edges = new_index[old.edges]
     edges = edges[(edges >= 0).all(axis=1)]
-    is_pair = (view < len(looks)) & (seen >= 0)
-    view, seen = looks[view[is_pair]], seen[is_pair]
+    is_pair = (view < len(changed)) & (seen >= 0)
+    view, seen = changed[view[is_pair]], seen[is_pair]
     view, seen = view[view != seen], seen[view != seen]
     back = np.flatnonzero(before[seen] >= 0)
     back = back[table.sees(seen[back], corners.points[view[back]])]
@@ -163,12 +164,13 @@ def changed_visibility(
 
 
 def _may_see_change(table: VisibilityTable, change: Change) -> Bool[np.ndarray, " views"]:
+    """Return which viewpoints may see a change: they saw a wall that is gone, or may see a changed part."""
     sees = np.zeros(len(table.points), bool)
     gone = np.flatnonzero((table.edge >= 0) & (change.edge[table.edge] < 0))
     sees[np.searchsorted(table.first, gone, side="right") - 1] = True
     for box in change.boxes(table.tolerance):
-        rest = np.flatnonzero(~sees)
-        sees[rest[may_see_polygons(table, rest, box)]] = True
+        pending = np.flatnonzero(~sees)
+        sees[pending[may_see_polygons(table, pending, box)]] = True
     return sees
 
 
@@ -183,39 +185,39 @@ def may_see_polygons(
     # The polygon spans all directions but the widest gap between its corners. The gap is at least half a turn, unless
     # the viewpoint is inside.
     gap = np.diff(angle, axis=1, append=angle[:, :1] + _TURN)
-    each, widest = np.arange(len(view)), gap.argmax(axis=1)
-    first, last = angle[each, (widest + 1) % angle.shape[1]], angle[each, widest]
-    is_around, wraps = gap[each, widest] < _TURN / 2, first > last
-    number = np.append(each, each[wraps])
+    rows, widest = np.arange(len(view)), gap.argmax(axis=1)
+    first, last = angle[rows, (widest + 1) % angle.shape[1]], angle[rows, widest]
+    is_around, wraps = gap[rows, widest] < _TURN / 2, first > last
+    polygon = np.append(rows, rows[wraps])
     low = np.append(np.where(wraps, 0.0, first), first[wraps])
     high = np.append(last, np.full(np.count_nonzero(wraps), _TURN))
-    of = view[number]
-    begin = np.searchsorted(table.key, _TURN * of + low - table.blur, side="right") - 1
-    end = np.searchsorted(table.key, _TURN * of + high + table.blur, side="right")
-    begin, end = np.maximum(begin, table.first[of]), np.minimum(end, table.first[of + 1])
+    viewpoint = view[polygon]
+    begin = np.searchsorted(table.key, _TURN * viewpoint + low - table.blur, side="right") - 1
+    end = np.searchsorted(table.key, _TURN * viewpoint + high + table.blur, side="right")
+    begin, end = np.maximum(begin, table.first[viewpoint]), np.minimum(end, table.first[viewpoint + 1])
     run, place = ragged_indices(np.maximum(end - begin, 0))
-    edge, number = table.edge[begin[run] + place], number[run]
+    edge, polygon = table.edge[begin[run] + place], polygon[run]
     normal, offset = table.boundary.normal[edge].T, table.boundary.offset[edge] - table.tolerance
-    height = normal[0][:, None] * hull[number, :, 0] + normal[1][:, None] * hull[number, :, 1]
+    height = normal[0][:, None] * hull[polygon, :, 0] + normal[1][:, None] * hull[polygon, :, 1]
     # The polygon may be visible if one of its corners lies in front of a wall in its direction.
-    is_around[number[(edge >= 0) & (height.max(axis=1) >= offset)]] = True
+    is_around[polygon[(edge >= 0) & (height.max(axis=1) >= offset)]] = True
     return is_around
 
 
 def _splice(parts: Sequence[tuple[VisibilityTable, Indices, Indices]], change: Change) -> VisibilityTable:
     # Each part is a table, the viewpoints to take from it, and their indices in the result.
-    num = sum(len(which) for _, which, _ in parts)
+    num = sum(len(views) for _, views, _ in parts)
     points, cut, counts = np.empty((num, 2)), np.empty((num, 2)), np.empty(num, int)
-    for table, which, place in parts:
-        points[place], cut[place] = table.points[which], table.cut[which]
-        counts[place] = np.diff(table.first)[which]
+    for table, views, place in parts:
+        points[place], cut[place] = table.points[views], table.cut[views]
+        counts[place] = np.diff(table.first)[views]
     first = np.append(0, np.cumsum(counts))
     key, edge, vertex = np.empty(first[-1]), *np.empty((2, first[-1]), parts[-1][0].edge.dtype)
-    for table, which, place in parts:
-        to, _ = take_ragged(first, place)
-        row, run = take_ragged(table.first, which)
-        key[to] = table.key[row] - _TURN * (which - place)[run]
+    for table, views, place in parts:
+        target, _ = take_ragged(first, place)
+        row, run = take_ragged(table.first, views)
+        key[target] = table.key[row] - _TURN * (views - place)[run]
         is_old = table.boundary is change.old
-        edge[to] = np.append(change.edge, -1)[table.edge[row]] if is_old else table.edge[row]
-        vertex[to] = np.append(change.vertex, -1)[table.vertex[row]] if is_old else table.vertex[row]
+        edge[target] = np.append(change.edge, -1)[table.edge[row]] if is_old else table.edge[row]
+        vertex[target] = np.append(change.vertex, -1)[table.vertex[row]] if is_old else table.vertex[row]
     return VisibilityTable(change.new, parts[0][0].tolerance, points, cut, first, key, edge, vertex)

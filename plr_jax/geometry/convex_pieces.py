@@ -26,17 +26,17 @@ def clip(pieces: Pieces, height: Values) -> Float[np.ndarray, "2 pieces room"]:
     inside = height >= 0  # somewhere in each piece, by assumption
     after = next_corner(height)
     crosses = inside != (after >= 0)
-    share = np.divide(height, height - after, out=np.zeros_like(height), where=crosses)
+    fraction = np.divide(height, height - after, out=np.zeros_like(height), where=crosses)
     repeats = np.zeros(inside.shape, bool)
     repeats[:, 1:] = (pieces[0, :, 1:] == pieces[0, :, :-1]) & (pieces[1, :, 1:] == pieces[1, :, :-1])
-    kept = np.stack([inside & ~repeats, crosses], axis=2).reshape(len(height), 2 * height.shape[1])
-    row, column = np.nonzero(kept)
-    count = kept.sum(axis=1)
+    is_kept = np.stack([inside & ~repeats, crosses], axis=2).reshape(len(height), 2 * height.shape[1])
+    row, column = np.nonzero(is_kept)
+    count = is_kept.sum(axis=1)
     place = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)
     last = np.minimum(np.arange(ROOM), np.maximum(count - 1, 0)[:, None])
     result = np.empty((2, len(height), ROOM))
     for along, clipped in zip(pieces, result, strict=True):
-        met = along + share * (next_corner(along) - along)
+        met = along + fraction * (next_corner(along) - along)
         points = np.stack([along, met], axis=2).reshape(len(height), 2 * height.shape[1])
         clipped[row, place] = points[row, column]
         clipped[:] = np.take_along_axis(clipped, last, axis=1)
@@ -83,17 +83,17 @@ def contain(pieces: Pieces, x: Float[np.ndarray, "pieces k 2"], tolerance: float
 def clip_to_boxes(pieces: Pieces, lo: Corners, hi: Corners) -> tuple[Float[np.ndarray, "2 some room"], Some, Some]:
     """Intersect all polygons with all boxes; return parts of positive area, and the box and polygon of each."""
     (x0, y0), (x1, y1) = pieces.min(axis=2), pieces.max(axis=2)
-    at_once, found = max(1, _BOXES_AND_PIECES // max(1, len(x0))), [np.zeros((2, 0), np.int64)]
+    at_once, pairs = max(1, _BOXES_AND_PIECES // max(1, len(x0))), [np.zeros((2, 0), np.int64)]
     for begin in range(0, len(lo), at_once):
-        (left, low), (right, high) = (each[begin : begin + at_once].T[:, :, None] for each in (lo, hi))
+        (left, low), (right, high) = (corner[begin : begin + at_once].T[:, :, None] for corner in (lo, hi))
         box, rows = np.nonzero((x0 < right) & (x1 > left) & (y0 < high) & (y1 > low))
-        found.append(np.stack([begin + box, rows]))
-    box, rows = np.concatenate(found, axis=1)
+        pairs.append(np.stack([begin + box, rows]))
+    box, rows = np.concatenate(pairs, axis=1)
     pieces = pieces[:, rows][:, :, np.minimum(np.arange(ROOM), pieces.shape[2] - 1)]
     is_cut = np.zeros(len(rows), bool)
     for axis in range(2):
-        for sign, bound in ((1.0, lo[:, axis]), (-1.0, hi[:, axis])):
-            height = sign * (pieces[axis] - bound[box, None])
+        for sign, limit in ((1.0, lo[:, axis]), (-1.0, hi[:, axis])):
+            height = sign * (pieces[axis] - limit[box, None])
             reaches = highest(height) > 0
             box, rows, pieces, height = box[reaches], rows[reaches], pieces[:, reaches], height[reaches]
             is_cut = is_cut[reaches] | (lowest(height) < 0)  # clipping again drops corners that clipping repeated
@@ -132,7 +132,9 @@ def difference_of_cones(
 def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
     # The extremes lie on the boundary. The gradient, a difference of unit vectors, vanishes only on the line through
     # both apexes outside of their segment, where the difference is constant. On an edge the difference is stationary
-    # where both apexes appear at the same angle to the edge.
+    # where both apexes appear at the same angle to the edge:
+    #   (place - along_a) / beside_a = (place - along_b) / beside_b,
+    # where `along` is the foot of an apex on the edge's line, and `beside` its distance from the line.
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, bx, by = x - apex[:, 0], y - apex[:, 1], x - other_apex[:, 0], y - other_apex[:, 1]
     along_a, along_b = -(ax * ex + ay * ey), -(bx * ex + by * ey)
@@ -148,7 +150,8 @@ def _extremes(pieces: Pieces, apex: Vectors, other_apex: Vectors) -> Extremes:
 
 def cone_above_plane(pieces: Pieces, apex: Vectors, offset: Numbers, slope: Vectors, intercept: Numbers) -> Extremes:
     """Return the extremes over a piece's ``x`` of ``offset + |x - apex| - (slope . x + intercept)``."""
-    # The difference is convex, so largest at a corner, and smallest on an edge or at the apex.
+    # The difference is convex, so largest at a corner, and smallest on an edge or at the apex. On an edge, it is
+    # smallest where the distance to the apex rises as the plane does: (place - along) / distance = rate.
     x, y, ex, ey, length = _corners_and_edges(pieces)
     ax, ay, (sx, sy) = x - apex[:, 0], y - apex[:, 1], slope.T
     from_apex = offset - intercept - (slope * apex).sum(axis=1)

@@ -35,8 +35,8 @@ class ReflexCorners:
         return ReflexCorners(points, np.insert(self.walls, [0] * len(goals), 0.0, axis=1), self.slack)
 
     def without(self, point: Float[np.ndarray, "2"]) -> "ReflexCorners":
-        other = (self.points != point).any(axis=1)
-        return ReflexCorners(self.points[other], self.walls[:, other], self.slack)
+        is_other = (self.points != point).any(axis=1)
+        return ReflexCorners(self.points[is_other], self.walls[:, is_other], self.slack)
 
     def is_tangent(self, corner: Indices, other: Indices) -> Bool[np.ndarray, "..."]:
         return self.is_tangent_to(corner, self.points[other])
@@ -50,6 +50,10 @@ class ReflexCorners:
 
 
 def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
+    """Return the corners at which shortest paths may turn, and the same corners as viewpoints.
+
+    They are reflex vertices and, if paths may squeeze through, contacts.
+    """
     boundary = workspace.boundary
     contacts = boundary.contacts if workspace.squeeze else np.empty(0, int)
     turns = boundary.is_reflex() | np.isin(boundary.edges[:, 0], contacts)
@@ -64,6 +68,8 @@ def find_corners(workspace: Workspace) -> tuple[ReflexCorners, Viewpoints]:
 
 @dataclass(frozen=True, eq=False)
 class CornerVisibility:
+    """The corners at which shortest paths can turn, what each one sees, and the visibility graph."""
+
     corners: ReflexCorners
     views: Viewpoints  # at the corners
     table: VisibilityTable
@@ -78,8 +84,8 @@ def corner_visibility(workspace: Workspace) -> CornerVisibility:
     corners, views = find_corners(workspace)
     table, (view, vertex) = visibility_of(workspace.triangulation, views)
     seen = corner_of_vertex(workspace.boundary, views)[vertex]
-    other = (seen >= 0) & (seen != view)
-    return CornerVisibility(corners, views, table, mutually_visible_pairs(corners, view[other], seen[other]))
+    is_other = (seen >= 0) & (seen != view)
+    return CornerVisibility(corners, views, table, mutually_visible_pairs(corners, view[is_other], seen[is_other]))
 
 
 def mutually_visible_pairs(
@@ -92,8 +98,8 @@ def mutually_visible_pairs(
     # Visibility is not symmetric: at a point contact, a corner may be seen from a sector that it does not look into.
     size = np.int64(len(corners.points))
     pair = _sorted_unique(2 * (np.minimum(view, seen) * size + np.maximum(view, seen)) + (view < seen)) >> 1
-    both = pair[1:][pair[1:] == pair[:-1]]
-    return np.stack(np.divmod(both, size), axis=1)
+    mutual = pair[1:][pair[1:] == pair[:-1]]
+    return np.stack(np.divmod(mutual, size), axis=1)
 
 
 def corner_of_vertex(boundary: Boundary, views: Viewpoints) -> Int[np.ndarray, " vertices"]:
@@ -182,6 +188,7 @@ class TurnRegions:
     turn: Int[np.ndarray, " entries"]  # turn[first[t] : first[t + 1]] are the indices in `turns` for triangle t
 
     def first_visible(self, x: Float[np.ndarray, "n 2"], places: LocatedPoints, sees: Sees) -> FirstVisible:
+        """Return the first turn of each point's shortest path with a turn (-1: no path), and its length."""
         vertex, length = np.full(len(x), -1), np.full(len(x), np.inf)
         point, first, triangle = triangles_at(self.triangulation, places)
         entries = np.append(0, np.cumsum(self.first[triangle + 1] - self.first[triangle]))[first]
@@ -190,14 +197,14 @@ class TurnRegions:
             turn = self.turn[take_ragged(self.first, triangle[first[part.start] : first[part.stop]])[0]]
             rows = point[part]
             dx, dy = (np.repeat(x[rows], counts[part], axis=0) - self.turns.points[turn]).T
-            lengths, to = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn], self.turns.vertex[turn]
+            lengths, end = np.sqrt(dx * dx + dy * dy) + self.turns.distance[turn], self.turns.vertex[turn]
             pair, length[rows] = first_visible_ragged(
-                lengths, counts[part], lambda at, pair, rows=rows, to=to: sees(rows[at], to[pair])
+                lengths, counts[part], lambda at, pair, rows=rows, end=end: sees(rows[at], end[pair])
             )
-            vertex[rows] = np.append(to, -1)[pair]
+            vertex[rows] = np.append(end, -1)[pair]
         # At a vertex, where many triangles meet, points try all turn points.
         rest = np.setdiff1d(np.arange(len(x)), point, assume_unique=True)
-        vertex[rest], length[rest] = self.turns.first_visible(x[rest], lambda at, to: sees(rest[at], to))
+        vertex[rest], length[rest] = self.turns.first_visible(x[rest], lambda at, end: sees(rest[at], end))
         return vertex, length
 
 
@@ -215,7 +222,7 @@ def triangles_at(
     # Points at vertices are left out. Those in the result have the triangles ``[first[i] : first[i + 1]]``.
     num_sides, side = places.on_side.sum(axis=1), places.on_side.argmax(axis=1)
     beyond = triangulation.twin[3 * places.triangle + side] // 3
-    held = num_sides < 2
-    counts = np.where((num_sides == 1) & (beyond >= 0), 2, 1)[held]
-    both = np.stack([places.triangle, beyond], axis=1)[held]
-    return np.flatnonzero(held), np.append(0, np.cumsum(counts)), both[np.arange(2) < counts[:, None]]
+    is_listed = num_sides < 2
+    counts = np.where((num_sides == 1) & (beyond >= 0), 2, 1)[is_listed]
+    triangles = np.stack([places.triangle, beyond], axis=1)[is_listed]
+    return np.flatnonzero(is_listed), np.append(0, np.cumsum(counts)), triangles[np.arange(2) < counts[:, None]]

@@ -25,6 +25,8 @@ FirstVisible: TypeAlias = tuple[
 
 @dataclass(frozen=True, eq=False)
 class Graph:
+    """An undirected graph of points, whose edges have lengths."""
+
     vertices: Float[np.ndarray, "v dim"]
     edges: Int[np.ndarray, "e 2"]  # each edge once
     measure: Callable[[Points, Points], Float[np.ndarray, " e"]] | None = None  # lengths of edges; None: Euclidean
@@ -79,7 +81,7 @@ def first_visible(
     ``sees(i, k)``. The array ``lengths`` is modified. Visibility is tested in rounds, first of ``at_once`` paths of
     each point, the shortest ones, or ``count`` if that is more.
     """
-    found, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
+    visible_way, shortest = np.full((len(lengths), count), -1), np.full((len(lengths), count), np.inf)
     pending, num_found, num_tests = np.arange(len(lengths)), np.zeros(len(lengths), int), max(at_once, count)
     while pending.size and lengths.shape[1]:
         # Columns of the smallest entries of each row in ascending order, NaN last.
@@ -96,26 +98,26 @@ def first_visible(
         rank = num_found[:, None] + np.cumsum(visible, axis=1)
         row, column = np.nonzero(visible & (rank <= count))
         place = pending[row], rank[row, column] - 1
-        found[place], shortest[place] = tests[row, column], length[row, column]
+        visible_way[place], shortest[place] = tests[row, column], length[row, column]
         more = (rank[:, -1] < count) & ~np.isnan(length[:, -1])
         pending, num_found, lengths = pending[more], rank[more, -1], lengths[more]
         lengths[np.arange(len(lengths))[:, None], tests[more]] = np.nan
         num_tests *= 2 * at_once
-    return found, shortest
+    return visible_way, shortest
 
 
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
 ) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
     """Apply :func:`first_visible` to slices of ``n`` points, to save memory; ``lengths`` maps a slice to lengths."""
-    found, shortest = np.empty((n, count), int), np.empty((n, count))
+    visible_way, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))
     for begin in range(0, n, step):
         rows = slice(begin, min(begin + step, n))
-        found[rows], shortest[rows] = first_visible(
+        visible_way[rows], shortest[rows] = first_visible(
             lengths(rows), lambda point, way, begin=begin: sees(begin + point, way), count
         )
-    return found, shortest
+    return visible_way, shortest
 
 
 def first_visible_ragged(
@@ -126,7 +128,7 @@ def first_visible_ragged(
     ``lengths``, modified in place, has ``counts[0]`` path lengths of the first point, one for each candidate for the
     path's first vertex; then ``counts[1]`` of the next point, and so on.
     """
-    found, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
+    visible_pair, shortest = np.full(len(counts), -1), np.full(len(counts), np.inf)
     pending = np.flatnonzero(counts)
     pair, counts = np.arange(len(lengths)), counts[pending]
     while pending.size:
@@ -136,9 +138,9 @@ def first_visible_ragged(
         best = best[np.searchsorted(best, start)]
         visible = sees(pending, pair[best])
         place = pending[visible]
-        found[place], shortest[place] = pair[best[visible]], least[visible]
+        visible_pair[place], shortest[place] = pair[best[visible]], least[visible]
         lengths[best] = np.inf
         more = ~visible & (np.minimum.reduceat(lengths, start) < np.inf)
-        kept = np.repeat(more, counts)
-        pending, counts, lengths, pair = pending[more], counts[more], lengths[kept], pair[kept]
-    return found, shortest
+        is_pending = np.repeat(more, counts)
+        pending, counts, lengths, pair = pending[more], counts[more], lengths[is_pending], pair[is_pending]
+    return visible_pair, shortest

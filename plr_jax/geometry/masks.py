@@ -43,6 +43,7 @@ class PixelRings:
 
 
 def pixel_rings(free: Mask) -> PixelRings:
+    """Return the outlines of the free pixels, in units of pixels."""
     padded = np.pad(free, 1)
     lower_left, lower_right = padded[:-1, :-1], padded[:-1, 1:]
     upper_left, upper_right = padded[1:, :-1], padded[1:, 1:]
@@ -88,6 +89,8 @@ def pixel_rings(free: Mask) -> PixelRings:
 
 @dataclass(frozen=True, eq=False)
 class _Stations:
+    """The points of exact outlines of pixels at which simplified outlines may bend."""
+
     points: Float[np.ndarray, "n 2"]  # corners and some middles of edges of outlines
     ring: Int[np.ndarray, " n"]  # the outline of each point; its first corner is repeated as its last point
     is_corner: Bool[np.ndarray, " n"]
@@ -104,12 +107,12 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
         return outlines
     stations, is_contact = _stations_of(outlines)
     # Take the longest links, one after the other from the first station of each ring.
-    onward, kept = _farthest(stations, tolerance * (1 - 1e-9)).tolist(), []
+    onward, chain = _farthest(stations, tolerance * (1 - 1e-9)).tolist(), []
     for at in np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1])).tolist():
-        kept.append(at)
-        while onward[kept[-1]] != kept[-1]:
-            kept.append(onward[kept[-1]])
-    is_kept = np.isin(np.arange(len(onward)), kept)
+        chain.append(at)
+        while onward[chain[-1]] != chain[-1]:
+            chain.append(onward[chain[-1]])
+    is_kept = np.isin(np.arange(len(onward)), chain)
     while (undone := _unwanted(stations, is_kept, tolerance)).any():
         first, last = _links(stations, is_kept)
         for begin, end in zip(first[undone].tolist(), last[undone].tolist(), strict=True):
@@ -148,11 +151,11 @@ def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"
     ahead = np.where(place + 1 < size[ring], np.arange(len(ring)) + 1, outlines.start[ring])
     turn = np.empty(len(ring))
     turn[ahead] = np.sign(cross_product(along, along[ahead]))  # turn at the end of each run
-    kept = np.ones(len(source), dtype=bool)
-    kept[at + 1] = turn != turn[ahead]
-    number = np.cumsum(kept) - 1
+    is_kept = np.ones(len(source), dtype=bool)
+    is_kept[at + 1] = turn != turn[ahead]
+    index = np.cumsum(is_kept) - 1
     ring_of = np.repeat(np.arange(num_rings), 2 * size + 1)
-    return _Stations(points[kept], ring_of[kept], is_corner[kept], number[end[kept]]), is_contact[kept]
+    return _Stations(points[is_kept], ring_of[is_kept], is_corner[is_kept], index[end[is_kept]]), is_contact[is_kept]
 
 
 def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
@@ -182,7 +185,7 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
         most = np.where(narrows, np.minimum(most, turn + spread), most)
         length = np.where(is_corner, np.maximum(length, distance), length)
         goes_on = (least <= most) & (at < stations.end[begin])
-        begin, axis, least, most, length = (each[goes_on] for each in (begin, axis, least, most, length))
+        begin, axis, least, most, length = (column[goes_on] for column in (begin, axis, least, most, length))
     return farthest
 
 
@@ -212,8 +215,8 @@ def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, " m"]:
         shared = (links[a, end] == links[b, other]).all(axis=1)
         is_joined |= shared
         for segments, points in ((links[a], links[b, 1 - other]), (links[b], links[a, 1 - end])):
-            to_start, way = segments[:, 0] - points, segments[:, 1] - segments[:, 0]
-            folded |= shared & (distance_to_segment(*to_start.T, *way.T) < CLEARANCE)
+            to_start, along = segments[:, 0] - points, segments[:, 1] - segments[:, 0]
+            folded |= shared & (distance_to_segment(*to_start.T, *along.T) < CLEARANCE)
     is_bad = folded | ~is_joined
     return np.isin(np.arange(len(links)), [a[is_bad], b[is_bad]])
 
@@ -225,13 +228,14 @@ def _surrounding(stations: _Stations, first: Indices, last: Indices) -> Bool[np.
     firsts = np.flatnonzero(np.append(True, stations.ring[1:] != stations.ring[:-1]))
     points = shapely.points(stations.points[firsts])
     point, link = shapely.STRtree(between).query(points, predicate="within")
-    other = stations.ring[firsts[point]] != stations.ring[first[link]]
-    return np.isin(np.arange(len(first)), link[other])
+    is_other = stations.ring[firsts[point]] != stations.ring[first[link]]
+    return np.isin(np.arange(len(first)), link[is_other])
 
 
 def placed_region(
     free: ArrayLike, resolution: float | int, origin: ArrayLike, row0: str, tolerance: float | int, drop_specks: int
 ) -> Any:
+    """Check a mask, and return its free pixels as a simplified Shapely region in workspace units, without specks."""
     free = as_mask(free)
     if row0 not in ("bottom", "top"):
         raise ValueError(f"row0 must be 'bottom' or 'top', got {shortened(row0)}.")
@@ -259,6 +263,7 @@ def rounded_one_by_one(region: Any, grid: float) -> Any:
 
 
 def require_resolved_pixels(shape: tuple[int, ...], resolution: float, origin: float) -> None:
+    """Raise a ``ValueError`` if coordinates of pixels overflow, or a pixel is not much larger than their rounding."""
     size = resolution * math.hypot(*shape)
     reach = float(origin) + size
     if not reach <= LARGEST_COORDINATE:
@@ -295,9 +300,9 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
     # The one counterclockwise loop of a component is its shell; its other loops are holes.
     is_outer = shapely.is_ccw(loops)
     shells = loops[is_outer][np.argsort(component[is_outer])]
-    holes, of = loops[~is_outer], component[~is_outer]
-    order = np.argsort(of, kind="stable")
-    holes = np.split(holes[order], np.searchsorted(of[order], np.arange(2, len(shells) + 1)))
+    holes, part = loops[~is_outer], component[~is_outer]
+    order = np.argsort(part, kind="stable")
+    holes = np.split(holes[order], np.searchsorted(part[order], np.arange(2, len(shells) + 1)))
     return MultiPolygon([Polygon(shell, rings) for shell, rings in zip(shells, holes, strict=True)])
 
 
@@ -314,8 +319,8 @@ def without_specks(free: Mask, num_pixels: int) -> Mask:
 def _labels(pixels: Mask, structure: Bool[np.ndarray, "3 3"] | None = None) -> Int[np.ndarray, "rows columns"]:
     import scipy.ndimage  # slow to import, and most workspaces do not need it
 
-    found: Any = scipy.ndimage.label(pixels, structure)
-    return found[0]
+    labeling: Any = scipy.ndimage.label(pixels, structure)
+    return labeling[0]
 
 
 def _simple_loops(rings: PixelRings) -> tuple[Any, Int[np.ndarray, " loops"]]:

@@ -36,21 +36,21 @@ class Reach:
 
     def is_cut_off(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
         """Return whether boxes hold cut-off points, and no point that reaches the goal, not even by rounding."""
-        found = self.cut_off(lo + _SHRUNK, hi - _SHRUNK)
-        found[found] = ~self.reached(lo[found] - _GROWN, hi[found] + _GROWN)
-        return found
+        holds = self.cut_off(lo + _SHRUNK, hi - _SHRUNK)
+        holds[holds] = ~self.reached(lo[holds] - _GROWN, hi[holds] + _GROWN)
+        return holds
 
     def is_border(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
         """Return whether boxes hold points that reach the goal, and cut-off points far from all such points."""
-        found = self.far(lo + _SHRUNK, hi - _SHRUNK) & (np.linalg.norm(hi - lo, axis=1) > FAR)
-        found[found] = self.reached(lo[found] - _GROWN, hi[found] + _GROWN)
-        return found
+        holds = self.far(lo + _SHRUNK, hi - _SHRUNK) & (np.linalg.norm(hi - lo, axis=1) > FAR)
+        holds[holds] = self.reached(lo[holds] - _GROWN, hi[holds] + _GROWN)
+        return holds
 
     def holds_reached(self, lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:
         """Return whether points inside of boxes reach the goal."""
         return self.reached(lo + _SHRUNK, hi - _SHRUNK)
 
-    def share_cut_off(self, dim: int) -> float:
+    def cut_off_fraction(self, dim: int) -> float:
         """Return roughly which share of free space is cut off."""
         num = round(_NUM_BOXES ** (1 / dim))
         lo = np.array(list(product(range(num), repeat=dim))) / num

@@ -29,13 +29,15 @@ class Place(NamedTuple):
 
     def take(self, first: Int[np.ndarray, " _"], entries: Int[np.ndarray, " _"]) -> Int[np.ndarray, " _"]:
         """Join the lists of the triangles ``t`` that contain the point: ``entries[first[t] : first[t + 1]]``."""
-        own = entries[first[self.triangle] : first[self.triangle + 1]]
+        listed = entries[first[self.triangle] : first[self.triangle + 1]]
         if self.beyond == self.triangle:
-            return own
-        return np.concatenate([own, entries[first[self.beyond] : first[self.beyond + 1]]])
+            return listed
+        return np.concatenate([listed, entries[first[self.beyond] : first[self.beyond + 1]]])
 
 
 class PointLocator:
+    """A point location for one point at a time, without calls of NumPy; see :meth:`Triangulation.place`."""
+
     def __init__(self, triangulation: Triangulation):
         locator = triangulation.locator
         (self._x0, self._y0), (self._width, self._height) = locator.lo.tolist(), locator.width.tolist()
@@ -71,7 +73,7 @@ class PointLocator:
         # Coordinates are multiples of the grid spacing, and Python computes with integers exactly.
         following = half_edge - 2 if half_edge % 3 == 2 else half_edge + 1
         ends = (self._corners[2 * i + axis] for i in (half_edge, following) for axis in (0, 1))
-        ax, ay, bx, by, px, py = (int(each / self._grid) for each in (*ends, x, y))
+        ax, ay, bx, by, px, py = (int(coordinate / self._grid) for coordinate in (*ends, x, y))
         side = (bx - ax) * (py - ay) - (by - ay) * (px - ax)
         if side < 0:
             return Place(x, y, beyond, beyond) if twin >= 0 else None
@@ -101,6 +103,8 @@ class PointLocator:
 
 
 class PointSight:
+    """A sight test of one viewpoint and one place at a time, mostly without calls of NumPy."""
+
     def __init__(self, table: VisibilityTable):
         boundary = table.boundary
         self._table, self._blur, self._tolerance = table, table.blur, table.tolerance
@@ -109,6 +113,7 @@ class PointSight:
         self._normal, self._offset = _flat(boundary.normal), _flat(boundary.offset)
 
     def sees(self, view: int, place: Place) -> bool:
+        """Return whether a viewpoint sees a place, with the same result as :meth:`VisibilityTable.sees`."""
         i, keys, x, y = 2 * view, self._key, place.x, place.y
         dx, dy, cx, cy = x - self._points[i], y - self._points[i + 1], self._cut[i], self._cut[i + 1]
         u, v = cx * dx + cy * dy, cx * dy - cy * dx
@@ -124,12 +129,15 @@ class PointSight:
 
 
 class CornerSight(PointSight):
+    """A test of one corner and one place at a time: whether a shortest path can turn there."""
+
     def __init__(self, visibility: CornerVisibility):
         super().__init__(visibility.table)
         self._slack = visibility.corners.slack
         self._opens, self._closes = map(_flat, visibility.corners.walls)
 
     def may_turn(self, corner: int, place: Place) -> bool:
+        """Return whether a shortest path from a place may turn at a corner: it is tangent there, and seen."""
         i, slack = 2 * corner, self._slack
         dx, dy = place.x - self._points[i], place.y - self._points[i + 1]
         opens = self._opens[i] * dy - self._opens[i + 1] * dx

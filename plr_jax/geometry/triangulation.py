@@ -43,7 +43,7 @@ class Locator:
         """Return each point's triangle, or a nearby one (-1: none), and its signed distance to the nearest side."""
         place = np.clip((x - self.lo) / self.width, 0, np.array(self.shape) - 1).astype(int)
         cell = place[:, 0] * self.shape[1] + place[:, 1]
-        found, best = np.full(len(x), -1), np.full(len(x), -np.inf)
+        nearest, best = np.full(len(x), -1), np.full(len(x), -np.inf)
         pending, entry, end = np.arange(len(x)), self.first[cell], self.first[cell + 1]
         while len(pending):
             more = entry < end
@@ -52,14 +52,16 @@ class Locator:
             normal_x, normal_y, offset = np.moveaxis(self.lines[triangle], 2, 0)
             height = (normal_x * x[pending, :1] + normal_y * x[pending, 1:] - offset).min(axis=1)
             better = height > best[pending]
-            found[pending[better]], best[pending[better]] = triangle[better], height[better]
+            nearest[pending[better]], best[pending[better]] = triangle[better], height[better]
             outside = height < 0
             pending, entry, end = pending[outside], entry[outside] + 1, end[outside]
-        return found, best
+        return nearest, best
 
 
 @dataclass(frozen=True, eq=False)
 class LocatedPoints:
+    """Points of a region with the triangles that contain them."""
+
     x: Float[np.ndarray, "n 2"]  # rounded to the grid
     triangle: Int[np.ndarray, " n"]  # that contains each point
     on_side: Bool[np.ndarray, "n 3"]  # whether the point lies on each side of its triangle
@@ -87,6 +89,7 @@ class Triangulation:
 
     @cached_property
     def locator(self) -> Locator:
+        """A grid of about as many cells as triangles, with the triangles that each cell meets, to locate points."""
         triangles = self.triangles
         lo, hi = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
         side = np.sqrt(np.prod(hi - lo) / len(triangles))
@@ -145,23 +148,25 @@ class Triangulation:
 
     def place(self, x: Float[np.ndarray, "n 2"]) -> "LocatedPoints":
         """Round points to ``grid`` and locate them; points outside the region move onto the nearest wall."""
-        boundary, given, x = self.boundary, x, self.on_grid(x)
+        boundary = self.boundary
+        exact, x = x, self.on_grid(x)
         triangle, turn = self.locate(x)
         outside = np.flatnonzero((turn < 0).any(axis=1))
         if len(outside):
             # Move to the nearest point of the nearest wall, or to a grid point just inside of it.
-            _, edge, foot = boundary.feet(given[outside])
+            _, edge, foot = boundary.feet(exact[outside])
             beside, x[outside] = self.of_wall[edge] // 3, self.on_grid(foot)
-            triangle[outside], turn[outside], rest = beside, 0.0, np.arange(len(outside))
+            triangle[outside], turn[outside] = beside, 0.0
+            pending = np.arange(len(outside))
             for steps in _STEPS_INSIDE:
-                place = self.on_grid(foot[rest] + steps * self.grid * boundary.normal[edge[rest]])
-                in_triangle, turns = self.locate(place, beside[rest])
+                place = self.on_grid(foot[pending] + steps * self.grid * boundary.normal[edge[pending]])
+                in_triangle, turns = self.locate(place, beside[pending])
                 inside = (turns >= 0).all(axis=1)
-                now, rest = outside[rest[inside]], rest[~inside]
+                now, pending = outside[pending[inside]], pending[~inside]
                 x[now], triangle[now], turn[now] = place[inside], in_triangle[inside], turns[inside]
         # Points near a vertex where the region touches itself move there, and are on all sides of their triangle.
         if len(boundary.contacts):
-            away = np.linalg.norm(self.triangles[triangle] - given[:, None], axis=2)
+            away = np.linalg.norm(self.triangles[triangle] - exact[:, None], axis=2)
             away[~np.isin(self.origin.reshape(-1, 3)[triangle], boundary.contacts)] = np.inf
             near = np.flatnonzero(away.min(axis=1) <= self.tolerance)
             x[near], turn[near] = self.triangles[triangle[near], away[near].argmin(axis=1)], 0.0
@@ -174,7 +179,8 @@ class Triangulation:
         # Breadth-first search of triangles, through sides within the tolerance of the segment and around contacts:
         # without ``squeeze``, only around contacts at which the segment begins or ends.
         lines: Any = shapely.linestrings
-        num, joined, segments = len(self.triangles), np.zeros(len(a.x), bool), lines(np.stack([a.x, b.x], axis=1))
+        num, joined = len(self.triangles), np.zeros(len(a.x), bool)
+        segments = lines(np.stack([a.x, b.x], axis=1))
         contacts = index_of(self.boundary.contacts, self.origin)
         around = np.argsort(contacts, kind="stable")  # half-edges that start at contacts, sorted by contact
         first = np.searchsorted(contacts[around], np.arange(len(self.boundary.contacts) + 1))
@@ -185,7 +191,7 @@ class Triangulation:
             pair, triangle = pair[~joined[pair]], triangle[~joined[pair]]
             corners, segment = self.triangles[triangle], segments[pair, None]
             sides = lines(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2))
-            twin, contact = (each.reshape(-1, 3)[triangle] for each in (self.twin, contacts))
+            twin, contact = (table.reshape(-1, 3)[triangle] for table in (self.twin, contacts))
             row, side = np.nonzero((twin >= 0) & shapely.dwithin(segment, sides, tolerance))
             onward = pair[row] * np.int64(num) + twin[row, side] // 3
             if len(self.boundary.contacts):
@@ -194,8 +200,8 @@ class Triangulation:
                 points: Any = shapely.points(corners[row, side])
                 near = shapely.dwithin(segments[pair[row]], points, tolerance)
                 row, side = row[near], side[near]
-                half_edge, of = take_ragged(first, contact[row, side])
-                onward = np.append(onward, pair[row[of]] * np.int64(num) + around[half_edge] // 3)
+                half_edge, pair_row = take_ragged(first, contact[row, side])
+                onward = np.append(onward, pair[row[pair_row]] * np.int64(num) + around[half_edge] // 3)
             before, keys = keys, np.setdiff1d(onward, np.concatenate([before, keys]))
         return joined
 
@@ -226,9 +232,9 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     clockwise = u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]
     corners[clockwise] = corners[clockwise, ::-1]
-    flat, known = corners @ [1, 1j], vertices @ [1, 1j]  # complex numbers are ordered by x, then y
-    order = np.argsort(known)
-    triangles = order[np.searchsorted(known, flat, sorter=order)]
+    flat, keys = corners @ [1, 1j], vertices @ [1, 1j]  # complex numbers are ordered by x, then y
+    order = np.argsort(keys)
+    triangles = order[np.searchsorted(keys, flat, sorter=order)]
     crossed = _crossed(triangles, boundary.edges, len(vertices))
     if len(crossed):
         # 3. Insert the missing walls one by one, in integer arithmetic.
@@ -289,6 +295,7 @@ class _Mesh:
         self._fill(end, start, on_right)
 
     def _fill(self, start: int, end: int, chain: list[int]) -> None:
+        """Fill the polygon of an edge and a chain of vertices on its left with Delaunay triangles."""
         pending = [(start, end, chain)]
         while pending:
             start, end, chain = pending.pop()
@@ -298,7 +305,7 @@ class _Mesh:
             for i in range(1, len(chain)):
                 # In-circle test: does the vertex lie inside the circle through start, end and the best one so far?
                 dx, dy = self.points[chain[i]]
-                rows = [(x - dx, y - dy) for x, y in (self.points[each] for each in (start, end, chain[best]))]
+                rows = [(x - dx, y - dy) for x, y in (self.points[vertex] for vertex in (start, end, chain[best]))]
                 (ax, ay), (bx, by), (cx, cy) = rows
                 a2, b2, c2 = (x * x + y * y for x, y in rows)
                 if a2 * (bx * cy - by * cx) - b2 * (ax * cy - ay * cx) + c2 * (ax * by - ay * bx) > 0:
@@ -327,10 +334,10 @@ def _inside(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[Half
     open_, count = np.flatnonzero(~blocked), len(triangles)
     adjacency = coo_array((np.ones(len(open_)), (open_ // 3, twin[open_] // 3)), shape=(count, count))
     _, part = connected_components(adjacency, directed=False)
-    kept = np.flatnonzero(np.isin(part, part[np.flatnonzero(wall >= 0) // 3]))
+    is_inside = np.flatnonzero(np.isin(part, part[np.flatnonzero(wall >= 0) // 3]))
     new_index = np.full(count, -1)
-    new_index[kept] = np.arange(len(kept))
-    rows = (3 * kept[:, None] + np.arange(3)).ravel()
+    new_index[is_inside] = np.arange(len(is_inside))
+    rows = (3 * is_inside[:, None] + np.arange(3)).ravel()
     twin = np.where(blocked, -1, 3 * new_index[twin // 3] + twin % 3)[rows]
     origin = triangles.ravel()[rows]
     return origin.astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)

@@ -25,13 +25,13 @@ def orientation(ux: Scalars, uy: Scalars, vx: Scalars, vy: Scalars) -> Batch:
     result = np.asarray(p - q)
     doubted = np.abs(result) <= _DOUBT * (np.abs(p) + np.abs(q))
     if doubted.any():
-        a, b, c, d = (np.broadcast_to(each, result.shape)[doubted] for each in (ux, vy, uy, vx))
+        a, b, c, d = (np.broadcast_to(factor, result.shape)[doubted] for factor in (ux, vy, uy, vx))
         result[doubted] += _product_error(a, b) - _product_error(c, d)
     return result
 
 
 def _product_error(a: Float[np.ndarray, " n"], b: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    high_a, high_b = (_SPLIT * each - (_SPLIT * each - each) for each in (a, b))
+    high_a, high_b = (_SPLIT * factor - (_SPLIT * factor - factor) for factor in (a, b))
     low_a, low_b = a - high_a, b - high_b
     return low_a * low_b - (((a * b - high_a * high_b) - low_a * high_b) - high_a * low_b)
 

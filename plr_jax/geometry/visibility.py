@@ -44,8 +44,8 @@ class Viewpoints:
     def __getitem__(self, rows: slice | Int[np.ndarray, " some"]) -> "Viewpoints":
         place = np.full(len(self.points), -1)
         place[rows] = np.arange(len(place[rows]))
-        kept = place[self.owner] >= 0
-        return Viewpoints(self.points[rows], place[self.owner[kept]], self.edge[kept])
+        is_kept = place[self.owner] >= 0
+        return Viewpoints(self.points[rows], place[self.owner[is_kept]], self.edge[is_kept])
 
     def opens(self, boundary: Boundary) -> Float[np.ndarray, "sectors 2"]:
         """Return a vector from the viewpoint along the right wall of each sector (range of directions)."""
@@ -65,7 +65,7 @@ class Viewpoints:
 def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> Viewpoints:
     """Return points of free space, which must be distinct, as viewpoints; they are rounded to the grid."""
     boundary, place = triangulation.boundary, triangulation.place(x)
-    starts, points = (each @ [1, 1j] for each in (boundary.vertices[boundary.edges[:, 0]], place.x))
+    starts, points = (places @ [1, 1j] for places in (boundary.vertices[boundary.edges[:, 0]], place.x))
     owner = index_of(points, starts)
     wall = triangulation.wall[3 * place.triangle + place.on_side.argmax(axis=1)]
     on_wall = place.on_side.any(axis=1) & (wall >= 0)
@@ -76,6 +76,8 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Cones:
+    """Cones of sight, from viewpoints through sides of triangles."""
+
     view: Indices  # the viewpoint at each cone's apex
     half_edge: Indices  # through which each cone leaves a triangle
     vertex: Indices  # on the right bound
@@ -86,12 +88,12 @@ class _Cones:
         return len(self.view)
 
     def __getitem__(self, rows: slice) -> "_Cones":
-        of = self.view[rows], self.half_edge[rows], self.vertex[rows]
-        return _Cones(*of, self.right[:, rows], self.left[:, rows])
+        columns = self.view[rows], self.half_edge[rows], self.vertex[rows]
+        return _Cones(*columns, self.right[:, rows], self.left[:, rows])
 
     def take(self, rows: Int[np.ndarray, " some"]) -> "_Cones":
-        of = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)  # faster than indexing
-        return _Cones(*of, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
+        columns = self.view.take(rows), self.half_edge.take(rows), self.vertex.take(rows)  # faster than indexing
+        return _Cones(*columns, self.right.take(rows, axis=1), self.left.take(rows, axis=1))
 
 
 def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vectors, left: Vectors) -> Visits:
@@ -107,10 +109,10 @@ def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vec
     whole = ~right.any(axis=0)
     from_right = _inside(right, *bounds), _inside(cones.right, right, left)
     from_left = _inside(left, *bounds), _inside(cones.left, right, left)
-    kept = np.flatnonzero(whole | ((from_right[0] | from_right[1]) & (from_left[0] | from_left[1])))
+    meeting = np.flatnonzero(whole | ((from_right[0] | from_right[1]) & (from_left[0] | from_left[1])))
     right = np.where(from_right[0] & ~whole, right, cones.right)
     left = np.where(from_left[0] & ~whole, left, cones.left)
-    first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left).take(kept)
+    first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left).take(meeting)
     visited = [np.stack([first.view, first.half_edge // 3])]
     visited += [new for _, _, new in _expansion(triangulation, views, first)]
     return np.concatenate(visited, axis=1)
@@ -129,7 +131,15 @@ def _expansion(
         cones = pending.pop()
         is_wall = triangulation.wall[cones.half_edge] >= 0
         walls, cones = cones.take(np.flatnonzero(is_wall)), cones.take(np.flatnonzero(~is_wall))
-        # The opposite corner of the next triangle may be seen, and may split the cone.
+        # The opposite corner of the next triangle may be seen, and may split the cone:
+        #
+        #          c                c: the corner ahead, the origin of the left exit
+        #         / \
+        #   left /   \ right        A cone goes right if its right ray passes right of c, and left if its left ray
+        #       /     \             passes left of c. It splits if both hold.
+        #      b-------a            b, a: the ends of the side through which it enters, as seen from the viewpoint
+        #       \     /
+        #      viewpoint
         view, (rx, ry), (lx, ly) = cones.view, cones.right, cones.left
         entry = triangulation.twin[cones.half_edge]
         right_exit, left_exit = next_half_edge(entry), previous_half_edge(entry)
@@ -156,18 +166,19 @@ def _expansion(
 
 
 def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
+    """Return the cones from viewpoints through the sides of their first triangles."""
     around = np.setdiff1d(np.arange(len(views.points)), views.owner)  # points without sectors
     triangle, _ = triangulation.locate(views.points[around])
-    found = [(around, 3 * triangle + side) for side in range(3)]
+    pairs = [(around, 3 * triangle + side) for side in range(3)]
     half_edge, view = triangulation.of_wall[views.edge], views.owner
     at_vertex = views.at_vertex(triangulation.boundary)
-    found += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (next_half_edge, previous_half_edge)]
+    pairs += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (next_half_edge, previous_half_edge)]
     half_edge, view = half_edge[at_vertex], view[at_vertex]
     while len(view):  # turn around the vertex, triangle by triangle, to the wall at which the sector closes
-        found.append((view, next_half_edge(half_edge)))
+        pairs.append((view, next_half_edge(half_edge)))
         half_edge = triangulation.twin[previous_half_edge(half_edge)]
         half_edge, view = half_edge[half_edge >= 0], view[half_edge >= 0]
-    view, half_edge = (np.concatenate(several).astype(np.int32) for several in zip(*found, strict=True))
+    view, half_edge = (np.concatenate(several).astype(np.int32) for several in zip(*pairs, strict=True))
     right, left = triangulation.origin[half_edge], triangulation.origin[next_half_edge(half_edge)]
     vertices, points = triangulation.boundary.vertices, views.points[view]
     return _Cones(view, half_edge, right, (vertices[right] - points).T, (vertices[left] - points).T)
@@ -223,6 +234,7 @@ class VisibilityTable:
         return side
 
     def _in_front(self, row: Indices, x: Points) -> Bool[np.ndarray, " n"]:
+        """Return whether points lie in front of the nearest edge in intervals ``row``, exactly near the edge."""
         edge = self.edge[row]
         normal = self.boundary.normal[edge]
         height = normal[:, 0] * x[:, 0] + normal[:, 1] * x[:, 1] - self.boundary.offset[edge]
@@ -255,13 +267,13 @@ def visibility_of(triangulation: Triangulation, views: Viewpoints) -> tuple[Visi
 
 def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[VisibilityTable, Seen]:
     # 1. Collect the cones that end at walls and the visible vertices, among them corners of triangles at viewpoints.
-    boundary, each, cones = triangulation.boundary, np.arange(len(views.points)), _first_cones(triangulation, views)
+    boundary, index, cones = triangulation.boundary, np.arange(len(views.points)), _first_cones(triangulation, views)
     corners = triangulation.origin.reshape(-1, 3)[cones.half_edge // 3]
     ended, seen = [cones[:0]], [np.stack([np.repeat(cones.view, 3), corners.ravel()])]
     for walls, new_seen, _ in _expansion(triangulation, views, cones):
         ended.append(walls)
         seen.append(new_seen)
-    bounds = [np.concatenate([getattr(of, name) for of in ended], axis=1) for name in ("right", "left")]
+    bounds = [np.concatenate([getattr(part, name) for part in ended], axis=1) for name in ("right", "left")]
     cones = _Cones(*concatenated(ended, "view", "half_edge", "vertex"), *bounds)
     # 2. Choose a cut for each viewpoint, a direction in which it sees no vertex: the middle of the gap after its
     #    first sector, or the middle of its widest cone if it has no sector or the gap is narrow.
@@ -271,7 +283,7 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
     owner, first = np.unique(views.owner[order], return_index=True)
     second = np.where(np.append(first[1:], len(order)) > first + 1, first + 1, first)[: len(first)]
     end = closes[order[first]]
-    angle, between = np.empty(len(each)), np.zeros(len(each))
+    angle, between = np.empty(len(index)), np.zeros(len(index))
     between[owner] = (opens[order[second]] - end) % (2 * np.pi)
     angle[owner] = end + between[owner] / 2
     u, v = closing[order[first]], views.opens(boundary)[order[second]]
@@ -293,7 +305,7 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
     vertex = np.append(cones.vertex, views.closing(boundary).astype(np.int32))
     order = np.argsort(key)
     # Sort directions that are equal up to rounding exactly.
-    close = np.diff(key[order], append=np.inf) <= _BLUR + np.spacing(8.0 * len(each))
+    close = np.diff(key[order], append=np.inf) <= _BLUR + np.spacing(8.0 * len(index))
     near = np.flatnonzero(close)
     while len(near):
         a, b = order[near], order[near + 1]
@@ -303,10 +315,10 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
         near = np.unique(np.concatenate([near - 1, near, near + 1]))
         near = near[close[near] & (near >= 0)]
     view, key, edge, vertex = view[order], np.sort(key), edge[order], vertex[order]
-    first, last = np.searchsorted(view, each), np.searchsorted(view, each, side="right") - 1
-    added = (view, each), (key, 4.0 * each), (edge, edge[last]), (vertex, np.full(len(each), -1))
+    first, last = np.searchsorted(view, index), np.searchsorted(view, index, side="right") - 1
+    added = (view, index), (key, 4.0 * index), (edge, edge[last]), (vertex, np.full(len(index), -1))
     view, key, edge, vertex = (np.insert(a, first, b) for a, b in added)
     new = np.append(True, (edge[1:] != edge[:-1]) | (view[1:] != view[:-1]))[: len(view)]
-    first = np.searchsorted(view[new], np.arange(len(each) + 1))
+    first = np.searchsorted(view[new], np.arange(len(index) + 1))
     rows = first, key[new], edge[new], vertex[new]
     return VisibilityTable(boundary, triangulation.tolerance, views.points, cut, *rows), np.concatenate(seen, axis=1)

@@ -27,6 +27,8 @@ Numbers = Int[np.ndarray, "dim n"]
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
+    """Free and blocked voxels that fill a box; methods use voxel numbers, which start at 1 (see the module)."""
+
     free: Bool[np.ndarray, "..."]  # read-only
     bounds: Box
 
@@ -68,7 +70,7 @@ class VoxelGrid:
         """Coordinates of the faces along each axis, ascending, with ``-inf`` before and ``inf`` after them."""
         fractions = [np.arange(num + 1)[:, None] / num for num in self.free.shape]
         inner = [self.bounds.at(of_axis)[:, axis] for axis, of_axis in enumerate(fractions)]
-        return [np.concatenate([[-np.inf], each, [np.inf]]) for each in inner]
+        return [np.concatenate([[-np.inf], inner_faces, [np.inf]]) for inner_faces in inner]
 
     @cached_property
     def padded(self) -> Bool[np.ndarray, "..."]:
@@ -129,7 +131,7 @@ class VoxelGrid:
     @cached_property
     def _contacts(self) -> list[tuple[tuple[int, ...], "Sums"]]:
         """Edges and corners where free voxels touch, but no faces join them: pairs (normal axes, table of counts)."""
-        found, shape = [], self.padded.shape
+        contacts, shape = [], self.padded.shape
         for num_across in range(2, self.dim + 1):
             is_parted = disconnected_sets(num_across)
             for across in combinations(range(self.dim), num_across):
@@ -140,8 +142,8 @@ class VoxelGrid:
                     around |= self.padded[part].astype(np.uint16) << np.uint16(bit)
                 touches = is_parted[around]
                 if touches.any():
-                    found.append((across, Sums.of(touches)))
-        return found
+                    contacts.append((across, Sums.of(touches)))
+        return contacts
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,6 +161,8 @@ class Sums:
         return cls(table.ravel(), np.array(table.strides) // table.itemsize)
 
     def within(self, first: Numbers, last: Numbers) -> Int[np.ndarray, " n"]:
+        """Count the true entries from ``first`` to ``last``, both included, along all axes."""
+        # Inclusion and exclusion: add the table's entries at the range's corners, with a minus for each lower end.
         begin = first * self.strides[:, None]
         end = np.maximum(last + 1, first) * self.strides[:, None]
         total = np.zeros(first.shape[1], self.table.dtype)
@@ -187,9 +191,9 @@ def disconnected_sets(num_axes: int) -> Bool[np.ndarray, " sets"]:
     """Return, for each set of the ``2**num_axes`` voxels around a point, whether faces fail to connect the set."""
     num = 2**num_axes  # bit i of a set's index says whether voxel i belongs to the set
     free = (np.arange(2**num)[:, None] >> np.arange(num)) % 2 == 1
-    one = np.zeros_like(free)
-    one[np.arange(len(free)), free.argmax(axis=1)] = True
-    return (free & ~spread(one & free, free)).any(axis=1)
+    first = np.zeros_like(free)
+    first[np.arange(len(free)), free.argmax(axis=1)] = True
+    return (free & ~spread(first & free, free)).any(axis=1)
 
 
 def reach_of_cells(
@@ -201,7 +205,7 @@ def reach_of_cells(
     # Periodic axes have a period more on either side.
     shape, periodic = np.array(reached.shape), np.array(bounds.periodic)
     more = np.where(periodic, shape, 0)
-    reached, cut_off = (np.pad(each, np.stack([more, more], axis=1), mode="wrap") for each in (reached, cut_off))
+    reached, cut_off = (np.pad(cells, np.stack([more, more], axis=1), mode="wrap") for cells in (reached, cut_off))
     far = np.zeros_like(cut_off)
     if cut_off.any() and reached.any():
         side = bounds.width / shape / domain.width
@@ -209,6 +213,7 @@ def reach_of_cells(
         far = cut_off & (away > FAR - np.linalg.norm(side))
 
     def counting(cells: Bool[np.ndarray, "..."]) -> BoxTest:
+        # A test of boxes: whether a box meets any of the cells, by a summed-area table.
         sums = Sums.of(np.ascontiguousarray(cells))
 
         def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:

@@ -299,10 +299,10 @@ class Workspace:
         segments: Any = shapely.linestrings(np.stack([a[moving], b[moving]], axis=1))
         visible[moving] = shapely.covers(self._grown(2 * tolerance), segments)
         # Grown free space lacks thin walls and opens contacts: test some segments exactly.
-        kept = visible[moving]
-        moving, segments = moving[kept], segments[kept]
-        own = prepared_geometry(self, "free", lambda: shapely.transform(self.free_space, np.copy))
-        doubted = ~shapely.covers(own, segments)
+        stays = visible[moving]
+        moving, segments = moving[stays], segments[stays]
+        free_space = prepared_geometry(self, "free", lambda: shapely.transform(self.free_space, np.copy))
+        doubted = ~shapely.covers(free_space, segments)
         doubted[self.boundary.contact_tree.query(segments, predicate="dwithin", distance=tolerance)[0]] = True
         if len(moving := moving[doubted]):
             mesh = self.triangulation
@@ -337,7 +337,7 @@ class Workspace:
         ``ValueError`` if an added obstacle is invalid, a removed one does not exist (any more), or nothing is free.
         """
         added, gone = as_polygons("Added obstacle", add), self._numbers_of(remove)
-        obstacles = (*(Polygon() if i in gone else each for i, each in enumerate(self.obstacles)), *added)
+        obstacles = (*(Polygon() if i in gone else obstacle for i, obstacle in enumerate(self.obstacles)), *added)
         if not self._is_in_place:  # vertices have moved by more than rounding, so obstacles may no longer fit
             return Workspace(self.bounds, obstacles, squeeze=self.squeeze)
         box, grid, removed = shapely.box(*self.bounds.lo, *self.bounds.hi), grid_of(self.bounds), sorted(gone)
@@ -354,20 +354,21 @@ class Workspace:
         return Workspace(self.bounds, obstacles, squeeze=self.squeeze, region=region)
 
     def _numbers_of(self, remove: Any) -> set[int]:
+        """Return the numbers of the obstacles that ``remove`` names, by number or by an equal polygon."""
         numbers: set[int] = set()
         if not isinstance(remove, BaseGeometry | Iterable):
             raise ValueError(f"remove must be a list of obstacle numbers or polygons, got {shortened(remove)}.")
-        for each in [remove] if isinstance(remove, BaseGeometry) else remove:
-            if isinstance(each, BaseGeometry) or (isinstance(each, Iterable) and not isinstance(each, str)):
-                shape = as_polygon("Removed obstacle", each)
-                number = next((i for i, own in enumerate(self.obstacles) if own.equals(shape)), -1)
+        for item in [remove] if isinstance(remove, BaseGeometry) else remove:
+            if isinstance(item, BaseGeometry) or (isinstance(item, Iterable) and not isinstance(item, str)):
+                shape = as_polygon("Removed obstacle", item)
+                number = next((i for i, obstacle in enumerate(self.obstacles) if obstacle.equals(shape)), -1)
             else:
-                require_integer("Each number of an obstacle to remove", each, 0)
-                number = int(each)
+                require_integer("Each number of an obstacle to remove", item, 0)
+                number = int(item)
             if not 0 <= number < len(self.obstacles) or self.obstacles[number].is_empty:
                 raise ValueError(
                     f"remove must be numbers of obstacles, below {len(self.obstacles)}, or polygons that equal one, "
-                    f"and not removed already, got {shortened(each)}."
+                    f"and not removed already, got {shortened(item)}."
                 )
             numbers.add(number)
         return numbers

@@ -26,7 +26,9 @@ goals = pairs.prepared(y)  # goals that are queried many times; also inside jit
 distance = pairs(x, goals)  # large batches take less time
 
 plr = pairs.to(y[0])  # the distance to one goal, a PLR with cone leaves
-print(plr(x[:3]), plr_jax.VisibilityGraph(workspace, y[0]).between(x[:3], y[:3]))
+graph = plr_jax.VisibilityGraph(workspace, y[0])  # exact distances
+print(plr(x[:3]), graph(x[:3]))  # to y[0]
+print(distance[:3], graph.between(x[:3], y[:3]))  # from each point of x to the point of y in the same row
 ```
 
 `prepared` returns `plr_jax.pairs.PreparedGoals`. A larger budget does not make queries more exact. The workspace

@@ -42,6 +42,8 @@ def wrap_angle(angle: Batch) -> Batch:
 
 @dataclass(frozen=True, eq=False, init=False)
 class _Car(ABC):
+    """A base of distances of cars to a goal pose, for a given turning radius."""
+
     goal: Pose
     radius: float
     is_lower_bound: ClassVar[bool] = True
@@ -66,9 +68,9 @@ class _Car(ABC):
                 part = slice(begin, begin + _AT_ONCE)
                 lengths[part] = reduce(np.fmin, (word.length for word in self._words(x[part]))) * self.radius
             # If squares overflow, the pose is so far away that turns add nothing to the straight line.
-            rest = x[far := ~np.isfinite(lengths)]
-            straight = np.hypot(rest[:, 0] - self.goal[0], rest[:, 1] - self.goal[1])
-            lengths[far] = np.where(np.isfinite(rest).all(axis=1), straight, np.inf)
+            poses = x[far := ~np.isfinite(lengths)]
+            straight = np.hypot(poses[:, 0] - self.goal[0], poses[:, 1] - self.goal[1])
+            lengths[far] = np.where(np.isfinite(poses).all(axis=1), straight, np.inf)
         return lengths
 
     def shortest_path(self, x: ArrayLike) -> list[tuple[str, float]]:
@@ -85,7 +87,7 @@ class _Car(ABC):
         best = np.argmin(np.where(np.isnan(lengths), np.inf, lengths))
         if not np.isfinite(lengths[best] * self.radius):
             raise ValueError(f"The pose {pose.tolist()} must be nearer to the goal than 1e154 turning radii.")
-        in_order = zip(*(reversed(each) for each in words[best]), strict=True)
+        in_order = zip(*(reversed(column) for column in words[best]), strict=True)
         return [(letter, self.radius * float(np.squeeze(length))) for letter, length in in_order if length != 0]
 
     @staticmethod

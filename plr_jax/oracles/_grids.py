@@ -142,6 +142,7 @@ class GridGraph(_CellGraph):
 
     @cached_property
     def _steps(self) -> csr_array:
+        # A graph of the padded grid: each edge once. Diagonal steps need both cells beside them free.
         free, columns = self._padded, self._padded.shape[1]
         row, column = np.nonzero(free)
         begins, ends, lengths = [], [], []
@@ -236,10 +237,10 @@ class VoxelGraph(_CellGraph):
         steps = steps[(num_axes > 0) & (num_axes <= _AXES[self.moves])]
         padded, legal = self.grid.padded, np.zeros(self.grid.padded.shape, np.uint32)
         for bit, step in enumerate(steps):
-            can = np.ones(self.free.shape, bool)
+            may_step = np.ones(self.free.shape, bool)
             for part in product(*[(0, change) if change else (0,) for change in step]):
-                can &= padded[tuple(slice(1 + by, n - 1 + by) for by, n in zip(part, padded.shape, strict=True))]
-            legal[1:-1, 1:-1, 1:-1] |= can.astype(np.uint32) << np.uint32(bit)
+                may_step &= padded[tuple(slice(1 + k, n - 1 + k) for k, n in zip(part, padded.shape, strict=True))]
+            legal[1:-1, 1:-1, 1:-1] |= may_step.astype(np.uint32) << np.uint32(bit)
         return steps, legal.ravel()
 
     @cached_property
@@ -350,12 +351,12 @@ class GridField:
 
         shape = np.array(self.values.shape)[:, None]
         places = ((self.bounds.wrapped(x) - self.bounds.lo) / self.bounds.width).T[::-1] * shape
-        padded, known, weights, parted = self._padded
+        padded, filled, weights, parted = self._padded
         values, is_known = ndimage.map_coordinates(padded, places + 0.5, order=1), np.ones(len(x), bool)
         if len(beside := np.flatnonzero(np.isnan(values))):
             places = places[:, beside]
             nearest = self.values[tuple(np.minimum(places.astype(np.intp), shape - 1))]
-            total, weight = (ndimage.map_coordinates(each, places + 0.5, order=1) for each in (known, weights))
+            total, weight = (ndimage.map_coordinates(table, places + 0.5, order=1) for table in (filled, weights))
             among = np.divide(total, weight, out=np.full(len(beside), np.inf), where=weight > 0)
             if parted is not None:
                 among = np.where(parted[tuple((places + 0.5).astype(np.intp))], nearest, among)

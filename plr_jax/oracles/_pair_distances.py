@@ -47,12 +47,14 @@ class _CornerLists:
         first = np.append(0, np.cumsum(np.diff(self.first)[points]))
         return _CornerLists(first, self.corner[entry], self.distance[entry])
 
-    def filter(self, kept: Bool[np.ndarray, " entries"]) -> "_CornerLists":
-        return _CornerLists(np.append(0, np.cumsum(kept))[self.first], self.corner[kept], self.distance[kept])
+    def filter(self, keep: Bool[np.ndarray, " entries"]) -> "_CornerLists":
+        return _CornerLists(np.append(0, np.cumsum(keep))[self.first], self.corner[keep], self.distance[keep])
 
 
 @dataclass(frozen=True, eq=False)
 class PairDistances:
+    """Exact distances between any two points of a workspace, and caches that oracles of all goals share."""
+
     workspace: Workspace
     visibility: CornerVisibility
 
@@ -105,8 +107,8 @@ class PairDistances:
         if len(x) > FEW:
             return self._distances(x, y)
         distance = np.array([self._distance(*pair) for pair in zip(x.tolist(), y.tolist(), strict=True)], float)
-        if len(rest := np.flatnonzero(np.isnan(distance))):
-            distance[rest] = self._distances(x[rest], y[rest])
+        if len(pending := np.flatnonzero(np.isnan(distance))):
+            distance[pending] = self._distances(x[pending], y[pending])
         return distance
 
     def _distances(self, x: Points, y: Points) -> Distances:
@@ -148,11 +150,11 @@ class PairDistances:
         with np.errstate(invalid="ignore"):  # a landmark and both corners may be infinitely far from one another
             nearer, farther = of_first - (of_last - legs).max(axis=0), (of_last + legs).min(axis=0) - of_first
         onward = np.fmax.reduce(np.fmax(nearer, farther), axis=1, initial=0.0)
-        bound = to_first + onward - self._rounding
+        lower_bound = to_first + onward - self._rounding
         # 2. Compute lengths until no bound is below the least one.
         shortest, may_turn = math.inf, self.sight.may_turn
-        for i in bound.argsort().tolist():
-            if bound[i] >= shortest:
+        for i in lower_bound.argsort().tolist():
+            if lower_bound[i] >= shortest:
                 break
             if may_turn(corner := int(first[i]), start):
                 onward = self._corner_distances([corner])[0][last] + to_last
@@ -187,8 +189,8 @@ class PairDistances:
         most = self._shortest(at_x.filter(promising), at_y) * (1 + _SLACK)
         return self._shortest(at_x.filter(least_x <= most[at_x.point]), at_y.filter(least_y <= most[at_y.point]))
 
-    def _lower_bounds(self, lists: _CornerLists, other: Points) -> Entries:
-        to_other = other[lists.point] - self.visibility.corners.points[lists.corner]
+    def _lower_bounds(self, lists: _CornerLists, targets: Points) -> Entries:
+        to_other = targets[lists.point] - self.visibility.corners.points[lists.corner]
         return lists.distance + np.linalg.norm(to_other, axis=1)
 
     def _shortest(self, at_x: _CornerLists, at_y: _CornerLists) -> Distances:
@@ -208,22 +210,23 @@ class PairDistances:
         return _run_minima(at_x.distance + length, at_x.first)
 
     def _visible_corners(self, x: Points) -> _CornerLists:
-        _, index, number = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
+        """Return, for each point, the corners that it sees and at which a shortest path from it may turn."""
+        _, index, inverse = np.unique(x @ [1, 1j], return_index=True, return_inverse=True)
         points = x[index]
         (counts, runs), (begins, listed) = self._candidates(points), self._lists_of_triangles
         places = self.workspace.triangulation.place(points)
         point, corner = np.repeat(np.arange(len(points)), counts), listed[take_ragged(begins, runs)[0]]
-        kept = self.visibility.corners.is_tangent_to(corner, places.x[point])
-        kept[kept] = self.visibility.table.sees(corner[kept], places.x[point[kept]])
+        is_kept = self.visibility.corners.is_tangent_to(corner, places.x[point])
+        is_kept[is_kept] = self.visibility.table.sees(corner[is_kept], places.x[point[is_kept]])
         distance = np.linalg.norm(points[point] - self.visibility.corners.points[corner], axis=1)
-        return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(kept).take(number)
+        return _CornerLists(np.append(0, np.cumsum(counts)), corner, distance).filter(is_kept).take(inverse)
 
     def _candidates(self, x: Points) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " runs"]]:
         # Return the number of corners that may see each point, and which `_lists_of_triangles` hold them.
         begins, mesh = self._lists_of_triangles[0], self.workspace.triangulation
-        held, first, triangle = triangles_at(mesh, mesh.place(x))
+        is_listed, first, triangle = triangles_at(mesh, mesh.place(x))
         num_runs, in_triangle = np.ones(len(x), int), np.zeros(len(x), bool)
-        num_runs[held], in_triangle[held] = np.diff(first), True
+        num_runs[is_listed], in_triangle[is_listed] = np.diff(first), True
         point = np.repeat(np.arange(len(x)), num_runs)
         runs = np.full(len(point), len(begins) - 2)
         runs[in_triangle[point]] = triangle

@@ -91,6 +91,7 @@ def sample_free(metric: Metric, is_free: IsFree, num_samples: int, seed: int) ->
 
 
 def visible_edges(vertices: Points, tree: KDTree, radius: float, is_visible: IsVisible) -> Int[np.ndarray, "e 2"]:
+    """Return pairs of vertices at most ``radius`` apart, ``(edges, 2)``, that see each other."""
     pairs = tree.query_pairs(radius, output_type="ndarray")
     visible = np.zeros(len(pairs), dtype=bool)
     begins = range(0, len(pairs), _EDGES_A_STEP)
@@ -317,13 +318,13 @@ class Roadmap:
         begins = range(0, len(x), step)
         for begin in tqdm(begins, "Roadmap queries", leave=False, unit_scale=step, delay=3, disable=None):
             rows = slice(begin, begin + step)
-            some, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
+            batch, nearest = x[rows], np.arange(1, 1 + int(count[rows].max()))
             length, vertex = self._tree.query(places[rows], k=nearest, distance_upper_bound=limit)
             through = length + distances[vertex]
             through[(length <= inner) | np.isinf(length)] = np.nan
             way, shortest = first_visible(
                 through,
-                lambda point, way, x=some, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
+                lambda point, way, x=batch, vertex=vertex: self.is_visible(x[point], vertices[vertex[point, way]]),
                 at_once=1,
             )
             vertex = np.append(vertex, np.full((len(vertex), 1), -1), axis=1)

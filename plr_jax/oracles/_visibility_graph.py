@@ -100,14 +100,14 @@ class VisibilityGraph:
         space.
         """
         require_workspace(workspace)
-        own, goal = self.workspace, self.goal
-        if (own.tolerance, own.squeeze) != (workspace.tolerance, workspace.squeeze):
+        old, goal = self.workspace, self.goal
+        if (old.tolerance, old.squeeze) != (workspace.tolerance, workspace.squeeze):
             return VisibilityGraph(workspace, goal)
-        change = Change.between(own.boundary, workspace.boundary)
-        if any((box[0] <= goal).all() and (goal <= box[2]).all() for box in change.boxes(own.tolerance)):
+        change = Change.between(old.boundary, workspace.boundary)
+        if any((box[0] <= goal).all() and (goal <= box[2]).all() for box in change.boxes(old.tolerance)):
             _free_goal(workspace, goal)
         if not workspace.is_triangulated:
-            if (triangulation := changed_triangulation(own.triangulation, change)) is None:
+            if (triangulation := changed_triangulation(old.triangulation, change)) is None:
                 return VisibilityGraph(workspace, goal)
             workspace.use_triangulation(triangulation)
         view = viewpoints_at(workspace.triangulation, goal[None])
@@ -178,7 +178,7 @@ class VisibilityGraph:
         Pair ``i`` has the box at index ``box[i]`` of the result ``shared`` of :meth:`shared_cells`, and the oracle
         ``members[member[i]]``. Sources of all members are numbered one after another.
         """
-        goals = [FamilyGoal(each.sources, each._turns, each._goal_table) for each in members]
+        goals = [FamilyGoal(oracle.sources, oracle._turns, oracle._goal_table) for oracle in members]
         return cells_of_goals(shared, self.family.corners, goals, box, member)
 
     def __call__(self, x: ArrayLike) -> Distances:
@@ -244,8 +244,8 @@ class VisibilityGraph:
         for i, (x0, x1) in enumerate(x.tolist()):
             if (place := self._pairs.locator.place(x0, x1)) is not None:
                 distance[i], turn[i] = self._first_turn(x0, x1, place)
-        if len(rest := np.flatnonzero(turn < 0)):
-            distance[rest], turn[rest] = self._first_turns_of_batch(x[rest])
+        if len(pending := np.flatnonzero(turn < 0)):
+            distance[pending], turn[pending] = self._first_turns_of_batch(x[pending])
         return distance, turn
 
     def _first_turn(self, x: float, y: float, place: Place) -> tuple[float, int]:
@@ -271,11 +271,11 @@ class VisibilityGraph:
         # Test what the goal sees at rounded points, and again at the few points that are moved into free space.
         grid = mesh.on_grid(x[free])
         direct = self._goal_table.sees(np.zeros(len(free), int), grid)
-        if len(rest := np.flatnonzero(~direct)):
-            places = mesh.place(x[free[rest]])
-            if (moved := (places.x != grid[rest]).any(axis=1)).any():
-                direct[rest[moved]] = self._goal_table.sees(np.zeros(moved.sum(), int), places.x[moved])
-            places, hidden = places[~direct[rest]], free[~direct]
+        if len(pending := np.flatnonzero(~direct)):
+            places = mesh.place(x[free[pending]])
+            if (moved := (places.x != grid[pending]).any(axis=1)).any():
+                direct[pending[moved]] = self._goal_table.sees(np.zeros(moved.sum(), int), places.x[moved])
+            places, hidden = places[~direct[pending]], free[~direct]
             ways = self.regions.first_visible(x[hidden], places, lambda at, vertex: sees(vertex - 1, places.x[at]))
             turn[hidden], distance[hidden] = np.maximum(ways[0], 0), ways[1]
         seen = free[direct]
@@ -287,10 +287,10 @@ def nearest_cell_sources(graphs: Sequence[VisibilityGraph], domain: Box) -> Cell
     """Return a box's convex pieces of free space, and the goals or corners to which paths from each may go first."""
     first, count = graphs[0], len(graphs)
     # Oracles that were not made of one another may number corners in different ways.
-    graphs = [each if each.family is first.family else first.with_goal(each.goal) for each in graphs]
-    corners, tables = first.family, [each._goal_table for each in graphs]
-    edges = [np.array([number, count - 1]) + each._goal_edges for number, each in enumerate(graphs)]
-    points = corners.corners.with_goal(*(each.goal for each in graphs)).points
+    graphs = [oracle if oracle.family is first.family else first.with_goal(oracle.goal) for oracle in graphs]
+    corners, tables = first.family, [oracle._goal_table for oracle in graphs]
+    edges = [np.array([i, count - 1]) + oracle._goal_edges for i, oracle in enumerate(graphs)]
+    points = corners.corners.with_goal(*(oracle.goal for oracle in graphs)).points
     graph = Graph(points, np.concatenate([*edges, count + corners.edges]))
     distances, parents = dijkstra(graph, np.arange(count))
     vertices = corners.corners.with_goal(*(table.points[0] for table in tables))

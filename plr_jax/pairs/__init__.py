@@ -1,7 +1,7 @@
 """Distances between any two points: of a planar workspace, of a grid's cells, or for any metric.
 
 In the plane (:func:`construct_pairs`), module `construct` builds the file, which `stored` defines; `query` searches
-for paths in JAX, `portable` in NumPy; `hiding` finds what blocks sight. ``GRIDS.md`` explains grids.
+for paths in JAX, `portable` in NumPy; `occlusion` finds what blocks sight. ``GRIDS.md`` explains grids.
 """
 
 import lazy_loader

@@ -50,8 +50,8 @@ def outline_of(
     leaving = {sector: edge for edge, sector in enumerate(sectors)}
     order, first = _rings_of(np.array([leaving[b, a] for a, b in edges.tolist()]))
     # 2. Round the points to a lattice that separates points from walls.
-    every = np.arange(len(vertices)), np.arange(len(edges))
-    near, edge = vertices_near_edges(vertices, edges, 8 * FINEST * width, *every)
+    all_indices = np.arange(len(vertices)), np.arange(len(edges))
+    near, edge = vertices_near_edges(vertices, edges, 8 * FINEST * width, *all_indices)
     walls: Any = shapely.linestrings(boundary.segments[edge].reshape(-1, 2, 2))
     apart: Any = shapely.distance(shapely.points(vertices[near]), walls)
     step = lattice_step(vertices - origin, width, tolerance, float(apart.min(initial=np.inf)))
@@ -61,6 +61,7 @@ def outline_of(
 
 
 def _rings_of(following: PointIndices) -> tuple[PointIndices, Int[np.ndarray, " rings_plus_one"]]:
+    """Return all points, ring by ring, and where each ring begins; ``following`` has each next point."""
     order, first, is_done = [], [0], np.zeros(len(following), bool)
     for point in range(len(following)):
         while not is_done[point]:
@@ -99,7 +100,7 @@ def lattice_step(points: Float[np.ndarray, "n 2"], width: float, tolerance: floa
     return float(2.0 ** np.floor(np.log2(step)))
 
 
-_SHARE = 0.25  # share of the largest key above which cells are halved together
+_LEAST_RELATIVE_KEY = 0.25  # share of the largest key above which cells are halved together
 _IN_VAIN = 0.1  # mean number of listed corners that a point does not see; fewer make queries no faster
 
 
@@ -128,6 +129,8 @@ class Lists:
 
 @dataclass(frozen=True, eq=False)
 class _ListTree:
+    """A growing tree of cells; each node lists the corners at which paths from it may turn first."""
+
     lists: Lists
     key: Float[np.ndarray, " nodes"]  # priority of halving the node, at most that of its parent
     is_leaf: Bool[np.ndarray, " nodes"]
@@ -151,14 +154,14 @@ def grow_lists(
     Halvings that help least are undone until the file, whose size ``num_bytes`` computes, fits ``limits.max_bytes``.
     """
     tree = _ListTree(*_keyed_lists(root, Cells.root(2), limits), np.ones(1, bool), np.full(1, -1), root)
-    enough = _IN_VAIN * areas(root.pieces).sum()
+    stop_at = _IN_VAIN * areas(root.pieces).sum()
 
     def halved(tree: _ListTree) -> _ListTree | None:
         leaves = np.flatnonzero(tree.is_leaf)
         key = tree.key[leaves]
-        if key.sum() <= enough or len(tree) >= most_leaves or num_bytes(tree.leaves_above(0.0)) > limits.max_bytes:
+        if key.sum() <= stop_at or len(tree) >= most_leaves or num_bytes(tree.leaves_above(0.0)) > limits.max_bytes:
             return None
-        return _halved(tree, leaves[key > _SHARE * key.max()], domain, limits)
+        return _halved(tree, leaves[key > _LEAST_RELATIVE_KEY * key.max()], domain, limits)
 
     tree = grow(tree, halved, limits)
     keys = np.unique(np.append(tree.key[~tree.is_leaf], 0.0))
@@ -172,13 +175,14 @@ def grow_lists(
 
 
 def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limits: Limits) -> _ListTree:
+    """Halve cells of leaves ``nodes`` along their longest axis, and list the corners of both halves."""
     leaves = np.flatnonzero(tree.is_leaf)
     cells = tree.lists.cells[nodes]
     axis = cells.longest_axis(domain)
-    both = cells.split(axis)
+    halves = cells.split(axis)
     place, is_upper = np.repeat(np.searchsorted(leaves, nodes), 2), np.tile([False, True], len(nodes))
-    visible = tree.visible.parts(place, np.repeat(axis, 2), is_upper, *both.grown_boxes(domain))
-    lists, key = _keyed_lists(visible, both, limits)
+    visible = tree.visible.parts(place, np.repeat(axis, 2), is_upper, *halves.grown_boxes(domain))
+    lists, key = _keyed_lists(visible, halves, limits)
     key = np.minimum(key, np.repeat(tree.key[nodes], 2))
     is_leaf = tree.is_leaf.copy()
     is_leaf[nodes] = False
@@ -186,7 +190,7 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limi
     return _ListTree(
         tree.lists.append(lists),
         np.append(tree.key, key),
-        np.append(is_leaf, np.ones(len(both), bool)),
+        np.append(is_leaf, np.ones(len(halves), bool)),
         np.append(tree.parent, np.repeat(nodes, 2)),
         tree.visible.of_cells(stay).append(visible),
     )
@@ -205,6 +209,7 @@ def corners_seen(visibility: CornerVisibility, triangulation: Triangulation, dom
 
 
 def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[PairsFileData, bytes]:
+    """Build the content of a file of pairs, and the bytes of the file, at most ``max_bytes``."""
     if not isinstance(workspace, Workspace):
         raise ValueError(f"construct_pairs needs a Workspace, got {shortened(workspace)}.")
     max_bytes = DEFAULT_MAX_BYTES if max_bytes is None else max_bytes
@@ -235,23 +240,24 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
     # 1. Join corners that see one another and whose line is tangent at both: only such edges are on shortest paths.
     a, b = visibility.edges.T
     is_taut = visibility.corners.is_tangent(a, b) & visibility.corners.is_tangent(b, a)
-    start, row = in_file(a[is_taut])
-    end, again = in_file(b[is_taut][row])
+    start, row_a = in_file(a[is_taut])
+    end, row_b = in_file(b[is_taut][row_a])
     same = np.flatnonzero(of_corner[order[1:]] == of_corner[order[:-1]])
-    pairs = np.concatenate([np.stack([start[again], end], axis=1), np.stack([order[same], order[same + 1]], axis=1)])
+    pairs = np.concatenate([np.stack([start[row_b], end], axis=1), np.stack([order[same], order[same + 1]], axis=1)])
     edges = np.unique(np.sort(pairs, axis=1)[:, ::-1], axis=0)[:, ::-1]
     # 2. Bound the rounding error. Rounding changes each of the two legs of a path by at most the shift of its corner.
     #    Distances between corners are compared one by one. Visibility has a tolerance.
     true, rounded = visibility.corners.points[of_corner], outline.positions[corner]
-    moved, largest = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0)), 0.0
-    for (_, one), (_, other) in zip(*(distances_by_rows(each, edges) for each in (true, rounded)), strict=True):
+    moved = float(np.linalg.norm(true - rounded, axis=1).max(initial=0.0))
+    largest = 0.0
+    for (_, exact), (_, rough) in zip(*(distances_by_rows(points, edges) for points in (true, rounded)), strict=True):
         with np.errstate(invalid="ignore"):
-            largest = max(largest, float(np.where(one == other, 0.0, np.abs(one - other)).max()))
+            largest = max(largest, float(np.where(exact == rough, 0.0, np.abs(exact - rough)).max()))
     rounding = np.float32(2 * moved + largest + _SLACK * workspace.tolerance)
     rounding = float(np.nextafter(rounding, np.float32(np.inf)))
 
     # 3. Grow the leaves and their lists.
-    def stored(lists: Lists) -> PairsFileData:
+    def file_data(lists: Lists) -> PairsFileData:
         tree = tree_of(lists.cells)
         listed, row = in_file(lists.corner)
         place = np.argsort(tree.order)[lists.cell[row]]
@@ -260,14 +266,14 @@ def construct_stored(workspace: Workspace, max_bytes: int | None) -> tuple[Pairs
 
     most = min(limits.max_leaves, most_leaves(len(corner)))
     root = corners_seen(visibility, workspace.triangulation, domain)
-    held = stored(grow_lists(root, domain, limits, most, lambda lists: len(stored(lists).to_bytes())))
-    data = held.to_bytes()
+    pairs_data = file_data(grow_lists(root, domain, limits, most, lambda lists: len(file_data(lists).to_bytes())))
+    data = pairs_data.to_bytes()
     if len(data) > limits.max_bytes:
         raise ValueError(
             f"max_bytes must leave room for free space and its corners, which alone take {len(data):,} bytes, got "
             f"max_bytes={limits.max_bytes:,.0f}: raise it, or simplify the polygons."
         )
-    return held, data
+    return pairs_data, data
 
 
 def corners_in_outline(

@@ -56,15 +56,15 @@ def corners_in_sight(free: Grid, connectivity: int) -> tuple[_Cells, _Cells]:
     places = np.flatnonzero(corner_cells(free))
     number = np.full(free.size, -1, np.int32)
     number[places] = np.arange(len(places))
-    found = [np.zeros(0, np.int64)]
+    pairs = [np.zeros(0, np.int64)]
     for sector in _sectors(free, connectivity):
         corners = np.logical_or.reduce(list(sector.blocked.values()))
         for corner, width, aside in _scan(sector, corners, corners):
             last = number[sector.cells(corner, aside, width - 1)]  # no run continues past a corner
             other = (last >= 0) & (last != corner)
             ends = corner[other], last[other]
-            found.append(np.minimum(*ends) * len(places) + np.maximum(*ends))
-    return np.divmod(np.unique(np.concatenate(found)), max(len(places), 1))
+            pairs.append(np.minimum(*ends) * len(places) + np.maximum(*ends))
+    return np.divmod(np.unique(np.concatenate(pairs)), max(len(places), 1))
 
 
 def taut_corners(
@@ -74,7 +74,7 @@ def taut_corners(
     from scipy.sparse import csr_array
 
     # 1. Collect runs of cells that are taut at a corner: corner, first cell, step, number of cells.
-    found = [np.zeros((4, 0), np.int64)]
+    runs = [np.zeros((4, 0), np.int64)]
     for sector in _sectors(free, connectivity):
         # Paths from cells past a corner can bend at it ("taut") if the cells are further ahead and a blocked diagonal
         # is ahead, or further aside and one is aside. A diagonal step goes ahead as well.
@@ -82,7 +82,7 @@ def taut_corners(
         at = {along: cells[sector.row, sector.column] for along, cells in blocked.items()}
         ahead, aside = blocked[1, 1] | blocked[-1, 1], blocked[1, 1] | blocked[1, -1]
         # Whether cells are taut at a corner: those straight ahead, straight aside, and both ahead and aside.
-        if_ahead, if_aside, if_both = (at[one] | at[other] for one, other in _TAUT)
+        if_ahead, if_aside, if_both = (at[diagonal] | at[other_diagonal] for diagonal, other_diagonal in _TAUT)
         straight = if_both if sector.slanted else if_aside
         for corner, width, rows in _scan(sector, ahead, ahead | aside if sector.slanted else aside):
             if rows:
@@ -93,8 +93,8 @@ def taut_corners(
             length = np.where(goes_on, width, 1) - begin
             some = length > 0
             first = sector.cells(corner[some], rows, begin[some])
-            found.append(np.stack([corner[some], first, np.full(len(first), sector.column_step), length[some]]))
-    taut = np.concatenate(found, axis=1)
+            runs.append(np.stack([corner[some], first, np.full(len(first), sector.column_step), length[some]]))
+    taut = np.concatenate(runs, axis=1)
     if taut[3].sum() > _MOST_BYTES:
         raise ValueError(_TOO_LARGE)
     corner, first, step, length = taut[:, np.argsort(taut[0], kind="stable")]
@@ -117,6 +117,15 @@ _TAUT = (((1, 1), (-1, 1)), ((1, 1), (1, -1)), ((1, -1), (-1, 1)))
 
 @dataclass(frozen=True)
 class _Sector:
+    """A quadrant or octant around each corner, in a flipped, mirrored or transposed view of the grid.
+
+    ::
+
+        2 |     . .       In the view, the sector reaches from corner c along rising columns, *ahead*, and rising
+        1 |   . . .       rows, *aside*. Row i of an octant (slanted) begins i columns ahead of the corner, and row i
+        0 | c . . .       of a quadrant right beside the corner.
+    """
+
     free: Grid
     blocked: dict[tuple[int, int], Grid]
     row: Int[np.ndarray, " corners"]
@@ -129,11 +138,13 @@ class _Sector:
     keeps_aside: bool
 
     def cells(self, corner: _Cells, aside: int, ahead: _Cells) -> _Cells:
+        # The numbers, in the grid, of cells of corners' sectors.
         column = self.column[corner] + ahead + (aside if self.slanted else 0)
         return self.origin + (self.row[corner] + aside) * self.row_step + column * self.column_step
 
 
 def _sectors(free: Grid, connectivity: int) -> Iterator[_Sector]:
+    """Yield the sectors of all corners: four quadrants, or eight octants if steps may be diagonal."""
     corners = np.nonzero(corner_cells(free))
     slanted = connectivity == 8
     for transposed, flipped, mirrored in product((False, True)[: 1 + slanted], (False, True), (False, True)):
@@ -173,8 +184,8 @@ def _scan(sector: _Sector, ends_row: Grid, ends_later: Grid) -> Iterator[tuple[_
     corner, aside = np.arange(len(row)), 0
     width = to_blocked[row, column]
     while len(corner):
-        own = int(aside == 0)  # the corner itself ends nothing
-        end, later = (steps[row, column + own] + own for steps in (to_end, to_later))
+        offset = int(aside == 0)  # the corner itself ends nothing
+        end, later = (steps[row, column + offset] + offset for steps in (to_end, to_later))
         yield corner, np.minimum(width, end + 1), aside
         width = np.minimum.reduce([width, end + 1, later, to_illegal[row, column]])
         aside += 1
@@ -216,6 +227,8 @@ def looked_up(table: Any, index: Any) -> Any:
 
 @pytree
 class CornerTable:
+    """Distances between all obstacle corners: those between centers near them, plus small differences."""
+
     center: Integer[Array, " corners"]  # index of a center near each corner
     between_centers: Int32[Array, "centers centers"]
     # For each corner and all up to it, row by row: the distance minus that between the centers near both corners.
@@ -242,6 +255,7 @@ class CornerLabels:
     length: Int32[Array, " ancestors"]
 
     def between(self, a: Any, b: Any) -> Any:
+        """Return distances between corners ``a`` and ``b``, arrays that broadcast; ``_NO_PATH`` without a path."""
         begins = [looked_up(self.first, corner) for corner in (a, b)]
         xp: Any = np if isinstance(a, np.ndarray) else jnp
         common = xp.minimum(*(looked_up(self.first, corner + 1) - looked_up(self.first, corner) for corner in (a, b)))
@@ -350,6 +364,7 @@ def _eliminated(edges: _Edges, progress: tqdm) -> tuple[list[int], _Edges]:
 
 
 def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
+    """Return the distances of each corner to its ancestors, in the reverse order of elimination."""
     place = np.empty(len(order), np.int64)
     place[order] = np.arange(len(order))
     depth, parent = np.zeros(len(order), np.int64), np.full(len(order), -1)
@@ -363,11 +378,11 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
     ancestor, length = (np.zeros(first[-1], np.int32) for _ in range(2))
     for corner in reversed(order):
         progress.update()
-        own = slice(first[corner], first[corner + 1])
-        ancestor[own.stop - 1] = corner
+        entries = slice(first[corner], first[corner + 1])
+        ancestor[entries.stop - 1] = corner
         if not uppers[corner]:
             continue
-        above = slice(own.start, own.stop - 1)
+        above = slice(entries.start, entries.stop - 1)
         ancestor[above] = ancestor[first[parent[corner]] : first[parent[corner] + 1]]
         nearby = np.array(list(uppers[corner]))
         lengths = np.fromiter(uppers[corner].values(), np.int64, len(nearby))
@@ -375,21 +390,23 @@ def _labels(order: list[int], uppers: _Edges, progress: tqdm) -> CornerLabels:
         places = np.arange(depth[corner])
         of_neighbor = first[nearby][:, None] + places
         of_ancestor = first[ancestor[above]] + depth[nearby][:, None]
-        over = length[np.where(places <= depth[nearby][:, None], of_neighbor, of_ancestor)] + lengths[:, None]
-        length[above] = np.minimum(over.min(axis=0), FAR)
+        via_neighbor = length[np.where(places <= depth[nearby][:, None], of_neighbor, of_ancestor)] + lengths[:, None]
+        length[above] = np.minimum(via_neighbor.min(axis=0), FAR)
     return CornerLabels(*map(jnp.asarray, (first.astype(np.int32), ancestor, length)))
 
 
 def _all_pairs(order: list[int], uppers: _Edges, progress: tqdm) -> Int32[np.ndarray, "corners corners"]:
+    # In the reverse order of elimination, a corner's neighbors come before it: all paths from it to earlier corners
+    # lead over one of them.
     place = np.empty(len(order), np.int64)
     place[order[::-1]] = np.arange(len(order))
     distances = np.full((len(order), len(order)), _NO_PATH, np.int32)
-    for known, corner in enumerate(reversed(order)):
+    for n, corner in enumerate(reversed(order)):
         progress.update()
-        distances[known, known] = 0
+        distances[n, n] = 0
         nearby = uppers[corner]
         if nearby:
             lengths = np.fromiter(nearby.values(), np.int32, len(nearby))
-            over = distances[place[list(nearby)], :known] + lengths[:, None]
-            distances[known, :known] = distances[:known, known] = np.minimum(over.min(axis=0), _NO_PATH)
+            via_neighbor = distances[place[list(nearby)], :n] + lengths[:, None]
+            distances[n, :n] = distances[:n, n] = np.minimum(via_neighbor.min(axis=0), _NO_PATH)
     return distances[np.ix_(place, place)]

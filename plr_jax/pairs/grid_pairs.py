@@ -46,6 +46,7 @@ def encode_grid(free: Bool[np.ndarray, "rows columns"], connectivity: int) -> by
 
 
 def decode_grid(data: bytes) -> tuple[Bool[np.ndarray, "rows columns"], int]:
+    """Decode which cells are free, and the connectivity; ``ValueError`` if the data are invalid."""
     if not data.startswith(GRID_MAGIC):
         raise ValueError("it does not start like a file of pairs of a grid")
     if len(data) < _HEADER.size + _CRC.size:
@@ -130,10 +131,10 @@ class GridPairs:
         points = _as_points("x", x), _as_points("y", y)
         shape = broadcast_shape("x and y", *points)
         if is_on_one_host(*points, self.tables.blocks):
-            few = evaluate_few(self.tables, *(np.broadcast_to(np.asarray(one), shape) for one in points))
+            few = evaluate_few(self.tables, *(np.broadcast_to(np.asarray(p), shape) for p in points))
             if few is not None:
                 return jax.numpy.asarray(few)
-        return evaluate_pairs(self.tables, *(jax.numpy.broadcast_to(one, shape) for one in points))
+        return evaluate_pairs(self.tables, *(jax.numpy.broadcast_to(p, shape) for p in points))
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven lower and upper bounds, ``(...)`` each, of the lengths of shortest paths.
@@ -209,17 +210,17 @@ class GridPairs:
         distances = tables.distances
         is_table = isinstance(distances, CornerTable)
         arrays = {"free": tables.sight.free, "sums": tables.sight.sums}
-        arrays |= {each: getattr(tables, each) for each in ("group_block", "cell_block", "blocks", "row", "column")}
-        arrays |= {each.name: getattr(distances, each.name) for each in fields(distances)}
+        arrays |= {key: getattr(tables, key) for key in ("group_block", "cell_block", "blocks", "row", "column")}
+        arrays |= {field.name: getattr(distances, field.name) for field in fields(distances)}
         # 1. Write the file of tables, and a C function that reads each table.
         table, accessors = _C_MAGIC, []
-        for of, array in arrays.items():
+        for table_name, array in arrays.items():
             data = np.ascontiguousarray(np.asarray(array)).astype(array.dtype.newbyteorder("<"))
             table += bytes(-len(table) % _ALIGNED)
-            of_type = f"{'u' if data.dtype.kind == 'u' else ''}int{8 * data.dtype.itemsize}_t"
+            c_type = f"{'u' if data.dtype.kind == 'u' else ''}int{8 * data.dtype.itemsize}_t"
             accessors.append(
-                f"static inline int32_t {name}_{of}(uint32_t i)\n"
-                f"{{ return (int32_t)((const {of_type} *)(const void *)({name}_data + {len(table)}u))[i]; }}"
+                f"static inline int32_t {name}_{table_name}(uint32_t i)\n"
+                f"{{ return (int32_t)((const {c_type} *)(const void *)({name}_data + {len(table)}u))[i]; }}"
             )
             table += data.tobytes()
         table += zlib.crc32(table).to_bytes(4, "little")

@@ -56,6 +56,7 @@ class IllegalSteps:
 
 
 def sight_of(free: Grid, connectivity: int) -> IllegalSteps:
+    """Build the tables by which :func:`sees` tests whether cells see each other."""
 
     def sums_along_rows(marks: Grid) -> _Sums:
         return np.pad(marks.astype(np.int64), ((1, 0), (1, 0))).cumsum(axis=1)
@@ -104,10 +105,10 @@ def sees(sight: IllegalSteps, p: Cells, q: Cells) -> Flags:
         return is_free(sight, p) & (between(below, column, last_column) == between(above, column, last_column))
     # No diagonal step of the parallelogram between the cells may be illegal, or no cell of the line blocked.
     # Transpose and mirror so that the path leads up in rows and columns, by no fewer columns than rows.
-    way = q - p
-    transposed = xp.abs(way[:, 0]) > xp.abs(way[:, 1])
-    mirrored = way[:, 0] * way[:, 1] < 0
-    straight = (way == 0).any(axis=1)
+    offset = q - p
+    transposed = xp.abs(offset[:, 0]) > xp.abs(offset[:, 1])
+    mirrored = offset[:, 0] * offset[:, 1] < 0
+    straight = (offset == 0).any(axis=1)
     rows, columns = sight.shape
     width = xp.where(transposed, rows, columns)
     (row, column), (other_row, other_column) = (xp.where(transposed, end[:, ::-1].T, end.T) for end in (p, q))
@@ -153,6 +154,7 @@ class GridTables:
 
 
 def tables_of(free: Grid, connectivity: int) -> GridTables:
+    """Build the tables of a grid that queries read."""
     first, corners = taut_corners(free, connectivity)
     # Pack the corners of each cell into blocks.
     counts = np.diff(first)
@@ -186,7 +188,7 @@ _BLOCKS_AT_ONCE = 2**20
 _SORTED_BITS = 18  # bits of the index of a pair among those sorted together
 _CHUNK = 1024  # pairs per chunk
 _MOST_FEW = 2**14  # pairs of cells, and pairs of blocks of their corners, that NumPy tries in some milliseconds
-_MOST_TOLD = 2**7 - 1  # larger numbers of blocks count as this in sorting
+_MOST_SORTED = 2**7 - 1  # larger numbers of blocks count as this in sorting
 _WORD = 32  # bits of a word
 _ROUNDING = 2.0**-22  # more than the relative error of rounding in 32 bits
 # Relative error of an answer on an 8-connected grid, from rounding down and from the length of a diagonal step.
@@ -232,6 +234,7 @@ def evaluate_few(
 def evaluate_to(
     tables: GridTables, from_goal: Int32[Array, " corners"], goal: Int[Array, "2"], x: Num[Array, "*batch 2"]
 ) -> Float[Array, "*batch"]:
+    """Return the numbers of steps from points to one cell; ``from_goal`` has the lengths from it to all corners."""
     p, inside = cells_of(tables.shape, x.reshape(-1, 2))
     q = jnp.broadcast_to(goal, p.shape)
 
@@ -249,10 +252,10 @@ def corners_from(tables: GridTables, goal: Int[Array, "2"]) -> Int32[Array, " co
 
     A straight step has the length ``STRAIGHT[connectivity]``.
     """
-    every = jnp.arange(len(tables.row), dtype=jnp.int32)
-    cells = jnp.broadcast_to(goal, (len(every), 2))
+    all_corners = jnp.arange(len(tables.row), dtype=jnp.int32)
+    cells = jnp.broadcast_to(goal, (len(all_corners), 2))
     return _least_around(
-        tables, cells, lambda corners: tables.distances.between(every[:, None], corners), every.shape
+        tables, cells, lambda corners: tables.distances.between(all_corners[:, None], corners), all_corners.shape
     )
 
 
@@ -269,20 +272,21 @@ def lengths_between_cells(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
 
 
 def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
+    """Return path lengths between cells; pairs are sorted, so that the pairs of a chunk take equally long."""
     seen = sees(tables.sight, p, q)
     if is_symbolic_dim(p.shape[0]):  # pairs of an unknown number are not sorted
-        length, first, then = _most_likely(tables, p, q, seen)
-        return _least_of_those_left(tables, _Left(p, first), _Left(q, then), length)
-    first, then = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_TOLD) for cells in (p, q))
-    chunks = _sorted_chunks(first * (_MOST_TOLD + 1) + then)
-    found = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], seen[chunk]), chunks)
-    length, *left = (jnp.zeros(len(p), one.dtype).at[chunks].set(one) for one in found)
-    first, then = (lax.population_count(blocks).astype(jnp.int32) for blocks in left)
-    chunks = _sorted_chunks(first * then)
+        length, blocks_p, blocks_q = _most_likely(tables, p, q, seen)
+        return _least_over_blocks(tables, _OpenBlocks(p, blocks_p), _OpenBlocks(q, blocks_q), length)
+    num_p, num_q = (jnp.minimum(jnp.where(seen, 0, _blocks_of(tables, cells)[1]), _MOST_SORTED) for cells in (p, q))
+    chunks = _sorted_chunks(num_p * (_MOST_SORTED + 1) + num_q)
+    by_chunk = lax.map(lambda chunk: _most_likely(tables, p[chunk], q[chunk], seen[chunk]), chunks)
+    length, *blocks = (jnp.zeros(len(p), column.dtype).at[chunks].set(column) for column in by_chunk)
+    num_p, num_q = (lax.population_count(bits).astype(jnp.int32) for bits in blocks)
+    chunks = _sorted_chunks(num_p * num_q)
 
     def of_chunk(chunk: Int32[Array, " size"]) -> Int32[Array, " size"]:
-        ends = _Left(p[chunk], left[0][chunk]), _Left(q[chunk], left[1][chunk])
-        return _least_of_those_left(tables, *ends, length[chunk])
+        ends = _OpenBlocks(p[chunk], blocks[0][chunk]), _OpenBlocks(q[chunk], blocks[1][chunk])
+        return _least_over_blocks(tables, *ends, length[chunk])
 
     return length.at[chunks].set(lax.map(of_chunk, chunks))
 
@@ -297,8 +301,8 @@ def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
 def _most_likely(tables: GridTables, p: Cells, q: Cells, seen: Flags) -> tuple[_Lengths, _Blocks, _Blocks]:
     # Return the length of a path and, for each cell, bits: which blocks of its corners may have a shorter path.
     (corner, leg), (other, other_leg) = _nearest_to_both(tables, p, q, seen), _nearest_to_both(tables, q, p, seen)
-    way = leg + tables.distances.between(corner, other) + other_leg
-    length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(way, FAR), FAR)
+    total = leg + tables.distances.between(corner, other) + other_leg
+    length = jnp.where((leg < FAR) & (other_leg < FAR), jnp.minimum(total, FAR), FAR)
     length = jnp.where(seen, open_length(tables.connectivity, *jnp.abs(p - q).T), length)
     # Without a path between these corners there is none between any.
     to_beat = jnp.where((length < FAR) & ~seen, length, 0)
@@ -312,9 +316,9 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flag
 
     def with_block(block: _Scalar, best: tuple[_Lengths, ...]) -> tuple[_Lengths, ...]:
         corners = _corners_of_block(tables, first, count, block)
-        ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
-        least = ways.min(axis=1)
-        corner = jnp.where(ways == least[:, None], corners, -1).max(axis=1)
+        lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
+        least = lengths.min(axis=1)
+        corner = jnp.where(lengths == least[:, None], corners, -1).max(axis=1)
         nearer = least < best[0]
         return jnp.where(nearer, least, best[0]), jnp.where(nearer, corner, best[1])
 
@@ -330,15 +334,17 @@ def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Len
 
     def with_block(block: _Scalar, bits: _Blocks) -> _Blocks:
         corners = _corners_of_block(tables, first, count, block)
-        ways = _legs(tables, cells, corners) + _legs(tables, others, corners)
-        better = (ways.min(axis=1) < length) & (block < count)
+        lengths = _legs(tables, cells, corners) + _legs(tables, others, corners)
+        better = (lengths.min(axis=1) < length) & (block < count)
         return bits | better.astype(jnp.uint32) << block.astype(jnp.uint32)
 
     none = jnp.zeros_like(count, jnp.uint32)
     return lax.fori_loop(0, jnp.minimum(count.max(), _WORD), with_block, none)
 
 
-class _Left(NamedTuple):
+class _OpenBlocks(NamedTuple):
+    """The blocks of corners of cells that are still to be tried, as words of bits."""
+
     cells: Cells
     blocks: _Blocks  # a bit for each of a cell's first 32 blocks of four corners: whether it is still to try
 
@@ -346,9 +352,9 @@ class _Left(NamedTuple):
         return -(-_blocks_of(tables, self.cells)[1].max() // _WORD)
 
     def word(self, tables: GridTables, number: _Scalar) -> _Blocks:
-        behind = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
-        every = jnp.where(behind == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - behind, _WORD - 1))
-        return jnp.where(number == 0, self.blocks, every)
+        num_bits = jnp.clip(_blocks_of(tables, self.cells)[1] - number * _WORD, 0, _WORD).astype(jnp.uint32)
+        all_bits = jnp.where(num_bits == 0, 0, ~jnp.uint32(0) >> jnp.minimum(_WORD - num_bits, _WORD - 1))
+        return jnp.where(number == 0, self.blocks, all_bits)
 
     def corners(self, tables: GridTables, number: _Scalar, bits: _Blocks) -> _Corners:
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
@@ -356,29 +362,33 @@ class _Left(NamedTuple):
         return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)
 
 
-def _least_of_those_left(tables: GridTables, left: _Left, others_left: _Left, length: _Lengths) -> _Lengths:
+def _least_over_blocks(tables: GridTables, open_p: _OpenBlocks, open_q: _OpenBlocks, length: _Lengths) -> _Lengths:
+    """Return the least of ``length`` and of paths over one of the corners left for each of both cells."""
+
     def with_words(words: _Scalar, length: _Lengths) -> _Lengths:
-        word, other_word = jnp.divmod(words, others_left.words(tables))
-        blocks, other_blocks = left.word(tables, word), others_left.word(tables, other_word)
+        word, other_word = jnp.divmod(words, open_q.words(tables))
+        blocks, other_blocks = open_p.word(tables, word), open_q.word(tables, other_word)
 
         def with_blocks(state: _BitsAndLength) -> _BitsAndLength:
+            # The lowest set bits are the next pair of blocks; x & (x - 1) clears the lowest set bit of x. For each
+            # bit of the first cell, go through all bits of the second cell.
             bits, other_bits, length = state
-            corners, others = left.corners(tables, word, bits), others_left.corners(tables, other_word, other_bits)
-            legs, other_legs = _legs(tables, left.cells, corners), _legs(tables, others_left.cells, others)
+            corners, others = open_p.corners(tables, word, bits), open_q.corners(tables, other_word, other_bits)
+            legs, other_legs = _legs(tables, open_p.cells, corners), _legs(tables, open_q.cells, others)
             between = tables.distances.between(corners[:, :, None], others[:, None])
-            way = (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2))
-            length = jnp.where((bits != 0) & (other_bits != 0), jnp.minimum(length, way), length)
+            total = (legs[:, :, None] + between + other_legs[:, None]).min(axis=(1, 2))
+            length = jnp.where((bits != 0) & (other_bits != 0), jnp.minimum(length, total), length)
             other_bits = other_bits & (other_bits - 1)
             is_last = other_bits == 0
             bits = jnp.where(is_last, bits & (bits - 1), bits)
             return bits, jnp.where(is_last, other_blocks, other_bits), length
 
-        def some_left(state: _BitsAndLength) -> Bool[Array, ""]:
+        def is_any_open(state: _BitsAndLength) -> Bool[Array, ""]:
             return ((state[0] != 0) & (other_blocks != 0)).any()
 
-        return lax.while_loop(some_left, with_blocks, (blocks, other_blocks, length))[2]
+        return lax.while_loop(is_any_open, with_blocks, (blocks, other_blocks, length))[2]
 
-    return lax.fori_loop(0, left.words(tables) * others_left.words(tables), with_words, length)
+    return lax.fori_loop(0, open_p.words(tables) * open_q.words(tables), with_words, length)
 
 
 _BitsAndLength = tuple[_Blocks, _Blocks, _Lengths]
@@ -404,6 +414,7 @@ def _least_around(
 
 
 def _blocks_of(tables: GridTables, cells: Cells) -> tuple[Ints, Ints]:
+    """Return the first block of corners that each cell lists, and the number of its blocks."""
     cell = cells[:, 0] * tables.shape[1] + cells[:, 1]
     first, end = (
         looked_up(tables.group_block, one // GROUP) + looked_up(tables.cell_block, one).astype(np.int32)
@@ -417,6 +428,7 @@ def _corners_of_block(tables: GridTables, first: Ints, count: Ints, block: _Scal
 
 
 def _in_steps(connectivity: int, length: Ints, inside: Flags) -> Any:
+    """Convert lengths in integer units to numbers of steps; ``inf`` outside the grid or without a path."""
     xp: Any = np if isinstance(length, np.ndarray) else jnp
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
     whole, rest = xp.divmod(length, STRAIGHT[connectivity])

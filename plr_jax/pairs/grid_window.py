@@ -47,72 +47,79 @@ def distances_around(
     cells = jnp.stack([row[around], column[around]], axis=-1)
     # Ask first for the corners toward and away from the goal: lengths between them mostly follow.
     turned = ((goal - position).prod(axis=1) < 0).astype(jnp.int32)
-    asked_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
-    lengths = _lengths_of_rim(tables, cells, free[around], goal, asked_first)
+    computed_first = np.arange(len(around[0]))[:, None] % max(4 * radius, 1) == 2 * radius * turned
+    lengths = _lengths_of_rim(tables, cells, free[around], goal, computed_first)
     is_goal = (row == goal[:, 0]) & (column == goal[:, 1])
-    known = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
-    reached = _spread(tables.connectivity, jnp.where(free, known, FAR), free)
+    initial = jnp.where(is_goal, 0, FAR).astype(jnp.int32).at[around].min(lengths)
+    reached = _spread(tables.connectivity, jnp.where(free, initial, FAR), free)
     answered = free & inside & goal_inside & (reached < FAR)
     return jnp.moveaxis(jnp.where(answered, reached // STRAIGHT[tables.connectivity], -1), -1, 0)
 
 
 def _lengths_of_rim(
-    tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, asked_first: _RimFlags
+    tables: GridTables, cells: _RimCells, free: _RimFlags, goal: Cells, computed_first: _RimFlags
 ) -> Rim:
+    """Return the path length from each cell of a square's rim to the goal; tables are asked for few cells.
+
+    Neighbor cells differ by at most a step. If the lengths of two cells of the rim differ by all steps between them,
+    the lengths between follow. Else the cell in the middle is asked.
+    """
     straight = int(open_length(tables.connectivity, 0, 1))
     beside_blocked = ~jnp.roll(free, 1, axis=0) | ~jnp.roll(free, -1, axis=0)
     place = jnp.arange(len(cells), dtype=jnp.int32)
 
-    def nearest_known(lengths: Rim, known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
+    def nearest_known(lengths: Rim, is_known: _RimFlags, first: _Known, reverse: bool) -> tuple[Rim, Rim]:
         def step(nearest: _Known, cell: tuple[Int32[Array, ""], Int32[Array, " n"], Bool[Array, " n"]]):
             place, length, is_known = cell
             nearest = jnp.where(is_known, place, nearest[0]), jnp.where(is_known, length, nearest[1])
             return nearest, nearest
 
-        return lax.scan(step, first, (place, lengths, known), reverse=reverse)[1]
+        return lax.scan(step, first, (place, lengths, is_known), reverse=reverse)[1]
 
     def step(state: tuple[Rim, _RimFlags, _RimFlags]):
-        lengths, known, wanted = state
-        lengths, known = _asked(tables, cells, goal, lengths, wanted), known | wanted
+        lengths, is_known, is_wanted = state
+        lengths, is_known = _with_wanted(tables, cells, goal, lengths, is_wanted), is_known | is_wanted
         # Both ends of each run of free cells are known. The rim is a cycle.
-        begin, end = lax.argmax(known, 0, jnp.int32), len(cells) - 1 - lax.argmax(known[::-1], 0, jnp.int32)
+        begin, end = lax.argmax(is_known, 0, jnp.int32), len(cells) - 1 - lax.argmax(is_known[::-1], 0, jnp.int32)
         at_begin, at_end = (jnp.take_along_axis(lengths, one[None], axis=0)[0] for one in (begin, end))
-        before, first = nearest_known(lengths, known, (end - len(cells), at_end), reverse=False)
-        after, last = nearest_known(lengths, known, (begin + len(cells), at_begin), reverse=True)
+        before, first = nearest_known(lengths, is_known, (end - len(cells), at_end), reverse=False)
+        after, last = nearest_known(lengths, is_known, (begin + len(cells), at_begin), reverse=True)
         is_settled = (jnp.abs(last - first) == straight * (after - before)) | (first >= FAR)
         from_first = jnp.sign(last - first) * straight * (place[:, None] - before)
-        new = free & ~known & is_settled
-        wanted = free & ~known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
-        return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), known | new, wanted
+        new = free & ~is_known & is_settled
+        is_wanted = free & ~is_known & ~new & ((before + after) // 2 % len(cells) == place[:, None])
+        return jnp.where(new, jnp.where(first >= FAR, FAR, first + from_first), lengths), is_known | new, is_wanted
 
-    start = free & (asked_first | beside_blocked)
+    start = free & (computed_first | beside_blocked)
     none = jnp.full(free.shape, FAR, jnp.int32), jnp.zeros(free.shape, bool), start
     return lax.while_loop(lambda state: state[2].any(), step, none)[0]
 
 
-def _asked(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, wanted: _RimFlags) -> Rim:
-    size = min(_RIM_CELLS_AT_ONCE, wanted.size)
-    every = jnp.arange(wanted.size, dtype=jnp.int32).reshape(wanted.shape)
+def _with_wanted(tables: GridTables, cells: _RimCells, goal: Cells, lengths: Rim, is_wanted: _RimFlags) -> Rim:
+    """Look up the path lengths from the wanted cells of rims to the goals; other lengths stay."""
+    size = min(_RIM_CELLS_AT_ONCE, is_wanted.size)
+    all_cells = jnp.arange(is_wanted.size, dtype=jnp.int32).reshape(is_wanted.shape)
     none = jnp.zeros_like(lengths[0])
-    count, until = lax.scan(lambda count, row: (count + row, count + row), none, wanted.astype(jnp.int32))
+    count, until = lax.scan(lambda count, row: (count + row, count + row), none, is_wanted.astype(jnp.int32))
     end = jnp.cumsum(count)
-    number = jnp.full(wanted.size + size, wanted.size, jnp.int32)  # wanted cells, agent by agent
-    number = number.at[jnp.where(wanted, end - count + until - 1, len(number))].set(every, mode="drop")
+    number = jnp.full(is_wanted.size + size, is_wanted.size, jnp.int32)  # wanted cells, agent by agent
+    number = number.at[jnp.where(is_wanted, end - count + until - 1, len(number))].set(all_cells, mode="drop")
     flat = cells.reshape(-1, 2)
 
-    def with_some(some: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
-        asked = lax.dynamic_slice(number, (some * size,), (size,))
-        of = jnp.minimum(asked, wanted.size - 1)
-        start = goal[of % len(goal)]
+    def with_batch(number_of_batch: Int32[Array, ""], lengths: Int32[Array, "cells"]) -> Int32[Array, "cells"]:
+        batch = lax.dynamic_slice(number, (number_of_batch * size,), (size,))
+        cell = jnp.minimum(batch, is_wanted.size - 1)
+        start = goal[cell % len(goal)]
         # Padding asks for the distance of a cell to itself, which is quick.
-        ends = start, jnp.where((asked < wanted.size)[:, None], flat[of], start)
-        found = lengths_between_cells(tables, *ends)
-        return lengths.at[asked].set(found, mode="drop")
+        ends = start, jnp.where((batch < is_wanted.size)[:, None], flat[cell], start)
+        answers = lengths_between_cells(tables, *ends)
+        return lengths.at[batch].set(answers, mode="drop")
 
-    return lax.fori_loop(0, -(-end[-1] // size), with_some, lengths.ravel()).reshape(lengths.shape)
+    return lax.fori_loop(0, -(-end[-1] // size), with_batch, lengths.ravel()).reshape(lengths.shape)
 
 
 def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
+    """Extend path lengths, known in some cells of squares, to all free cells of the squares."""
     straight, diagonal = (int(open_length(connectivity, rows, 1)) for rows in (0, 1))
     turns = (-1, 1) if connectivity == 8 else ()
 
@@ -120,6 +127,7 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         return jnp.pad(row, ((1, 1), (0, 0)), constant_values=border)[1 + right : 1 + right + len(row)]
 
     def swept(lengths: Square, free: _Free, turns: tuple[int, ...], reverse: bool) -> Square:
+        # One pass over the rows: each row takes lengths from the row before it, straight and by `turns` diagonally.
         def step(last: tuple[_Row, _FreeRow], here: tuple[_Row, _FreeRow]) -> tuple[tuple[_Row, _FreeRow], _Row]:
             (last_row, last_free), (row, is_free) = last, here
             row = jnp.minimum(row, last_row + straight)
@@ -133,6 +141,7 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         return lax.scan(step, border, (lengths, free), reverse=reverse)[1]
 
     def spread(part: tuple[Square, _Free]) -> Square:
+        # Sweep down, up, left and right until nothing changes.
         lengths, free = part
 
         def step(state: tuple[Square, Bool[Array, ""]]) -> tuple[Square, Bool[Array, ""]]:
@@ -155,5 +164,5 @@ def _spread(connectivity: int, lengths: Square, free: _Free) -> Square:
         filled = jnp.pad(table, ((0, 0), (0, 0), (0, -agents % size)), constant_values=fill)
         return jnp.moveaxis(filled.reshape(*table.shape[:2], -1, size), 2, 0)
 
-    done = jnp.moveaxis(lax.map(spread, (in_parts(lengths, FAR), in_parts(free, False))), 0, 2)
-    return done.reshape(*lengths.shape[:2], -1)[..., :agents]
+    reached = jnp.moveaxis(lax.map(spread, (in_parts(lengths, FAR), in_parts(free, False))), 0, 2)
+    return reached.reshape(*lengths.shape[:2], -1)[..., :agents]

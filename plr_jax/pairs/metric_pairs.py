@@ -92,16 +92,16 @@ def construct_metric_pairs(
         raise ValueError(f"The box of a metric may have at most 3 dimensions, got {domain.dim}.")
     if not callable(distance_fn):
         raise ValueError(f"distance_fn must be a function of x and y, got {shortened(distance_fn)}.")
-    both = Box(np.tile(domain.lo, 2), np.tile(domain.hi, 2), 2 * tuple(domain.periodic))
+    box_of_pairs = Box(np.tile(domain.lo, 2), np.tile(domain.hi, 2), 2 * tuple(domain.periodic))
 
-    def in_order(pairs: Float[np.ndarray, "n both"]) -> Float[np.ndarray, " n"]:
+    def ordered_distances(pairs: Float[np.ndarray, "n both"]) -> Float[np.ndarray, " n"]:
         x, y = np.split(pairs, 2, axis=1)
         later = np.asarray(_comes_later(x, y))
         result = np.full(len(pairs), np.inf)
         result[~later] = distance_fn(x[~later], y[~later])
         return result
 
-    return MetricPairs(construct(in_order, both, **options))
+    return MetricPairs(construct(ordered_distances, box_of_pairs, **options))
 
 
 def _comes_later(x: Any, y: Any) -> Bool[Array, "*batch"] | Bool[np.ndarray, "*batch"]:

@@ -34,21 +34,21 @@ def plr_to(stored: PairsFileData, pairs: PairFn, to_corners: ToCorners, goal: Po
     """
     domain = stored.domain
     sources = _sources(stored, to_corners, goal)
-    cells, owner, done = stored.cells, np.arange(len(stored.cells)), []
+    cells, owner, accepted = stored.cells, np.arange(len(stored.cells)), []
     most = max(_HALVINGS, _DEPTH - (len(cells) - 1).bit_length())
     for halvings in range(most + 1):
         source, error = _best_sources(stored, pairs, sources, cells, owner)
         is_poor = (error > _NEGLIGIBLE * domain.width.max()) & (cells.depth.max(axis=1) < _MAX_AXIS_DEPTH)
         is_poor &= halvings < most
-        done.append((cells[~is_poor], source[~is_poor]))
+        accepted.append((cells[~is_poor], source[~is_poor]))
         poor = cells[is_poor]
         cells, owner = poor.split(poor.longest_axis(domain)), np.repeat(owner[is_poor], 2)
-    first, *others = (cells for cells, _ in done)
-    cells, source = first.append(*others), np.concatenate([source for _, source in done])
+    first, *others = (cells for cells, _ in accepted)
+    cells, source = first.append(*others), np.concatenate([source for _, source in accepted])
     if (source < 0).all():
         raise ValueError(f"No leaf reaches the goal {goal.tolist()}: move it into free space.")
     tree = tree_of(cells)
-    cells, source = _joined(tree, source[tree.order])
+    cells, source = _merge_halves(tree, source[tree.order])
     tree = tree_of(cells)
     cones = ConeFiles(sources, domain).stored(source[tree.order])
     return plr_of_leaves(DecodedFile(domain, leaf_model("cone"), tree, cones))
@@ -91,7 +91,7 @@ def _best_sources(
     return np.where(reaches, source[best], -1), np.where(reaches, error[best], 0.0)
 
 
-def _joined(tree: Tree, source: Int[np.ndarray, " leaves"]) -> tuple[Cells, Int[np.ndarray, " kept"]]:
+def _merge_halves(tree: Tree, source: Int[np.ndarray, " leaves"]) -> tuple[Cells, Int[np.ndarray, " kept"]]:
     """Merge halves of a cell whose cones have the same apex, ``source``; return the leaves and their apexes."""
     of_node = np.full(len(tree.child), -2)
     of_node[tree.node_of_leaf] = source
@@ -101,5 +101,5 @@ def _joined(tree: Tree, source: Int[np.ndarray, " leaves"]) -> tuple[Cells, Int[
     is_inside = np.zeros(len(tree.child), bool)
     for split in tree.splits:
         is_inside[tree.child[split]] = is_inside[tree.child[split] + 1] = is_inside[split] | (of_node[split] > -2)
-    kept = np.flatnonzero((of_node > -2) & ~is_inside)
-    return tree.cells[kept], of_node[kept]
+    merged = np.flatnonzero((of_node > -2) & ~is_inside)
+    return tree.cells[merged], of_node[merged]

@@ -78,6 +78,7 @@ class PairPLR(FileBacked):
         return self._answered(partial(_distances, outside=outside), few, x, y)[0]
 
     def _to_goals(self, x: ArrayLike, goals: PreparedGoals, outside: Outside) -> Float[Array, "*batch"]:
+        """Return distances to prepared goals: by NumPy for few pairs, else by compiled code."""
         x = self._from_middle("x", x)
         batch = broadcast_shape("x and goals", x, goals.points)[:-1]
         size, corners = goals.to_corners.shape[-1], self._table_size
@@ -185,6 +186,7 @@ class PairPLR(FileBacked):
         return len(self.tables.distances) if is_traced(self.file) else table_size(self.num_corners)
 
     def _from_middle(self, name: str, x: ArrayLike) -> Array | np.ndarray:
+        """Check points, and return them relative to the middle of the domain."""
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if x.ndim == 0 or x.shape[-1] != 2:
             raise ValueError(f"{name} must be points of shape (..., 2), got {x.shape}.")
@@ -238,6 +240,12 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
         pairs = plr_jax.construct_pairs(workspace, max_bytes=1024)
         pairs(x, y)  # distances (n,) of points x and y, both (n, 2)
 
+    Args:
+        workspace: The free space, at most 1e18 wide, with at most 8,192 reflex corners (sharp tips of thin walls
+            count twice), else ``ValueError``.
+        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536. ``ValueError`` if free space and
+            corners alone take more.
+
     The domain is halved repeatedly, and each leaf lists the corners at which a shortest path from it may turn first.
     More bytes make queries faster, because fewer corners must be tried. The file stays below the budget if more
     bytes would not help. If interrupted (Ctrl-C), the result has the partition so far, with a
@@ -259,12 +267,6 @@ def construct_pairs(workspace: "Workspace", *, max_bytes: int | None = None) -> 
     Otherwise gaps stay open however narrow, and places where obstacles touch stay closed, unless paths may squeeze
     through. Only gaps below 6e-8 w beside such a place, or below 8e-6 w beside the tip of a thin wall, may be closed,
     or lead through the other wall beside the gap.
-
-    Args:
-        workspace: The free space, at most 1e18 wide, with at most 8,192 reflex corners (sharp tips of thin walls
-            count twice), else ``ValueError``.
-        max_bytes: Largest size of the file that :func:`save` writes; None: 65,536. ``ValueError`` if free space and
-            corners alone take more.
     """
     from plr_jax.pairs.construct import construct_stored  # queries do not need it
 
@@ -279,8 +281,8 @@ def pairs_from_bytes(data: bytes) -> PairPLR:
 @partial(jax.jit, static_argnames="outside")
 def _distances(tables: PairTables, x: Array, y: Array, outside: Outside) -> tuple[Float[Array, "*batch"]]:
     if outside == "clamp":
-        (x, way_x), (y, way_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
-        return (_distances(tables, x, y, "inf")[0] + (way_x + way_y),)
+        (x, shift_x), (y, shift_y) = (_clamped(tables, p.astype(_floats_of(x, y))) for p in (x, y))
+        return (_distances(tables, x, y, "inf")[0] + (shift_x + shift_y),)
     (x, y), shape, answer = _checked(tables, x, y)
     if outside == "nan":
         answer = jnp.where(jnp.isinf(answer), jnp.nan, answer)
@@ -303,8 +305,8 @@ def _distances_to(
     tables: PairTables, goals: PreparedGoals, x: Array, number: Array, outside: Outside
 ) -> tuple[Float[Array, "*batch"]]:
     if outside == "clamp":
-        x, way = _clamped(tables, x.astype(_floats_of(x)))
-        return (_distances_to(tables, goals, x, number, "inf")[0] + way,)
+        x, shift = _clamped(tables, x.astype(_floats_of(x)))
+        return (_distances_to(tables, goals, x, number, "inf")[0] + shift,)
     points, to_corners = (each.reshape(-1, each.shape[-1]) for each in (goals.points, goals.to_corners))
     number = jnp.broadcast_to(number[..., 0], jnp.broadcast_shapes(x.shape[:-1], number.shape[:-1]))
     (x, y), shape, answer = _checked(tables, x, points[number])
@@ -322,16 +324,17 @@ def _distances_to(
 @jax.jit
 def _bounds(tables: PairTables, x: Array, y: Array) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     (x, y), shape, answer = _checked(tables, x, y)
-    dtype, (x, y) = x.dtype, (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
+    dtype = x.dtype
+    x, y = (jax.lax.stop_gradient(p.astype(jnp.float32)) for p in (x, y))
     absolute = point_rounding(tables.half, jnp.abs(tables.middle[0])).max()
-    sure = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
-    least = shortest_ways(sure, x, y).least
+    lower_tables = tables if tables.sure_walls is None else replace(tables, walls=tables.sure_walls, near=None)
+    least = shortest_ways(lower_tables, x, y).least
     lower = jnp.maximum(SHRUNK * least - (tables.rounding[0] + absolute), 0.0)
     # A point near a wall may be behind the wall that is moved into free space.
     listed_x, listed_y = (along[tables.listed] for along in tables.outset_corners.T)
-    free = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
-    is_clear = is_inside(free, x) & is_inside(free, y)
-    length = jnp.where(is_clear, shortest_ways(free, x, y).length, jnp.inf)
+    upper_tables = replace(tables, walls=tables.outset_walls, near=None, x=listed_x, y=listed_y, is_certain=True)
+    is_clear = is_inside(upper_tables, x) & is_inside(upper_tables, y)
+    length = jnp.where(is_clear, shortest_ways(upper_tables, x, y).length, jnp.inf)
     upper = STRETCHED * length + (tables.rounding[1] + absolute)
     lower, upper = (jnp.where(jnp.isfinite(answer), p.astype(dtype), answer).reshape(shape) for p in (lower, upper))
     return lower, upper
@@ -343,8 +346,8 @@ def _clamped(
     half = jnp.broadcast_to(tables.half.astype(x.dtype), x.shape)
     beyond = jnp.isfinite(x).all(axis=-1, keepdims=True) & (jnp.abs(x) > _ends(tables, x))
     nearest = jnp.where(beyond, jnp.copysign(half, jax.lax.stop_gradient(x)), x)
-    way: Any = length_of([(x - nearest)[..., axis] for axis in range(2)])
-    return nearest, way
+    shift: Any = length_of([(x - nearest)[..., axis] for axis in range(2)])
+    return nearest, shift
 
 
 def _checked(

@@ -60,8 +60,8 @@ def are_crossed(
     """Return whether each segment from ``p`` to ``q`` crosses any wall or, if ``both_ways``, one in and one out."""
     crossed = np.zeros(len(p), bool)
     for some in parts(np.full(len(p), walls.shape[1]), _AT_ONCE):
-        ways = crossings(p[some].T[:, :, None], q[some].T[:, :, None], walls)
-        goes_in, goes_out = (each.any(axis=1) for each in ways)
+        directions = crossings(p[some].T[:, :, None], q[some].T[:, :, None], walls)
+        goes_in, goes_out = (each.any(axis=1) for each in directions)
         crossed[some] = goes_in & goes_out if both_ways else goes_in | goes_out
     return crossed
 
@@ -86,11 +86,11 @@ class Scene:
     is_certain: bool  # whether every path found is certainly free
 
     @staticmethod
-    def of(stored: PairsFileData, is_certain: bool, hides_surely: bool = False) -> "Scene":
+    def of(stored: PairsFileData, is_certain: bool, for_lower_bounds: bool = False) -> "Scene":
         """Build the scene of a file: its walls and corners, moved so that rounding does no harm.
 
         If ``is_certain``, walls move into free space: a path between them is certainly free. Otherwise walls move
-        into their obstacles, so that rounding hides no corner. With ``hides_surely``, walls of thin obstacles are
+        into their obstacles, so that rounding hides no corner. With ``for_lower_bounds``, walls of thin obstacles are
         left out too, and paths may pass between obstacles that touch: points hidden then are certainly hidden.
         """
         outline, domain = stored.outline, stored.domain
@@ -103,13 +103,13 @@ class Scene:
             # margins, so that no corner moves through an obstacle close ahead whose walls move back.
             before = outline.moved_points(-0.2 * MARGIN * width)[stored.corner]
             corners = np.where(outline.ends_sight(receding)[stored.corner, None], before, stored.points)
-        walls = outline.moved_walls(-receding if is_certain else receding, surely=hides_surely)
+        walls = outline.moved_walls(-receding if is_certain else receding, moves_all=for_lower_bounds)
         moved = float(np.linalg.norm(corners - stored.points, axis=1).max(initial=0.0))
         if is_certain:
             walls = np.concatenate([walls, outline.around_thin_walls(receding)])
             # No certainly free path turns at a corner that a wall cuts off from the place to which the corner moves.
             corners[are_crossed(stored.points, corners, outline.moved_walls(0.0).T)] = np.inf
-        elif hides_surely:
+        elif for_lower_bounds:
             walls = walls[~outline.is_thin]
         walls -= np.tile(middle, 2)
         return Scene(walls, np.append(corners - middle, [[np.inf, np.inf]], axis=0), moved, is_certain)
@@ -145,11 +145,11 @@ class NumpyPairs:
         self._lists = np.full((count, max(1, lengths.max(initial=0))), corners)
         self._lists[ragged_indices(lengths)] = stored.listed
         self._distances = distances_table(stored, corners + 1)
-        rounds = float(point_rounding(domain.width / 2, np.abs(middle)).max())
-        self._seen, self._free = (Scene.of(stored, is_certain) for is_certain in (False, True))
-        self._sure = Scene.of(stored, False, hides_surely=True)
-        self._less, self._more = (
-            np.float32(stored.rounding + 2 * scene.moved + rounds) for scene in (self._seen, self._free)
+        point_error = float(point_rounding(domain.width / 2, np.abs(middle)).max())
+        self._scene, self._upper_scene = (Scene.of(stored, is_certain) for is_certain in (False, True))
+        self._lower_scene = Scene.of(stored, False, for_lower_bounds=True)
+        self._lower_error, self._upper_error = (
+            np.float32(stored.rounding + 2 * scene.moved + point_error) for scene in (self._scene, self._upper_scene)
         )
 
     def __call__(self, x: ArrayLike, y: ArrayLike) -> Any:
@@ -159,7 +159,7 @@ class NumpyPairs:
         to the last bit. ``ValueError`` if points are not real numbers with two coordinates, or do not broadcast.
         """
         p, q, shape = self._from_middle(x, y)
-        return _in_blocks(partial(self._lengths, self._seen), self._ends, np.inf, p, q).reshape(shape)[()]
+        return _in_blocks(partial(self._lengths, self._scene), self._ends, np.inf, p, q).reshape(shape)[()]
 
     def bounds(self, x: ArrayLike, y: ArrayLike) -> tuple[Any, Any]:
         """Return proven lower and upper bounds, ``(...)`` in float32, of distances; see :meth:`PairPLR.bounds`."""
@@ -182,9 +182,9 @@ class NumpyPairs:
 
     def distances(self, p: _Points, q: _Points, outside: Outside) -> _Lengths:
         if outside == "clamp":
-            (p, way_p), (q, way_q) = self._clamped(p), self._clamped(q)
-            return self.distances(p, q, "inf") + (way_p + way_q)
-        return _in_blocks(partial(self._lengths, self._seen), self._rounded_ends, float(outside), p, q)
+            (p, shift_p), (q, shift_q) = self._clamped(p), self._clamped(q)
+            return self.distances(p, q, "inf") + (shift_p + shift_q)
+        return _in_blocks(partial(self._lengths, self._scene), self._rounded_ends, float(outside), p, q)
 
     def bounds_between(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
         return _in_blocks(self._bounds, self._rounded_ends, np.inf, p, q)
@@ -192,18 +192,19 @@ class NumpyPairs:
     def distances_to(
         self, p: _Points, goal: _Points, to_corners: Float[np.ndarray, "n size"], outside: Outside
     ) -> _Lengths:
+        """Return distances from points ``p`` to goals whose distances to all corners, ``to_corners``, are known."""
         if outside == "clamp":
-            p, way = self._clamped(p)
-            return self.distances_to(p, goal, to_corners, "inf") + way
+            p, shift = self._clamped(p)
+            return self.distances_to(p, goal, to_corners, "inf") + shift
 
         def lengths(p: Any, goal: Any, to_corners: Any) -> Float[np.ndarray, " some"]:
             single, goal = p.astype(np.float32), goal.astype(np.float32)
 
             def paths(hidden: Int[np.ndarray, " hidden"]) -> tuple[Any, Any, Any]:
-                listed, turns, legs = self._legs(self._seen, single[hidden])
+                listed, turns, legs = self._legs(self._scene, single[hidden])
                 return turns, goal[hidden, None], (legs + to_corners[hidden[:, None], listed])[:, :, None]
 
-            length, via, _ = _shortest(self._seen, single, goal, paths)
+            length, via, _ = _shortest(self._scene, single, goal, paths)
             return length + (_length(p - via) - _length(single - via))
 
         return _in_blocks(lengths, self._rounded_ends, float(outside), p, goal, to_corners)
@@ -211,14 +212,14 @@ class NumpyPairs:
     def to_corners(self, goals: _Points, size: int) -> Float[np.ndarray, "n {size}"]:
         # Rows of goals outside the domain have no meaning.
         goals = np.where((np.abs(goals) <= self._rounded_ends).all(axis=1, keepdims=True), goals, 0)
-        listed, turns, legs = self._legs(self._seen, goals)
+        listed, turns, legs = self._legs(self._scene, goals)
         goal, place = np.nonzero(np.isfinite(legs))
-        legs[goal, place] += np.where(self._seen.hides(goals[goal], turns[goal, place]), np.float32(np.inf), 0)
-        found = np.full((len(goals), size), np.inf, np.float32)
-        within = found[:, : len(self._distances)]
+        legs[goal, place] += np.where(self._scene.hides(goals[goal], turns[goal, place]), np.float32(np.inf), 0)
+        lengths = np.full((len(goals), size), np.inf, np.float32)
+        within = lengths[:, : len(self._distances)]
         for leg, corners in zip(legs.T, listed.T, strict=True):
             np.minimum(within, leg[:, None] + self._distances[corners], out=within)
-        return found
+        return lengths
 
     def _clamped(self, p: _Points) -> tuple[_Points, _Lengths]:
         """Move finite points outside the domain to its nearest point; also return how far they move."""
@@ -229,24 +230,25 @@ class NumpyPairs:
 
     def _bounds(self, p: _Points, q: _Points) -> Float[np.ndarray, "2 n"]:
         p, q = p.astype(np.float32), q.astype(np.float32)
-        lower = np.maximum(SHRUNK * self._lengths(self._sure, p, q) - self._less, np.float32(0))
-        is_clear = self._free.encloses(p) & self._free.encloses(q)
-        upper = STRETCHED * np.where(is_clear, self._lengths(self._free, p, q), np.float32(np.inf)) + self._more
-        return np.stack([lower, upper])
+        lower = np.maximum(SHRUNK * self._lengths(self._lower_scene, p, q) - self._lower_error, np.float32(0))
+        is_clear = self._upper_scene.encloses(p) & self._upper_scene.encloses(q)
+        length = np.where(is_clear, self._lengths(self._upper_scene, p, q), np.float32(np.inf))
+        return np.stack([lower, STRETCHED * length + self._upper_error])
 
-    def _lengths(self, around: Scene, p: _Points, q: _Points) -> _Lengths:
+    def _lengths(self, scene: Scene, p: _Points, q: _Points) -> _Lengths:
+        """Return path lengths of pairs; ``scene`` has the walls that hide corners, and the corners of paths."""
         swaps = ((p[:, 0] > q[:, 0]) | ((p[:, 0] == q[:, 0]) & (p[:, 1] > q[:, 1])))[:, None]
         p, q = np.where(swaps, q, p), np.where(swaps, p, q)
         single_p, single_q = p.astype(np.float32), q.astype(np.float32)
 
         def paths(hidden: Int[np.ndarray, " hidden"]) -> tuple[Any, Any, Any]:
             (of_p, turns_p, legs_p), (of_q, turns_q, legs_q) = (
-                self._legs(around, each[hidden]) for each in (single_p, single_q)
+                self._legs(scene, each[hidden]) for each in (single_p, single_q)
             )
             onward = legs_q[:, None] + self._distances[of_p[:, :, None], of_q[:, None]]
             return turns_p, turns_q, legs_p[:, :, None] + onward
 
-        length, via_p, via_q = _shortest(around, single_p, single_q, paths)
+        length, via_p, via_q = _shortest(scene, single_p, single_q, paths)
         if p.dtype == np.float32:
             return length
 
@@ -258,12 +260,12 @@ class NumpyPairs:
         return length + (legs(p, q) - legs(single_p, single_q))
 
     def _legs(
-        self, around: Scene, p: _Points
+        self, scene: Scene, p: _Points
     ) -> tuple[Int[np.ndarray, "n longest"], Float[np.ndarray, "n longest 2"], Float[np.ndarray, "n longest"]]:
         above = np.clip(p, self._frame[Frame.LO], self._ends).T - self._frame[Frame.LO][:, None]
         places = [fraction_along(ARRAYS, *each) for each in zip(above, self._frame.T, strict=True)]
         listed = self._lists[self._leaves.rows(places)]
-        turns = around.corners[listed].astype(np.float32)
+        turns = scene.corners[listed].astype(np.float32)
         return listed, turns, _length(p[:, None] - turns)
 
 
@@ -273,18 +275,18 @@ def _in_blocks(
     """Apply ``answer`` to pairs of points; pairs beyond the ``ends`` of the domain get ``outside``, NaN gets NaN."""
     with np.errstate(over="ignore", invalid="ignore"):
         farthest = np.maximum(np.abs(p), np.abs(q))
-        known = np.where((farthest > ends).any(axis=1), outside, 0.0).astype(p.dtype)
-        known[np.isnan(farthest).any(axis=1)] = np.nan
-        inside = np.flatnonzero(known == 0)
+        fixed_answers = np.where((farthest > ends).any(axis=1), outside, 0.0).astype(p.dtype)
+        fixed_answers[np.isnan(farthest).any(axis=1)] = np.nan
+        inside = np.flatnonzero(fixed_answers == 0)
         blocks = [inside[first : first + _PAIRS] for first in range(0, max(1, len(inside)), _PAIRS)]
-        found = [answer(*(each[block] for each in (p, q, *others))) for block in blocks]
-    answers = np.broadcast_to(known, (*found[0].shape[:-1], len(p))).copy()
-    answers[..., inside] = np.concatenate(found, axis=-1)
+        block_answers = [answer(*(each[block] for each in (p, q, *others))) for block in blocks]
+    answers = np.broadcast_to(fixed_answers, (*block_answers[0].shape[:-1], len(p))).copy()
+    answers[..., inside] = np.concatenate(block_answers, axis=-1)
     return answers
 
 
 def _shortest(
-    around: Scene, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
+    scene: Scene, p: _Points, q: _Points, paths: Callable[..., tuple[Any, Any, Any]]
 ) -> tuple[_Lengths, _Points, _Points]:
     """Return the lengths of shortest paths from ``p`` to ``q``, their first turns and their last turns.
 
@@ -292,18 +294,18 @@ def _shortest(
     """
     # If a path is straight or missing, `q` counts as its first turn and `p` as its last.
     lengths, via_p, via_q = _length(p - q), q.copy(), p.copy()
-    hidden = np.flatnonzero(around.hides(p, q))
-    turns_p, turns_q, ways = paths(hidden)
+    hidden = np.flatnonzero(scene.hides(p, q))
+    turns_p, turns_q, lengths_via = paths(hidden)
     lengths[hidden], open_ = np.inf, np.arange(len(hidden))
     while len(open_):  # try the shortest path first, and drop the corners that its ends do not see
-        i, j = np.divmod(ways[open_].reshape(len(open_), -1).argmin(axis=1), ways.shape[2])
-        length, rows, first, last = ways[open_, i, j], hidden[open_], turns_p[open_, i], turns_q[open_, j]
-        hidden_p, hidden_q = around.hides(p[rows], first), around.hides(q[rows], last)
-        ways[open_[hidden_p], i[hidden_p]] = np.inf
-        ways[open_[hidden_q], :, j[hidden_q]] = np.inf
-        found = (length < np.inf) & ~(hidden_p | hidden_q)
-        lengths[rows[found]], via_p[rows[found]], via_q[rows[found]] = length[found], first[found], last[found]
-        open_ = open_[(length < np.inf) & ~found]
+        i, j = np.divmod(lengths_via[open_].reshape(len(open_), -1).argmin(axis=1), lengths_via.shape[2])
+        length, rows, first, last = lengths_via[open_, i, j], hidden[open_], turns_p[open_, i], turns_q[open_, j]
+        hidden_p, hidden_q = scene.hides(p[rows], first), scene.hides(q[rows], last)
+        lengths_via[open_[hidden_p], i[hidden_p]] = np.inf
+        lengths_via[open_[hidden_q], :, j[hidden_q]] = np.inf
+        free = (length < np.inf) & ~(hidden_p | hidden_q)
+        lengths[rows[free]], via_p[rows[free]], via_q[rows[free]] = length[free], first[free], last[free]
+        open_ = open_[(length < np.inf) & ~free]
     return lengths, via_p, via_q
 
 
@@ -316,6 +318,7 @@ def js_pairs_reader() -> str:
 
 
 def js_pairs_module(data: bytes, domain: Box) -> str:
+    """Return a JavaScript module with the file ``data`` and functions that answer as :meth:`PairPLR.numpy` does."""
     return f"""\
 // The distance between any two points of {format_domain(domain)}, by plr_jax.
 //

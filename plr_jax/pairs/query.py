@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, UInt32
 
 from plr_jax._arrays import padded_size
 from plr_jax._compiled import part_by_part, pytree
-from plr_jax.pairs.hiding import Flags, Points, Rows, is_across_occluder, updated
+from plr_jax.pairs.occlusion import Flags, Points, Rows, is_across_occluder, updated
 from plr_jax.pairs.portable import crossings, winding
 from plr_jax.pairs.tables import NO_WAY, STEEPEST, PairTables
 from plr_jax.plr.query import lookup
@@ -47,11 +47,11 @@ def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n 
     leaf: Any = lookup(tables.partition, points)
     legs_of_points = _legs(tables, leaf, points)
 
-    def by_corner(column: Array, found: Float[Array, "n size"]) -> Float[Array, "n size"]:
+    def by_corner(column: Array, lengths: Float[Array, "n size"]) -> Float[Array, "n size"]:
         place = jnp.full(leaf.shape, column, jnp.uint32)
         hidden = _is_leg_hidden(tables, leaf, place, points, _corner_of(tables, leaf, place))
         leg = jnp.where(hidden, jnp.inf, legs_of_points[:, column])
-        return jnp.minimum(found, leg[:, None] + tables.distances[tables.listed[leaf, place]])
+        return jnp.minimum(lengths, leg[:, None] + tables.distances[tables.listed[leaf, place]])
 
     none = jnp.full((points.shape[0], len(tables.distances)), jnp.inf, jnp.float32)
     return jax.lax.fori_loop(0, tables.x.shape[1], by_corner, none)
@@ -59,6 +59,8 @@ def distances_to_corners(tables: PairTables, points: Points) -> Float[Array, "n 
 
 @pytree
 class _Pairs:
+    """Pairs of points, their leaves, and the corners to try in the order of their lower bounds."""
+
     x: Points
     y: Points
     leaf_x: Rows
@@ -71,6 +73,8 @@ class _Pairs:
 
 @pytree
 class _Search:
+    """The state of a search for the shortest paths between pairs of points."""
+
     length: _Lengths  # of the shortest path found so far, `inf` if there is none
     via_x: Rows  # place of the path's first turn in the list of the first point's leaf; the list's length if straight
     via_y: Rows  # place of the path's last turn in the list of the second point's leaf, likewise
@@ -81,6 +85,8 @@ class _Search:
 
 @pytree
 class Ways:
+    """The shortest paths between pairs of points: lengths, and the first and last turns."""
+
     length: _Lengths  # of the shortest path found, `inf` if there is none
     least: _Lengths  # lower bound of the length of any path
     from_x: Points  # first turn after the first point; the second point if the path is straight or missing
@@ -110,6 +116,7 @@ def shortest_ways(
 def _ways(
     tables: PairTables, to_corners: Float[Array, "goals size"] | None, x: Points, y: Points, goal: Rows | None = None
 ) -> Ways:
+    """Find the shortest path of each pair of points: straight, or through corners that the points' leaves list."""
     leaf_x: Any = lookup(tables.partition, x)
     leaf_y: Any = lookup(tables.partition, y) if goal is None else goal
     size = len(tables.distances)
@@ -118,18 +125,18 @@ def _ways(
     if to_corners is not None:
         onward = gather(to_corners.ravel(), leaf_y[:, None] * size + listed)
     else:
-        bound = gather(tables.onward.ravel(), leaf_y[:, None] * size + listed)
-        length = jnp.where(bound & NO_WAY == NO_WAY, jnp.inf, (bound & NO_WAY).astype(jnp.float32) * tables.step)
-        slopes = ((bound >> shift & 255).astype(jnp.float32) - STEEPEST for shift in (np.uint32(16), np.uint32(24)))
+        packed = gather(tables.onward.ravel(), leaf_y[:, None] * size + listed)
+        length = jnp.where(packed & NO_WAY == NO_WAY, jnp.inf, (packed & NO_WAY).astype(jnp.float32) * tables.step)
+        slopes = ((packed >> shift & 255).astype(jnp.float32) - STEEPEST for shift in (np.uint32(16), np.uint32(24)))
         away = (y - tables.middles[leaf_y]) / STEEPEST
         onward = length + sum(slope * along[:, None] for slope, along in zip(slopes, away.T, strict=True))
-    at_least = jax.lax.bitcast_convert_type(jnp.maximum(_legs(tables, leaf_x, x) + onward, 0), jnp.uint32)
-    keys = jax.lax.optimization_barrier(at_least & ~_place_bits(longest) | np.arange(longest, dtype=np.uint32)[None])
+    bounds = jax.lax.bitcast_convert_type(jnp.maximum(_legs(tables, leaf_x, x) + onward, 0), jnp.uint32)
+    keys = jax.lax.optimization_barrier(bounds & ~_place_bits(longest) | np.arange(longest, dtype=np.uint32)[None])
     # 2. Finish the pairs that see one another.
     straight = jnp.where(is_hidden(tables, x, y), jnp.inf, _norm(x - y))
     words = jnp.zeros((x.shape[0], -(-longest // 32)), jnp.uint32)
-    behind = jnp.full(x.shape[0], longest, jnp.uint32)
-    search = _Search(straight, behind, behind, _least(keys), words)
+    no_turn = jnp.full(x.shape[0], longest, jnp.uint32)
+    search = _Search(straight, no_turn, no_turn, _least(keys), words)
     # 3. Search in rounds.
     pairs = _Pairs(x, y, leaf_x, leaf_y, keys)
     search = _after_all_rounds(partial(_after_round, tables, to_corners), pairs, search)
@@ -142,6 +149,7 @@ def _ways(
 
 
 def _after_all_rounds(after_round: Callable[[_Search, _Pairs], _Search], pairs: _Pairs, search: _Search) -> _Search:
+    """Repeat rounds of the search until no pair of points has a corner left that may shorten its path."""
     size = search.length.shape[0]
 
     # The search ends: each round drops a corner from a list of each open pair of points.
@@ -183,8 +191,8 @@ def _after_round(
     onward = jax.lax.optimization_barrier(jnp.where(is_left_out, jnp.inf, onward))
     rest = onward.min(axis=1)
     last = _least(jnp.where(onward == rest[:, None], columns, columns.size - 1))
-    both = ((leaf_x, leaf_y), (first, last), (x, y), (via_x, _corner_of(tables, leaf_y, last)))
-    hidden_x, hidden_y = jnp.split(_is_leg_hidden(tables, *map(jnp.concatenate, both)), 2)
+    legs = ((leaf_x, leaf_y), (first, last), (x, y), (via_x, _corner_of(tables, leaf_y, last)))
+    hidden_x, hidden_y = jnp.split(_is_leg_hidden(tables, *map(jnp.concatenate, legs)), 2)
     length = jnp.where(hidden_x | hidden_y, jnp.inf, _norm(x - via_x) + rest)
     better = length < search.length
     word = np.arange(search.hidden_y.shape[1], dtype=np.uint32)[None] == (last >> 5)[:, None]

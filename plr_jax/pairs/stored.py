@@ -108,30 +108,34 @@ class Outline:
         lines: Any = shapely.linestrings(ends)
         tree: Any = shapely.STRtree(lines)
         points: Any = shapely.points(np.unique(ends.reshape(-1, 2), axis=0))
-        for each, predicate, most in ((lines, "crosses", 2 * len(lines)), (points, "intersects", 3 * len(lines))):
+        for shapes, predicate, most in ((lines, "crosses", 2 * len(lines)), (points, "intersects", 3 * len(lines))):
             meetings = 0
-            for begin in range(0, len(each), _WALLS_AT_ONCE):
-                meetings += tree.query(each[begin : begin + _WALLS_AT_ONCE], predicate=predicate).shape[1]
+            for begin in range(0, len(shapes), _WALLS_AT_ONCE):
+                meetings += tree.query(shapes[begin : begin + _WALLS_AT_ONCE], predicate=predicate).shape[1]
                 if meetings > most:
                     raise ValueError(f"the {len(lines):,} walls of its outline cross one another too often")
         walls: Any = shapely.union_all(lines)
-        faces: Any = shapely.get_parts(shapely.polygonize(shapely.get_parts(walls)))
-        px, py = shapely.get_coordinates(shapely.point_on_surface(faces)).T[:, :, None]
+        polygons: Any = shapely.get_parts(shapely.polygonize(shapely.get_parts(walls)))
+        px, py = shapely.get_coordinates(shapely.point_on_surface(polygons)).T[:, :, None]
         (ax, ay), (bx, by) = ends.transpose(1, 2, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
             is_left = (ay > py) != (by > py)
             is_left &= ax + (py - ay) / (by - ay) * (bx - ax) < px
-        return shapely.union_all(faces[is_left.sum(axis=1) % 2 == 1])
+        return shapely.union_all(polygons[is_left.sum(axis=1) % 2 == 1])
 
-    def moved_walls(self, distance: float, *, surely: bool = False) -> Float[np.ndarray, "walls 4"]:
-        """Return walls moved by ``distance`` into obstacles (thin walls only if ``surely``), or out if negative."""
+    def moved_walls(self, distance: float, *, moves_all: bool = False) -> Float[np.ndarray, "walls 4"]:
+        """Return the walls, rows ``(x0, y0, x1, y1)``, moved by ``distance`` into the obstacles behind them.
+
+        A negative distance moves walls into free space. At sharp corners they move less. A positive one moves walls
+        of thin obstacles only if ``moves_all``; if not, more walls follow, which close the gaps at contacts and tips.
+        """
         # Into obstacles, a point where two obstacles touch moves to two places, and a sharp tip moves far. So that no
         # path slips through, two walls of opposite directions join each old place, or a point near the tip, to the
-        # new place. Walls of thin obstacles stay. With `surely`, they move too, and no walls are added.
+        # new place. Walls of thin obstacles stay. With `moves_all`, they move too, and no walls are added.
         following = self.following if distance <= 0 else self.following_past_contacts
-        moved = self.positions - distance * self._moves(distance, surely)
+        moved = self.positions - distance * self._moves(distance, moves_all)
         walls = np.concatenate([moved, moved[following]], axis=1)
-        if distance <= 0 or surely:
+        if distance <= 0 or moves_all:
             return walls
         away = self.positions - moved
         far = np.linalg.norm(away, axis=1)
@@ -157,10 +161,10 @@ class Outline:
         # Points that stay if walls move into obstacles block sight, as do contacts.
         return self.is_contact | (self._moves(distance) == 0).all(axis=1)
 
-    def _moves(self, distance: float, surely: bool = False) -> Float[np.ndarray, "points 2"]:
+    def _moves(self, distance: float, moves_all: bool = False) -> Float[np.ndarray, "points 2"]:
         # Return a vector per point, towards free space: if each point moves by minus `distance` times its vector,
         # walls move by `distance` into obstacles, or into free space if it is negative, and less at sharp corners.
-        # Into obstacles, unless `surely`, two kinds of points stay: those between two walls of thin obstacles, and
+        # Into obstacles, unless `moves_all`, two kinds of points stay: those between two walls of thin obstacles, and
         # both ends of a wall that would change direction, as at the end of a thin obstacle.
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
@@ -173,7 +177,7 @@ class Outline:
         long = np.linalg.norm(onward, axis=1)
         short = np.minimum(long, long[np.argsort(following)])[:, None]
         mitre *= np.minimum(1, np.maximum(MITRE, short / (4 * distance)) / np.maximum(length, 1e-12))
-        if surely:
+        if moves_all:
             return mitre
         mitre[self.is_thin & self.is_thin[np.argsort(following)]] = 0.0
         moved_onward = onward - distance * (mitre[following] - mitre)
@@ -196,6 +200,7 @@ def _normal_of(walls: Int[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
 
 
 def read_outline(body: BitReader, origin: Float[np.ndarray, "2"]) -> Outline:
+    """Decode what :meth:`Outline.write` wrote; ``ValueError`` if it is invalid."""
     step = np.frombuffer(body.read_fixed_width(2, 32).astype("<u4").tobytes(), "<f8")[0]
     if not (np.isfinite(step) and step > 0):
         raise ValueError(f"its lattice step must be positive and finite, got {step}")
@@ -240,6 +245,8 @@ _MOST_ENTRIES_A_BYTE, _LEAST_ENTRIES = 2**6, 2**20
 
 @dataclass(frozen=True, eq=False)
 class PairsFileData:
+    """The content of a file of pairs: the map, its corners, and the corners that each leaf lists."""
+
     domain: Box
     outline: Outline
     corner: Int[np.ndarray, " corners"]  # outline points that are corners, ascending
@@ -259,6 +266,7 @@ class PairsFileData:
         return self.outline.positions[self.corner]
 
     def to_bytes(self) -> bytes:
+        """Encode the file: a layer of the map and its corners, then a layer of the leaves and their lists."""
         first, lists, count = BitWriter(), BitWriter(), len(self.corner)
         first.write_floats(np.array([self.rounding]))
         self.outline.write(first)
@@ -286,6 +294,7 @@ class PairsFileData:
 
     @staticmethod
     def from_bytes(data: bytes) -> "PairsFileData":
+        """Decode a file of pairs; ``ValueError`` if it is invalid."""
         container = Container.from_bytes(data)
         domain = container.domain
         if any(layer.leaf_code != PAIRS_CODE for layer in container.layers):
@@ -363,8 +372,8 @@ def _read_lists(
         rows, node = take_ragged(first, parent)
         corner = corner[rows]
         if len(halves):
-            stays = ~body.read_set(len(corner))
-            node, corner = node[stays], corner[stays]
+            is_kept = ~body.read_set(len(corner))
+            node, corner = node[is_kept], corner[is_kept]
         nodes = halves
     leaf, listed = (np.concatenate(column) for column in zip(*parts, strict=True))
     order = np.argsort(leaf, kind="stable")

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, UInt16, UInt32
 from plr_jax._arrays import padded, ragged_indices, size_in_eighths
 from plr_jax._compiled import pytree
 from plr_jax.geometry.box import Box
-from plr_jax.pairs.hiding import NearWalls, occluders_of
+from plr_jax.pairs.occlusion import NearWalls, occluders_of
 from plr_jax.pairs.portable import MARGIN, RECEDING, Scene
 from plr_jax.pairs.stored import PairsFileData, distances_table
 from plr_jax.plr.frame import unresolved_types
@@ -27,12 +27,16 @@ _NOWHERE = 1e30  # a coordinate beyond every domain, for boxes of no walls
 
 @pytree
 class Walls:
+    """Walls in groups of neighbors, each with a bounding box."""
+
     groups: Float[Array, "groups 32 4"]  # coordinates of both ends of neighboring walls
     boxes: Float[Array, "groups 4"]  # of a box around each group with a margin for rounding: middle, half widths
 
 
 @pytree
 class PairTables:
+    """The arrays that a query of a PairPLR reads."""
+
     partition: Tables
     walls: Walls  # moved into obstacles a little
     occluders: Float[Array, "groups_of_occluders 16 7"]  # segments inside obstacles (`occluders_of`)
@@ -68,8 +72,8 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     domain = Box(stored.domain.lo - middle, stored.domain.hi - middle)
     cells, count = stored.cells, len(stored.corner)
     size, rows = table_size(count), size_in_eighths(len(cells))
-    seen, free = (Scene.of(stored, is_certain) for is_certain in (False, True))
-    sure = Scene.of(stored, False, hides_surely=True).walls
+    scene, upper_scene = (Scene.of(stored, is_certain) for is_certain in (False, True))
+    lower_walls = Scene.of(stored, False, for_lower_bounds=True).walls
     # 1. Pad the lists to one length, a multiple of eight.
     lengths = np.bincount(stored.leaf, minlength=rows)
     listed = np.full((rows, 8 * max(1, -(-int(lengths.max()) // 8))), count, np.uint16)
@@ -81,14 +85,14 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     except ValueError:  # the file has details finer than its lattice: only walls block sight
         occluders = np.zeros((0, 7))
     margin, (lo, hi) = MARGIN * float(stored.domain.width.max()), cells.grown_boxes(domain)
-    near = NearWalls.of((lo, hi), stored.leaf, stored.listed, seen.corners[:-1], seen.walls, margin, listed.shape)
+    near = NearWalls.of((lo, hi), stored.leaf, stored.listed, scene.corners[:-1], scene.walls, margin, listed.shape)
 
     def in_32_bits(values: Float[np.ndarray, "*n"]) -> Float[Array, "*n"]:
         return jax.device_put(values.astype(np.float32))  # unlike `jnp.asarray`, compiles nothing
 
-    def in_groups(rows: Float[np.ndarray, "n columns"], of: int) -> Float[Array, "groups {of} columns"]:
-        groups = size_in_eighths(-(-len(rows) // of))
-        return in_32_bits(padded(rows, of * groups).reshape(-1, of, rows.shape[1]))
+    def in_groups(rows: Float[np.ndarray, "n columns"], chunk: int) -> Float[Array, "groups {chunk} columns"]:
+        groups = size_in_eighths(-(-len(rows) // chunk))
+        return in_32_bits(padded(rows, chunk * groups).reshape(-1, chunk, rows.shape[1]))
 
     def in_boxes(walls: Float[np.ndarray, "n 4"]) -> Walls:
         ends = walls.reshape(-1, 2, 2)
@@ -109,11 +113,11 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
     middles = ((lo + hi) / 2).astype(np.float32)
     halves = np.maximum(hi - middles, middles - lo) / _SHRUNK
     middles, halves = (padded(each, rows).astype(np.float32) for each in (middles, halves))
-    corners = padded(seen.corners, size, np.inf).astype(np.float32)
+    corners = padded(scene.corners, size, np.inf).astype(np.float32)
     x, y = (along[listed] for along in corners.T)
     return PairTables(
         partition=replace(build_tables(domain, cells, np.zeros((len(cells), 1)), LeafModel, num_bytes), leaf=None),
-        walls=in_boxes(seen.walls),
+        walls=in_boxes(scene.walls),
         occluders=in_groups(occluders, _UNROLLED),
         near=near,
         x=in_32_bits(x),
@@ -125,10 +129,10 @@ def build_pair_tables(stored: PairsFileData, num_bytes: int) -> PairTables:
         middles=in_32_bits(middles),
         middle=in_32_bits(np.stack([middle, middle - middle.astype(np.float32)])),
         half=in_32_bits(stored.domain.width / 2),
-        outset_walls=in_boxes(free.walls),
-        outset_corners=in_32_bits(padded(free.corners[:-1], size, np.inf)),
-        sure_walls=None if np.array_equal(sure, seen.walls) else in_boxes(sure),
-        rounding=in_32_bits(stored.rounding + 2 * np.array([seen.moved, free.moved])),
+        outset_walls=in_boxes(upper_scene.walls),
+        outset_corners=in_32_bits(padded(upper_scene.corners[:-1], size, np.inf)),
+        sure_walls=None if np.array_equal(lower_walls, scene.walls) else in_boxes(lower_walls),
+        rounding=in_32_bits(stored.rounding + 2 * np.array([scene.moved, upper_scene.moved])),
         unresolved=unresolved_types(stored.domain),
     )
 

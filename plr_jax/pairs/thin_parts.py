@@ -22,7 +22,7 @@ _NEEDLE = 100  # distances that the tip of a thick obstacle may move back; queri
 
 def thin_walls(outline: Outline, free_space: Any, width: float) -> Int[np.ndarray, " thin"]:
     """Return the indices of walls of thin obstacles: moved into the obstacle, these walls come near free space."""
-    walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, surely=True).reshape(-1, 2, 2))
+    walls: Any = shapely.linestrings(outline.moved_walls(RECEDING * width, moves_all=True).reshape(-1, 2, 2))
     return np.flatnonzero(shapely.dwithin(free_space, walls, MARGIN * width))
 
 
@@ -51,7 +51,7 @@ def with_thin_parts(
     def beside(place: tuple[int, int], x: float, y: float) -> tuple[int, int]:
         # The neighbor on the lattice, not yet taken, that is farthest in the direction (x, y).
         around = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (place[0] + i, place[1] + j) not in taken]
-        i, j = max(around, key=lambda each: (each[0] * x + each[1] * y) / np.hypot(*each), default=(0, 0))
+        i, j = max(around, key=lambda step: (step[0] * x + step[1] * y) / np.hypot(*step), default=(0, 0))
         return place[0] + i, place[1] + j
 
     for ring in range(len(outline.first) - 1):
@@ -77,8 +77,9 @@ def with_thin_parts(
 def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, list[tuple[float, float]]]:
     """Return, by index of a wall, the intervals to mark as thin, as distances from the start of the wall."""
     reach, following, start = RECEDING * width, outline.following_past_contacts, outline.positions
-    onward, moved = start[following] - start, outline.moved_walls(reach, surely=True).reshape(-1, 2, 2)
-    lengths, is_turned = np.linalg.norm(onward, axis=1), (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0
+    onward, moved = start[following] - start, outline.moved_walls(reach, moves_all=True).reshape(-1, 2, 2)
+    lengths = np.linalg.norm(onward, axis=1)
+    is_turned = (np.diff(moved, axis=1)[:, 0] * onward).sum(axis=1) <= 0
     is_needle = np.linalg.norm(moved[:, 0] - start, axis=1) > _NEEDLE * reach
     thin = np.flatnonzero(is_turned | is_needle | is_needle[following])
     thin = np.union1d(thin, thin_walls(outline, free_space, width)).tolist()
@@ -102,10 +103,10 @@ def _thin_spans(outline: Outline, free_space: Any, width: float) -> dict[int, li
         beside = [(int(before[wall]), True)] if spans[wall][0][0] <= 0 else []
         beside += [(int(following[wall]), False)] if spans[wall][-1][1] >= lengths[wall] else []
         for other, at_end in beside:
-            known, length = spans.get(other, []), float(lengths[other])
+            old_spans, length = spans.get(other, []), float(lengths[other])
             added = (length - 2 * reach, length) if at_end else (0.0, 2 * reach)
-            spans[other] = _merged([*known, added], length, reach)
-            if spans[other] != known:
+            spans[other] = _merged([*old_spans, added], length, reach)
+            if spans[other] != old_spans:
                 pending.append(other)
     return spans
 

@@ -8,6 +8,6 @@ from plr_jax.planners._solution import Solution as Solution
 from plr_jax.planners._solution import Stats as Stats
 from plr_jax.planners._solution import Status as Status
 from plr_jax.planners.driver import bl_plan as bl_plan
-from plr_jax.planners.under_way import LifelongRun as LifelongRun
-from plr_jax.planners.under_way import lifelong as lifelong
-from plr_jax.planners.under_way import replan as replan
+from plr_jax.planners.replanning import LifelongRun as LifelongRun
+from plr_jax.planners.replanning import lifelong as lifelong
+from plr_jax.planners.replanning import replan as replan

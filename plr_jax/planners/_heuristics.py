@@ -127,6 +127,7 @@ def require_estimates(values: object, shape: tuple[int, ...]) -> Float[np.ndarra
 
 
 def _evaluate_each(distance_fns: Sequence[AnyDistanceFn], q: JointConfigurations) -> Float[np.ndarray, "n robots"]:
+    """Return the distance of each robot in each joint configuration; functions get batches of few sizes."""
     distances, dof = np.empty(q.shape[:2]), q.shape[2]
     for begin in range(0, len(q), _BATCH_SIZES[-1]):
         part = q[begin : begin + _BATCH_SIZES[-1]]

@@ -16,7 +16,7 @@ from plr_jax._arrays import as_finite, as_number, as_numbers, require_integer, s
 from plr_jax._files import errors_named, file_path, format_name, json_of, require_format, write_atomically
 from plr_jax._problem import Problem, motion_costs, path_cost, require_problem, row_times
 from plr_jax._types import ArrayLike
-from plr_jax.robots.robot import between, motions_under_way
+from plr_jax.robots.robot import between, rows_around
 
 _KIND = "solution"
 _VERSION = 1
@@ -127,9 +127,9 @@ class Solution:
         if np.isnan(times).any():
             raise ValueError("times must not be NaN.")
         when = times.ravel()
-        row, after, share = motions_under_way(self.times, when)
-        share = share[:, None, None]
-        at = np.where(share == 1, self.path[after], between(self.path[row], self.path[after], share))
+        row, after, fraction = rows_around(self.times, when)
+        fraction = fraction[:, None, None]
+        at = np.where(fraction == 1, self.path[after], between(self.path[row], self.path[after], fraction))
         at[when >= self.makespan] = self.path[-1]
         at[when <= 0] = self.path[0]  # several rows may have time 0
         return at.reshape(*times.shape, *self.path.shape[1:])
@@ -209,12 +209,13 @@ def straight_line_bound(problem: Problem) -> float:
 
 
 def _solution_from_json(entry: Any) -> Solution:
+    """Make a solution from a decoded JSON file; ``ValueError`` if an entry is missing or invalid."""
     require_format(entry, _KIND, _VERSION, _KEYS)
     status = entry["status"]
     if not isinstance(status, str) or status not in Status.__members__:
         raise ValueError(f'expected "status" to be one of {", ".join(Status.__members__)}, got {shortened(status)}.')
     numbers = (math.inf if entry[name] is None else as_finite(f'"{name}"', entry[name]) for name in _NUMBERS)
-    cost, span, bound, factor = numbers
+    cost, makespan, lower_bound, factor = numbers
     path = times = None
     parts = {name: entry[name] for name in ("cost", "makespan", "path", "times")}
     missing = [name for name, part in parts.items() if part is None]
@@ -230,14 +231,15 @@ def _solution_from_json(entry: Any) -> Solution:
         if times.shape != path.shape[:1] or not np.isfinite(times).all() or (np.diff(times) < 0).any():
             expected = f"{len(path)} finite nondecreasing numbers, one per row of the path"
             raise ValueError(f'expected "times" to be {expected}.')
-        if times[0] != 0 or times[-1] != span:
-            raise ValueError(f'expected "times" from 0 to the makespan {span}, got {times[0]} to {times[-1]}.')
+        if times[0] != 0 or times[-1] != makespan:
+            raise ValueError(f'expected "times" from 0 to the makespan {makespan}, got {times[0]} to {times[-1]}.')
     samples = np.zeros((0, 0, 0) if path is None else (0, *path.shape[1:]))
     stats = _stats_from_json(entry["stats"])
-    return Solution(path, cost, span, bound, Status[status], stats, samples, factor, times)
+    return Solution(path, cost, makespan, lower_bound, Status[status], stats, samples, factor, times)
 
 
 def _stats_from_json(entry: Any) -> Stats:
+    """Make statistics from their entry in a decoded JSON file; ``ValueError`` if it is invalid."""
     keys = (*_COUNTS, "seconds", "history", "found_by")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
         raise ValueError(f'expected "stats" to have the keys {", ".join(keys)}, got {shortened(entry)}.')

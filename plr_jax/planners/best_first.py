@@ -67,13 +67,13 @@ def best_successors(
         score = extended.reshape(len(state), -1)
         valid = np.count_nonzero(score < np.inf, axis=1)
         num_valid = int(valid.sum())
-        kept = np.broadcast_to(np.arange(score.shape[1]), score.shape)
+        best = np.broadcast_to(np.arange(score.shape[1]), score.shape)
         if width < score.shape[1]:
             whole &= valid <= width
-            kept = np.argpartition(score, width - 1, axis=1)[:, :width]
-            score = np.take_along_axis(score, kept, axis=1)
-        parent, own = np.divmod(kept, term.shape[1])
-        primitive = np.concatenate([primitive[rows, parent], own[..., None].astype(np.uint8)], axis=2)
+            best = np.argpartition(score, width - 1, axis=1)[:, :width]
+            score = np.take_along_axis(score, best, axis=1)
+        parent, last = np.divmod(best, term.shape[1])
+        primitive = np.concatenate([primitive[rows, parent], last[..., None].astype(np.uint8)], axis=2)
     order = np.argsort(score, axis=1, kind="stable")
     return Successors(np.take_along_axis(score, order, axis=1), primitive[rows, order], num_scored, num_valid, whole)
 
@@ -93,6 +93,8 @@ def tabulate(joint: JointLattice, heuristic: HeuristicFn, deadline: float = math
 
 @dataclass
 class SuccessorList:
+    """The best successors of one node, by ascending score, which join the tree one after the other."""
+
     score: Float[np.ndarray, " m"]  # cost-to-come plus weighted heuristic
     cost: Float[np.ndarray, " m"]  # cost-to-come
     state: State
@@ -110,8 +112,8 @@ class BestFirstSearch:
         self.scores, self.least_estimate = [], 0.0  # for each robot: motion cost plus weighted term of the child
         for lattice, estimate in zip(joint.lattices, estimates, strict=True):
             require_time(budget.deadline, _PURPOSE)
-            known = estimate < _INFINITE
-            table = np.where(known, estimate, 2 * estimate[known].max(initial=0.0))  # prune nothing
+            is_finite = estimate < _INFINITE
+            table = np.where(is_finite, estimate, 2 * estimate[is_finite].max(initial=0.0))  # prune nothing
             self.scores.append((lattice.cost + weight * table[lattice.child]).astype(np.float32))
             self.least_estimate += weight * table[lattice.start]
         self.memory_use.add(bytes_of_tables(joint))
@@ -125,13 +127,13 @@ class BestFirstSearch:
         self.next_widths: dict[int, int] = {}
         self.pushed, self.batch_size, self.num_expansions = 0, 1, 0
         self.is_complete = True  # whether no node has lost children to the cut of the widest beam
-        self.found = 0 if np.array_equal(start, self.goal) else None  # the node at the goals
+        self.goal_node = 0 if np.array_equal(start, self.goal) else None  # the node at the goals
         budget.num_nodes += 1
 
     def run(self, max_expansions: int, progress: tqdm | None = None) -> Status | None:
         """Search for about ``max_expansions`` expansions; return why the search ended, or None if it may go on."""
         last = self.num_expansions + max_expansions
-        while self.found is None and self.frontier and self.num_expansions < last:
+        while self.goal_node is None and self.frontier and self.num_expansions < last:
             if limit := self.budget.exceeded():
                 return limit
             left = self.budget.max_expansions - self.budget.num_expansions
@@ -145,7 +147,7 @@ class BestFirstSearch:
             if progress is not None:
                 progress.update(self.num_expansions - before)
             self.batch_size = 1 if self.least_estimate < nearest else min(2 * self.batch_size, _BATCH)
-        if self.found is not None:
+        if self.goal_node is not None:
             return Status.SOLVED
         if self.frontier:
             return None
@@ -153,8 +155,9 @@ class BestFirstSearch:
 
     @property
     def solution_states(self) -> State:
-        assert self.found is not None
-        node, states = self.found, [self.states[self.found]]
+        """The joint states of the path that was found, from the starts on."""
+        assert self.goal_node is not None
+        node, states = self.goal_node, [self.states[self.goal_node]]
         while self.parents[node] >= 0:
             node = self.parents[node]
             states.append(self.states[node])
@@ -165,6 +168,7 @@ class BestFirstSearch:
         return np.array(self.states)
 
     def _expand(self, nodes: list[int]) -> None:
+        # Find successors of the nodes that have none left, by a beam as wide as each node needs next.
         by_width: dict[int, list[int]] = {}
         for node in nodes:
             if node not in self.successors:
@@ -173,17 +177,17 @@ class BestFirstSearch:
         for width, of_width in by_width.items():
             size = max(1, _PRODUCTS // (width * most))
             for begin in range(0, len(of_width), size):
-                some = of_width[begin : begin + size]
+                part = of_width[begin : begin + size]
                 # Reserve the memory of the widest beams so far, as later ones may be as wide.
-                num_bytes = (len(some) * width) * (_PRIMITIVE_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
+                num_bytes = (len(part) * width) * (_PRIMITIVE_COPIES * len(self.joint.lattices) + _SCORE_BYTES * most)
                 self.memory_use.add(max(0, num_bytes - self.max_product_bytes))
                 self.max_product_bytes = max(self.max_product_bytes, num_bytes)
-                state = np.array([self.states[node] for node in some])
-                cost = np.array([self.costs[node] for node in some])
+                state = np.array([self.states[node] for node in part])
+                cost = np.array([self.costs[node] for node in part])
                 children = best_successors(self.joint, self.scores, state, width)
                 num_valid = np.isfinite(children.score).sum(axis=1)
                 num_kept = np.minimum(num_valid, max(width // _STORED_SHARE, 1))
-                whole = children.is_complete & (num_kept == num_valid)
+                is_complete = children.is_complete & (num_kept == num_valid)
                 row, column = ragged_indices(num_kept)
                 score = cost[row] + children.score[row, column]
                 state, move_cost = self.joint.move(state[row], children.primitive[row, column])
@@ -191,15 +195,15 @@ class BestFirstSearch:
                 self.budget.num_children_scored += children.num_scored
                 self.budget.num_children_valid += children.num_valid
                 last = np.cumsum(num_kept)
-                for i, node in enumerate(some):
-                    own = slice(last[i] - num_kept[i], last[i])
-                    num_bytes = sum(column[own].nbytes for column in (score, cost, state))
+                for i, node in enumerate(part):
+                    entries = slice(last[i] - num_kept[i], last[i])
+                    num_bytes = sum(column[entries].nbytes for column in (score, cost, state))
                     self.successors[node] = SuccessorList(
-                        score[own], cost[own], state[own], width, bool(whole[i]), num_bytes
+                        score[entries], cost[entries], state[entries], width, bool(is_complete[i]), num_bytes
                     )
                     self.memory_use.add(num_bytes)
-                self.num_expansions += len(some)
-                self.budget.num_expansions += len(some)
+                self.num_expansions += len(part)
+                self.budget.num_expansions += len(part)
 
     def _add_child(self, node: int) -> None:
         # Queue the node again, with the score of its next child.
@@ -216,7 +220,7 @@ class BestFirstSearch:
             self.claimed.add(cell)
             self._return(score, len(self.states))
             if np.array_equal(state, self.goal):
-                self.found = len(self.states)
+                self.goal_node = len(self.states)
             self.states.append(state)
             self.costs.append(cost)
             self.parents.append(node)

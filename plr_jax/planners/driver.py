@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from plr_jax._problem import Problem, makespan, motion_costs, path_cost
 from plr_jax._types import BoundingFn, HeuristicFn
-from plr_jax.collision.team import JointMotionTest
+from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners._heuristics import require_estimates, require_heuristic
 from plr_jax.planners._solution import (
     SEARCHERS,
@@ -184,6 +184,11 @@ class Run:
         return self.found_by == _SEQUENTIAL and self.cost <= self.accepted_cost
 
     def search_until_limit(self) -> Status:
+        """Search lattices until a path is cheap enough, a limit is reached or nothing is left to try.
+
+        From one search to the next the lattice gets finer and the weight falls. If the step is given, LaCAM searches
+        once, and then only the weight falls.
+        """
         searchers, weight = self.options.searchers, self.options.heuristic_weight
         step = self.options.step or first_step(self.problem, self._fits)
         if weight is None:
@@ -282,7 +287,7 @@ class Run:
 
     def _improve(self, searches: "Searches") -> None:
         """Replan and shorten the path that ``searches`` found, and record each path that is the cheapest so far."""
-        found_by, state = searches.found
+        found_by, state = searches.winner
         path, factor = self._recorded(searches, state)
         can_replan = len(self.problem.robots) > 1 and len(state) > 1
         # If the path costs little more than the least costs, shortening alone finds what can be gained.
@@ -299,15 +304,15 @@ class Run:
     def _shorten(self, path: JointPath, found_by: str, factor: float, width: float) -> None:
         """Shorten a path, in corridors of at most ``width``, until its cost is accepted."""
         in_corridors = partial(shorten_in_corridors, width=width)
-        for number, shortened in enumerate((shorten, in_corridors, shorten)):
+        for phase, method in enumerate((shorten, in_corridors, shorten)):
             if self.cost <= self.accepted_cost < math.inf:
                 return
-            if number == 1 and len(self.problem.robots) == 1 and self.accepted_cost == math.inf:
+            if phase == 1 and len(self.problem.robots) == 1 and self.accepted_cost == math.inf:
                 continue  # after shortcuts, corridors gain little for a single robot
-            if number == 2:  # add a row in the middle of every motion
+            if phase == 2:  # add a row in the middle of every motion
                 middle, path = between(path[:-1], path[1:], np.full((1, 1, 1), 0.5)), np.repeat(path, 2, axis=0)[:-1]
                 path[1::2] = middle
-            path = shortened(self.problem, path, self.test)
+            path = method(self.problem, path, self.test)
             self.end_phase("shorten")
             self.record(path, found_by, factor)
 
@@ -344,7 +349,7 @@ class Run:
             path = np.concatenate([self.problem.starts[None], path])  # goals equal starts up to whole turns
         cost = path_cost(self.problem, path)
         factor = (1 + _ROUNDING) * cost / least if least > 0 else 1.0 if cost == 0 else math.inf
-        self.record(path, searches.found[0], factor)
+        self.record(path, searches.winner[0], factor)
         return path, factor
 
     def _fits(self, step: float) -> bool:
@@ -369,8 +374,8 @@ def num_bytes(problem: Problem, step: float) -> float:
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
     of_dof = {2: 1, 3: _TURNING}
-    each = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
-    return (1 + len(PRIMITIVES)) * sum(each)
+    tests = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
+    return (1 + len(PRIMITIVES)) * sum(tests)
 
 
 def _kinds(problem: Problem) -> Counter[tuple[Robot, float]]:
@@ -393,8 +398,8 @@ class Searches:
         self.memory_use = MemoryUse(self.budget)
         num_terms = sum(len(lattice.q) for lattice in joint.lattices) * (1 if run.heuristic is None else 2)
         self.memory_use.add(int(num_bytes(joint.problem, joint.step)) + _TERM_BYTES * num_terms)
-        given = run.heuristic
-        self.terms = joint.costs_to_go if given is None else tabulate(joint, given, self.budget.deadline)
+        heuristic = run.heuristic
+        self.terms = joint.costs_to_go if heuristic is None else tabulate(joint, heuristic, self.budget.deadline)
         self.running: dict[str, LaCAM | BestFirstSearch] = {}
         if "lacam" in searchers:
             self.running["lacam"] = LaCAM(joint, TeamMoves(joint, self.terms), self.budget)
@@ -423,13 +428,13 @@ class Searches:
         return status
 
     def release(self) -> None:
-        for each in (self, *self.running.values()):
-            each.memory_use.release()
+        for search in (self, *self.running.values()):
+            search.memory_use.release()
 
     @property
-    def found(self) -> tuple[str, State]:
+    def winner(self) -> tuple[str, State]:
         """Name of the search that reached the goals, and its path: each robot's lattice node, ``(steps, robots)``."""
-        return next((name, each.solution_states) for name, each in self.running.items() if each.found is not None)
+        return next((name, each.solution_states) for name, each in self.running.items() if each.goal_node is not None)
 
     @property
     def node_states(self) -> State:

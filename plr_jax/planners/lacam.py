@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from tqdm import tqdm
 
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget, Status
 from plr_jax.planners.lattice import JointLattice
 
@@ -54,6 +54,7 @@ class TeamMoves:
         self._between_cells: list[dict[tuple[int, ...], list[Bits]]] = [{} for _ in joint.kinds]
 
     def __call__(self, state: JointNode) -> Moves:
+        """Return all robots' motions from a joint configuration, and the pairs of motions that collide."""
         child, ranked, neighbors = ([[] for _ in range(self.num_robots)] for _ in range(3))
         places, ends, free, position = [], [], [], np.empty((self.num_robots, 2))
         for kind, estimate in zip(self.kinds, self.of_kind, strict=True):
@@ -71,10 +72,10 @@ class TeamMoves:
         for a, b, i, j in self._near(position):
             if a == b and len(i) > _FEW_PAIRS and self.kinds[a].robot.dof == 2:
                 kind, away = self.kinds[a], position[j] - position[i]
-                off = np.abs(ends[a] - places[a][:, None] - kind.offset).max(
+                misalignment = np.abs(ends[a] - places[a][:, None] - kind.offset).max(
                     axis=2, where=free[a][..., None], initial=0
                 )
-                aligned = (off < _ALIGNED * self.tolerance).all(axis=1)
+                aligned = (misalignment < _ALIGNED * self.tolerance).all(axis=1)
                 cells = np.rint(away / kind.side)
                 on_grid = (np.abs(away - cells * kind.side) < _ALIGNED * self.tolerance).all(axis=1)
                 on_grid &= aligned[self.row[i]] & aligned[self.row[j]]
@@ -94,24 +95,28 @@ class TeamMoves:
     def _add_between_cells(
         self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
-        known, kind = self._between_cells[k], self.kinds[k]
-        keys, back = (list(map(tuple, each.tolist())) for each in (cells, -cells))
-        if new := list({*keys, *back} - known.keys()):
+        known_bits, kind = self._between_cells[k], self.kinds[k]
+        keys, back = (list(map(tuple, offsets.tolist())) for offsets in (cells, -cells))
+        if new := list({*keys, *back} - known_bits.keys()):
             apart, moves = (np.array(new) * kind.side)[:, None, None], kind.offset
             ours, theirs = (np.zeros_like(apart), moves[:, None]), (apart, apart + moves)
             # Misalignments add up to at most 3/16 of the tolerance along each axis: half of it covers them.
             collide = ~motions_apart(kind.robot, *ours, kind.robot, *theirs, self.tolerance / 2, self.deadline)
-            known.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
+            known_bits.update((key, bits if any(bits) else []) for key, bits in zip(new, _bits(collide), strict=True))
         for robot, other, key, key_back in zip(i.tolist(), j.tolist(), keys, back, strict=True):
-            ours = known[key]
+            ours = known_bits[key]
             if ours:
                 neighbors[robot].append((other, ours))
-                neighbors[other].append((robot, known[key_back]))
+                neighbors[other].append((robot, known_bits[key_back]))
 
     def estimates(self, state: JointNode) -> Float[np.ndarray, " robots"]:
         return np.array([term[node] for term, node in zip(self.terms, state.tolist(), strict=True)])
 
     def _near(self, position: Float[np.ndarray, "robots 2"]) -> Iterator[tuple[int, int, Robots, Robots]]:
+        """Yield pairs of robots that may meet in one step, grouped by kinds.
+
+        Each item has two kinds ``a <= b``, and for ``m`` pairs the robots of kind ``a`` and those of kind ``b``.
+        """
         x, y = position.T
         dx, dy, reach = x[:, None] - x, y[:, None] - y, self.reach[:, None] + self.reach
         order = self.kind * self.num_robots + np.arange(self.num_robots)
@@ -120,10 +125,10 @@ class TeamMoves:
         for pair in np.unique(pairs).tolist():
             a, b = divmod(pair, len(self.kinds))
             size = max(1, _MOST // (self.kinds[a].cost.shape[1] * self.kinds[b].cost.shape[1]))
-            alike = np.flatnonzero(pairs == pair)
-            for begin in range(0, len(alike), size):
-                some = alike[begin : begin + size]
-                yield a, b, first[some], second[some]
+            members = np.flatnonzero(pairs == pair)
+            for begin in range(0, len(members), size):
+                chunk = members[begin : begin + size]
+                yield a, b, first[chunk], second[chunk]
 
 
 def _bits(flags: Bool[np.ndarray, "m p q"]) -> list[list[Bits]]:
@@ -158,6 +163,7 @@ class PIBT:
         return self.chosen
 
     def _decide(self, robot: int) -> bool:
+        """Choose a robot's best motion for which all robots in its way find a motion; return whether it exists."""
         for primitive in self.moves.ranked[robot]:
             if self.allowed[robot] >> primitive & 1:
                 self.num_left -= 1
@@ -189,6 +195,7 @@ class PIBT:
         return in_the_way
 
     def _make_way(self, robots: list[int]) -> bool:
+        """Let those of ``robots`` that have not chosen a motion choose one; return whether all could."""
         for robot in robots:
             if self.chosen[robot] < 0:
                 if self.num_left < 0 or self.num_failures[robot] == _MOST_FAILURES:
@@ -201,6 +208,8 @@ class PIBT:
 
 @dataclass(eq=False)
 class Node:
+    """A joint state that the search has reached, with the steps of the team that are left to try from it."""
+
     state: JointNode
     parent: "Node | None"
     priority: Float[np.ndarray, " robots"]  # steps since the start, or since the goal was left, plus a share below 1
@@ -222,7 +231,7 @@ class LaCAM:
         self.rest_priority = far / (1 + far.max())  # at the start and the goal: below 1, largest if the way is long
         self.nodes: dict[bytes, Node] = {}
         self.open: list[Node] = []
-        self.found: Node | None = None
+        self.goal_node: Node | None = None
         self.least_estimate = float("inf")  # least sum of estimates over the nodes
         self.num_idle = 0  # steps since the least estimate fell
         self._add(start, None)
@@ -230,7 +239,7 @@ class LaCAM:
     def run(self, max_idle: int, progress: tqdm | None = None) -> Status | None:
         """Search until ``max_idle`` steps in a row bring no progress; return why, or None if it may go on."""
         self.num_idle = 0
-        while self.found is None and self.open and self.num_idle < max_idle:
+        while self.goal_node is None and self.open and self.num_idle < max_idle:
             if limit := self.budget.exceeded():
                 return limit
             node = self.open[-1]
@@ -252,13 +261,13 @@ class LaCAM:
                     self._add(np.array([moves.child[i][primitive] for i, primitive in enumerate(primitives)]), node)
                 if progress is not None:
                     progress.update()
-        if self.found is not None:
+        if self.goal_node is not None:
             return Status.SOLVED
         return None if self.open else Status.EXHAUSTED
 
     @property
     def solution_states(self) -> Int[np.ndarray, "steps robots"]:
-        states, node = [], self.found
+        states, node = [], self.goal_node
         while node is not None:
             states.append(node.state)
             node = node.parent
@@ -269,6 +278,7 @@ class LaCAM:
         return np.array([node.state for node in self.nodes.values()])
 
     def _add(self, state: JointNode, parent: Node | None) -> None:
+        """Open the node of a joint state; a new one gets the order in which its robots choose motions."""
         key = state.astype(np.int32).tobytes()
         node = self.nodes.get(key)
         if node is None:
@@ -280,7 +290,7 @@ class LaCAM:
             self.budget.num_nodes += 1
             self.memory_use.add(_NODE_BYTES + _ROBOT_BYTES * len(state))
             if arrived.all():
-                self.found = node
+                self.goal_node = node
             estimate = float(self.moves.estimates(state).sum())
             if estimate < (1 - _ROUNDING) * self.least_estimate:
                 self.least_estimate, self.num_idle = estimate, 0

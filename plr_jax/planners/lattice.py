@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, straight_costs
-from plr_jax.collision.team import JointMotionTest
+from plr_jax.collision.motions import JointMotionTest
 from plr_jax.collision.walls import IgnoredByCache, MotionTest, motion_test
 from plr_jax.geometry.workspace import Workspace
 from plr_jax.robots.robot import Robot
@@ -76,13 +76,13 @@ class Kind:
     def __post_init__(self) -> None:
         q, terminals, moves = self.q, self.terminals, np.nonzero(np.isfinite(self.cost))
         shared = moves[0], self.child[moves], self.cost[moves]
-        own = np.nonzero((terminals.begin >= 0) & np.isfinite(terminals.cost))
-        into_ends = terminals.begin[own], terminals.node[own[:2]], terminals.cost[own]
+        enters = np.nonzero((terminals.begin >= 0) & np.isfinite(terminals.cost))
+        into_ends = terminals.begin[enters], terminals.node[enters[:2]], terminals.cost[enters]
         nowhere = np.zeros(1, np.intp), np.zeros(1, np.intp), np.full(1, np.inf)
         self.begin, self.end, self.edge_cost = map(np.concatenate, zip(shared, into_ends, nowhere, strict=True))
         self.num_shared, self.num_edges = len(moves[0]), len(self.begin) - 1
         self.terminal_edges = np.split(
-            np.arange(self.num_shared, self.num_edges), np.searchsorted(own[0], np.arange(1, len(self.members)))
+            np.arange(self.num_shared, self.num_edges), np.searchsorted(enters[0], np.arange(1, len(self.members)))
         )
         x, y = (q[self.end] - q[self.begin])[:, :2].T
         # The farthest that a motion takes the body from the motion's begin.
@@ -102,19 +102,20 @@ class Kind:
 
     @cached_property
     def _shared_edges_into_nodes(self) -> Int[np.ndarray, "k nodes"]:
+        # Each column lists the shared edges into a node; dummy edges fill it up.
         order = np.argsort(self.end[: self.num_shared], kind="stable")
         end, rank = ragged_indices(np.bincount(self.end[: self.num_shared]))
-        size = max(int(rank.max()) + 1, 1 + max(len(own) for own in self.terminal_edges))
+        size = max(int(rank.max()) + 1, 1 + max(len(edges) for edges in self.terminal_edges))
         into = np.full((size, len(self.q)), self.num_edges)
         into[rank, end] = order
         return into
 
     def edges_into_nodes(self, row: int) -> Int[np.ndarray, "k nodes"]:
         """Return, in each node's column, the edges into it that robot ``members[row]`` may use, then dummy edges."""
-        into, own = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
+        into, terminal_edges = self._shared_edges_into_nodes.copy(), self.terminal_edges[row]
         into[:, self.terminals.cell[row]] = self.num_edges
         for node in self.terminals.node[row]:
-            edges = own[self.end[own] == node]
+            edges = terminal_edges[self.end[terminal_edges] == node]
             into[1 : 1 + len(edges), node] = edges  # after the edge that stays in place
         return into
 
@@ -138,9 +139,9 @@ class Kind:
         # Search backward from an extra node per goal. Paths may pass the representative of the start's cell.
         num_nodes, goals, searches = len(self.q), self.terminals.node[rows, 1], np.arange(len(rows))
         search = np.repeat(searches, [len(self.terminal_edges[row]) for row in rows])
-        own = np.concatenate([self.terminal_edges[row] for row in rows])
-        into_goal = self.end[own] == goals[search]
-        edge = np.append(self._cheapest_shared_edges, own[into_goal])
+        terminal_edges = np.concatenate([self.terminal_edges[row] for row in rows])
+        into_goal = self.end[terminal_edges] == goals[search]
+        edge = np.append(self._cheapest_shared_edges, terminal_edges[into_goal])
         begin = np.append(self.end[self._cheapest_shared_edges], num_nodes + search[into_goal])
         graph = csr_array((self.edge_cost[edge], (begin, self.begin[edge])), shape=(num_nodes + len(rows),) * 2)
         costs = sparse_graphs.dijkstra(graph, indices=num_nodes + searches)[:, :num_nodes]
@@ -154,6 +155,8 @@ class Kind:
 
 
 class Lattice:
+    """The lattice of one robot: that of its kind, with the robot's own start and goal."""
+
     def __init__(self, kind: Kind, row: int):
         self.kind, self.row, self.q = kind, row, kind.q
         self.start, self.goal = kind.terminals.node[row].tolist()
@@ -196,7 +199,7 @@ class JointLattice:
     @property
     def least_costs(self) -> Float[np.ndarray, " robots"]:
         """For each robot, the least cost on its lattice from start to goal, without the other robots."""
-        return np.array([costs[each.start] for costs, each in zip(self.costs_to_go, self.lattices, strict=True)])
+        return np.array([cost[lattice.start] for cost, lattice in zip(self.costs_to_go, self.lattices, strict=True)])
 
     def configurations(self, state: State) -> Float[np.ndarray, "n robots dof"]:
         q = np.repeat(self.problem.starts[None], len(state), axis=0)
@@ -276,15 +279,15 @@ class CellGrid(NamedTuple):
         end_nodes[:num_robots][~differ] += num_robots
         others, others_nodes, others_cells = (np.roll(row, num_robots, axis=0) for row in (ends, end_nodes, cells))
         same_cell = cells == others_cells
-        by, enters = motions.neighbors(cells, -offsets)
-        crosses = enters & (by == others_cells[:, None])
+        previous, enters = motions.neighbors(cells, -offsets)
+        crosses = enters & (previous == others_cells[:, None])
         crosses[:, -1] |= same_cell & (end_nodes != others_nodes)
-        into = motions.costs(enters, motions.q[by], ends[:, None])
+        into = motions.costs(enters, motions.q[previous], ends[:, None])
         across = motions.costs(crosses, others[:, None], ends[:, None])
         # Motions into a cell with start and goal lead to the goal, or if that is blocked, to the start.
         to_goal = np.isfinite(into[num_robots:])
         enters &= ~same_cell[:, None] | np.concatenate([~to_goal, to_goal])
-        begin = np.where(enters, nodes[by], -1), np.where(crosses, others_nodes[:, None], -1)
+        begin = np.where(enters, nodes[previous], -1), np.where(crosses, others_nodes[:, None], -1)
         columns = end_nodes, nodes[cells], np.stack(begin, axis=1), np.stack([into, across], axis=1)
         all_ends = Terminals(*(np.stack(np.split(column, 2), axis=1) for column in columns))
         return Kind(robot, members, q, child, cost, self.side, offsets * self.side, all_ends)
@@ -326,15 +329,19 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build all robots' lattices; cells, and the arcs of turns by a cell, are at most ``step`` wide."""
-    each, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
-    for robot, weight in dict.fromkeys(each):
-        members = np.array([i for i, other in enumerate(each) if other == (robot, weight)])
+    """Build the lattices of all robots of a problem; robots of equal shape and rotation weight share one table.
+
+    Cells are at most ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot
+    by more than ``step``, and is at most an eighth of a full turn.
+    """
+    keys, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
+    for robot, weight in dict.fromkeys(keys):
+        members = np.array([i for i, key in enumerate(keys) if key == (robot, weight)])
         starts, goals = (q[members, : robot.dof] for q in (problem.starts, problem.goals))
         motions = cell_grid(problem.workspace, robot, weight, step, test.deadline)
         kinds.append(motions.with_terminals(robot, members, starts, goals))
     lattices = {i: Lattice(kind, row) for kind in kinds for row, i in enumerate(kind.members.tolist())}
-    return JointLattice(problem, step, kinds, [lattices[i] for i in range(len(each))], test)
+    return JointLattice(problem, step, kinds, [lattices[i] for i in range(len(keys))], test)
 
 
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:

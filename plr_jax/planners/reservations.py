@@ -12,7 +12,7 @@ from jaxtyping import Int
 from scipy.spatial import KDTree
 
 from plr_jax._arrays import take_ragged
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import MemoryUse, SearchBudget
 from plr_jax.planners.lattice import JointLattice, State
 
@@ -69,9 +69,9 @@ class ReservationTable:
 
     def collisions(self, a: int, edges: Edges, b: int) -> list[Edges]:
         """Return, for each edge (motion) of robots of kind ``a``, the edges of kind ``b`` that collide with it."""
-        known, (ours, others) = self._colliding_edges[a, b], (self.kinds[a], self.kinds[b])
+        colliding, (ours, others) = self._colliding_edges[a, b], (self.kinds[a], self.kinds[b])
         tree, order, first = self._near[b]
-        missing = np.array(sorted({*edges.tolist()} - known.keys()), dtype=np.intp)
+        missing = np.array(sorted({*edges.tolist()} - colliding.keys()), dtype=np.intp)
         while len(missing):
             if self.budget.spent():
                 raise TimeoutError("Time or memory was spent before all collisions were found.")
@@ -89,10 +89,10 @@ class ReservationTable:
                 self.budget.deadline,
             )
             row, edge = row[~apart], edge[~apart].astype(np.int32)
-            found = [each.copy() for each in np.split(edge, np.searchsorted(row, np.arange(1, len(part))))]
-            known.update(zip(part.tolist(), found, strict=True))
-            self.memory_use.add(sum(_ENTRY_BYTES + each.nbytes for each in found))
-        return [known[edge] for edge in edges.tolist()]
+            groups = [group.copy() for group in np.split(edge, np.searchsorted(row, np.arange(1, len(part))))]
+            colliding.update(zip(part.tolist(), groups, strict=True))
+            self.memory_use.add(sum(_ENTRY_BYTES + group.nbytes for group in groups))
+        return [colliding[edge] for edge in edges.tolist()]
 
     def replan(self, i: int, max_cost: float) -> bool:
         """Move robot ``i``, now without reservations, to its cheapest free path up to ``max_cost``; False if none."""
@@ -156,8 +156,8 @@ def replan_together(table: ReservationTable, robots: list[int]) -> bool:
         table.reserve(i, -1)
     reserved = []
     try:
-        for done, i in enumerate(robots):
-            spent, needed = table.cost[robots[:done]].sum(), table.least_costs[robots[done + 1 :]].sum()
+        for index, i in enumerate(robots):
+            spent, needed = table.cost[robots[:index]].sum(), table.least_costs[robots[index + 1 :]].sum()
             if not table.replan(i, cost.sum() - spent - needed):
                 return False
             table.reserve(i)

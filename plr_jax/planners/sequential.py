@@ -62,13 +62,14 @@ class CornerRoadmap:
         # A motion hits a box if it is between both pairs of sides at the same time (slab method).
         rate, num = self._axes @ (end - begin).T, len(self._axes) // 2
         rate[np.abs(rate) < _STILL] = _STILL
-        when, share = (self._middle - self._axes @ begin.T) / rate, self._half / np.abs(rate)
-        enter, leave = when - share, when + share
+        middle, half = (self._middle - self._axes @ begin.T) / rate, self._half / np.abs(rate)
+        enter, leave = middle - half, middle + half
         enter, leave = np.maximum(enter[:num], enter[num:]), np.minimum(leave[:num], leave[num:])
         inside = np.maximum(enter, 0.0) < np.minimum(leave, 1.0)
         return ~(inside.any(axis=0) | hits.any(axis=0))
 
     def routes_of(self, starts: Points, goals: Points) -> "list[Routes]":
+        """Return each robot's routes: costs of free straight motions between its start, its goal and corners."""
         num, size, ends = len(starts), len(self.q), np.concatenate([starts, goals])
         begin, end = np.concatenate([starts, ends.repeat(size, axis=0)]), np.concatenate([goals, *[self.q] * 2 * num])
         cost = np.where(self.is_free(begin, end), np.hypot(*(end - begin).T), np.inf)
@@ -94,10 +95,10 @@ def _positions_at(
     """Return the positions at which a disc's center turns around each corner: one, or two if the corner is sharp."""
     count = np.where(turn > _SHARP_TURN, 2, 1)
     points = []
-    for share, there in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
-        angle, axis, half = (share * turn[there])[:, None], normal[there], (turn / 2 / count)[there, None]
+    for fraction, selected in ((0.5, count == 1), (0.25, count == 2), (0.75, count == 2)):
+        angle, axis, half = (fraction * turn[selected])[:, None], normal[selected], (turn / 2 / count)[selected, None]
         away = np.cos(angle) * axis + np.sin(angle) * turned_left(axis)
-        points.append(at[there] + radius / np.maximum(np.cos(half), _LEAST_COSINE) * away)
+        points.append(at[selected] + radius / np.maximum(np.cos(half), _LEAST_COSINE) * away)
     return np.concatenate(points)
 
 
@@ -128,12 +129,12 @@ def sequential_path(problem: Problem) -> Path | None:
     are_discs = all(robot.inscribed_radius == robot.circumscribed_radius > workspace.tolerance for robot in robots)
     if problem.dof > 2 or not are_discs or len(robots) > _MOST_ROBOTS or len(workspace.boundary.edges) > _MOST_WALLS:
         return None
-    found: dict[int, Routes] = {}
+    routes_of_robot: dict[int, Routes] = {}
     for radius in {robot.rounding for robot in robots}:
-        alike = [i for i, robot in enumerate(robots) if robot.rounding == radius]
-        all_routes = _cached_roadmap(workspace, radius).routes_of(problem.starts[alike], problem.goals[alike])
-        found.update(zip(alike, all_routes, strict=True))
-    all_routes, reach = [found[i] for i in range(len(robots))], _touch_distances(problem)
+        members = [i for i, robot in enumerate(robots) if robot.rounding == radius]
+        all_routes = _cached_roadmap(workspace, radius).routes_of(problem.starts[members], problem.goals[members])
+        routes_of_robot.update(zip(members, all_routes, strict=True))
+    all_routes, reach = [routes_of_robot[i] for i in range(len(robots))], _touch_distances(problem)
     chosen = [route for routes in all_routes if (route := routes.shortest())]
     if len(chosen) < len(robots):
         return None
@@ -189,11 +190,12 @@ def sequential_path(problem: Problem) -> Path | None:
 
 
 def _comes_within(route: Route, place: complex, reach: float) -> bool:
+    """Return whether a route comes nearer to a place than ``reach``; points are complex numbers."""
     for begin, end in pairwise(route):
         rate, offset = end - begin, place - begin
         squared = abs(rate) ** 2
-        share = (offset * rate.conjugate()).real / squared if squared > 0 else 0.0
-        if abs(offset - min(max(share, 0.0), 1.0) * rate) < reach:
+        t = (offset * rate.conjugate()).real / squared if squared > 0 else 0.0
+        if abs(offset - min(max(t, 0.0), 1.0) * rate) < reach:
             return True
     return False
 

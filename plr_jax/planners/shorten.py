@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import ragged_indices, require_time, take_ragged
 from plr_jax._problem import Problem, path_cost, straight_costs
-from plr_jax.collision.team import Circles, JointMotionTest, TeamTrajectory, circles, circles_along, within_reach
+from plr_jax.collision.motions import Circles, JointMotionTest, TeamTrajectory, circles, circles_along, within_reach
 from plr_jax.robots.robot import between
 
 Path = Float[np.ndarray, "steps robots dof"]
@@ -55,8 +55,8 @@ def shorten(problem: Problem, path: Path, test: JointMotionTest) -> Path:
                 if may_gain[i]:
                     q, before = trajectory.path[:, i].copy(), trajectory.path[:, i]
                     for first, last in pairwise(rows):  # at constant speed, between rows that stay fixed
-                        share = np.arange(1, last - first)[:, None] / (last - first)
-                        q[first + 1 : last] = between(before[first], before[last], share)
+                        fraction = np.arange(1, last - first)[:, None] / (last - first)
+                        q[first + 1 : last] = between(before[first], before[last], fraction)
                     trajectory.move(i, q)
                     may_gain |= in_way[:, i]
             before, cost = cost, path_cost(problem, trajectory.path)
@@ -70,35 +70,35 @@ def _with_shortcuts(
     # Each shortcut leads from a row in ``begin`` to a row in ``end``. Return the rows that the best ones do not skip,
     # and the robots that block some.
     # 1. Find shortcuts that save cost and hit no wall. Rows at a contact of walls stay: they fix the side of it.
-    q, own = trajectory.path[:, i], end == begin + 1
+    q, is_motion = trajectory.path[:, i], end == begin + 1
     at_contact = test.wall_tests[i].is_at_contact(q)
     at_contact[[0, -1]] = False
     cost = straight_costs(q[begin], q[end], problem.rotation_weights[i])
-    so_far = np.concatenate([[0.0], np.cumsum(cost[own])])
-    useful = own | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
-    useful &= own | ~(at_contact[begin] | at_contact[end])
-    begin, end, cost, own = begin[useful], end[useful], cost[useful], own[useful]
-    shortcuts = np.flatnonzero(~own)
+    so_far = np.concatenate([[0.0], np.cumsum(cost[is_motion])])
+    useful = is_motion | (cost < (1 - _LEAST_SAVING) * (so_far[end] - so_far[begin]))
+    useful &= is_motion | ~(at_contact[begin] | at_contact[end])
+    begin, end, cost, is_motion = begin[useful], end[useful], cost[useful], is_motion[useful]
+    shortcuts = np.flatnonzero(~is_motion)
     shortcuts = shortcuts[test.wall_tests[i](q[begin[shortcuts]], q[end[shortcuts]], test.deadline)]
     # 2. Exclude shortcuts that hit another robot. Each is cut at the rows of the path. A shortcut usually collides in
     #    many motions or in none, so a few motions far apart are tested first.
     apart, in_way = np.ones(len(shortcuts), dtype=bool), np.zeros(len(test.robots), dtype=bool)
     since, until = begin[shortcuts], end[shortcuts]
     owner, step = ragged_indices(until - since)
-    motion, later = since[owner] + step, np.ones(len(owner), dtype=bool)
+    first_row, later = since[owner] + step, np.ones(len(owner), dtype=bool)
     for stride in _STRIDES:
         require_time(test.deadline, "all shortcuts were tested")
-        now = np.flatnonzero(later & (motion % stride == 0) & apart[owner])
+        now = np.flatnonzero(later & (first_row % stride == 0) & apart[owner])
         later[now] = False
         edge = owner[now]
         q0, q1, count = q[since[edge]], q[until[edge]], (until - since)[edge, None]
         first, last = (between(q0, q1, (step[now] + ahead)[:, None] / count) for ahead in (0, 1))
-        piece, other = trajectory.robots_near(i, circles(first[:, None], last[:, None]), motion[now])
-        meet = test.meet(i, first[piece], last[piece], trajectory, motion[now[piece]], other)
-        apart[edge[piece[meet]]], in_way[other[meet]] = False, True
+        piece, j = trajectory.robots_near(i, circles(first[:, None], last[:, None]), first_row[now])
+        meet = test.meet(i, first[piece], last[piece], trajectory, first_row[now[piece]], j)
+        apart[edge[piece[meet]]], in_way[j[meet]] = False, True
     # 3. Find the cheapest route along the remaining edges. An explicit entry of 0 is an edge of cost 0.
-    own[shortcuts[apart]] = True
-    graph = csr_array((cost[own], (begin[own], end[own])), shape=(len(q), len(q)))
+    is_motion[shortcuts[apart]] = True
+    graph = csr_array((cost[is_motion], (begin[is_motion], end[is_motion])), shape=(len(q), len(q)))
     previous = dijkstra(graph, indices=0, return_predecessors=True)[1]
     rows = [len(q) - 1]
     while rows[-1] > 0:
@@ -113,14 +113,14 @@ def shorten_in_corridors(problem: Problem, path: Path, test: JointMotionTest, wi
     with suppress(TimeoutError):
         while width > narrowest:
             for robots, rows in _corridor_groups(problem, trajectory.path, width):
-                own, weights = trajectory.path[rows, robots], problem.rotation_weights[list(robots)]
-                least = straight_costs(own[0], own[-1], weights).sum()
-                if straight_costs(own[:-1], own[1:], weights).sum() <= (1 + _STRAIGHT) * least:
+                q, weights = trajectory.path[rows, robots], problem.rotation_weights[list(robots)]
+                least = straight_costs(q[0], q[-1], weights).sum()
+                if straight_costs(q[:-1], q[1:], weights).sum() <= (1 + _STRAIGHT) * least:
                     continue  # straight motions have nothing to gain
-                found = _shortened_in_corridors(problem, trajectory, rows, robots, test, width, diagonal)
-                for i, q in zip(robots, found, strict=True):
-                    if (q != trajectory.path[rows, i]).any():
-                        trajectory.move(i, q, rows)
+                shortened = _shortened_in_corridors(problem, trajectory, rows, robots, test, width, diagonal)
+                for i, q_new in zip(robots, shortened, strict=True):
+                    if (q_new != trajectory.path[rows, i]).any():
+                        trajectory.move(i, q_new, rows)
             diagonal = not diagonal
             before, cost = cost, path_cost(problem, trajectory.path)
             if before - cost <= _CORRIDOR_GAIN * before:
@@ -156,18 +156,23 @@ def _shortened_in_corridors(
     width: float,
     diagonal: bool,
 ) -> list[Float[np.ndarray, "rows dof"]]:
-    # The first and the last of the rows stay.
+    """Return the cheapest collision-free configurations of one or two robots in some rows, out of their corridors.
+
+    The first and the last of the rows stay.
+    """
     require_time(test.deadline, "all corridors were searched")
-    path, motion = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
+    path, first_row = trajectory.path[rows], np.arange(rows.start, rows.stop - 1)
     corridors = [_corridor(problem, path[:, i], i, width, diagonal) for i in robots]
-    around = [circles_along(own) for own in corridors]
-    own, weights = zip(robots, corridors, strict=True), problem.rotation_weights
-    costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in own]
+    around = [circles_along(corridor) for corridor in corridors]
+    robot_corridors, weights = zip(robots, corridors, strict=True), problem.rotation_weights
+    costs = [straight_costs(q[:-1, :, None], q[1:, None], weights[i]) for i, q in robot_corridors]
     through = [_least_cost_through(cost) for cost in costs]
+    # A robot's path gains nothing if it exceeds the robot's least cost by what all robots together may save, or more.
     spare = sum(float(cost[:, 0, 0].sum()) for cost in costs) - sum(float(total[0].min()) for total in through)
     for i, corridor, reached, cost, total in zip(robots, corridors, around, costs, through, strict=True):
         # Motions cost inf if they cannot gain or hit something. The robot's present motions keep their costs.
-        own, may_gain = cost[:, 0, 0].copy(), total < (1 - _ROUNDING) * (float(total[0].min()) + spare)
+        present_cost = cost[:, 0, 0].copy()
+        may_gain = total < (1 - _ROUNDING) * (float(total[0].min()) + spare)
         cost[~may_gain] = np.inf
         row, first, last = np.nonzero(may_gain)
         tight = ~test.wall_tests[i].has_room(*reached)[row]
@@ -176,11 +181,11 @@ def _shortened_in_corridors(
         free = ~(at_contact[row, first] | at_contact[row + 1, last])
         tight &= free
         free[tight] = test.wall_tests[i](begin[tight], end[tight], test.deadline)
-        near, other = trajectory.robots_near(i, reached, motion, robots)
-        tested, pair = take_ragged(np.searchsorted(row, np.arange(len(motion) + 1)), near)
-        free[tested[test.meet(i, begin[tested], end[tested], trajectory, motion[near[pair]], other[pair])]] = False
+        near, j = trajectory.robots_near(i, reached, first_row, robots)
+        tested, pair = take_ragged(np.searchsorted(row, np.arange(len(first_row) + 1)), near)
+        free[tested[test.meet(i, begin[tested], end[tested], trajectory, first_row[near[pair]], j[pair])]] = False
         cost[row[~free], first[~free], last[~free]] = np.inf
-        cost[:, 0, 0] = own
+        cost[:, 0, 0] = present_cost
     cost = costs[0] if len(robots) == 1 else _joint_costs(robots, corridors, around, costs, test)
     places = np.unravel_index(_cheapest(cost), [corridor.shape[1] for corridor in corridors])
     return [corridor[np.arange(len(path)), place] for corridor, place in zip(corridors, places, strict=True)]
@@ -189,12 +194,16 @@ def _shortened_in_corridors(
 def _joint_costs(
     robots: Robots, corridors: list[Corridor], around: list[Circles], costs: list, test: JointMotionTest
 ) -> Float[np.ndarray, "motions pairs pairs"]:
+    """Return the costs of two robots' joint motions between rows, by pairs of their configurations in each row.
+
+    They are ``inf`` for motions that cannot gain or in which the robots collide, except for the present motions.
+    """
     (i, j), (a, b) = robots, corridors
     cost = costs[0][:, :, None, :, None] + costs[1][:, None, :, None, :]
     shape, size = cost.shape, cost.shape[1] * cost.shape[2]
     cost = cost.reshape(-1, size, size)
-    own = cost[:, 0, 0].copy()
-    may_gain = _least_cost_through(cost) < (1 - _ROUNDING) * own.sum()
+    present_cost = cost[:, 0, 0].copy()
+    may_gain = _least_cost_through(cost) < (1 - _ROUNDING) * present_cost.sum()
     near = np.zeros(len(cost), dtype=bool)
     near[within_reach(test.robots[i], around[0], test.robots[j], around[1])] = True
     tested = np.nonzero((may_gain & near[:, None, None]).reshape(shape))
@@ -202,7 +211,7 @@ def _joint_costs(
     apart = test.apart(i, a[row, a_first], a[row + 1, a_last], j, b[row, b_first], b[row + 1, b_last])
     cost[~may_gain] = np.inf
     cost.reshape(shape)[tuple(index[~apart] for index in tested)] = np.inf
-    cost[:, 0, 0] = own
+    cost[:, 0, 0] = present_cost
     return cost
 
 
@@ -226,11 +235,11 @@ def _least_cost_through(cost: Costs) -> Costs:
     Entry ``[k, a, b]`` of ``cost`` is the cost from configuration ``a`` of row ``k`` to ``b`` of row ``k + 1``. Paths
     begin and end at configuration 0 of the first and the last row.
     """
-    both = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
+    both_ways = np.stack([cost, cost[::-1].swapaxes(1, 2)], axis=1)  # forward and backward
     so_far = np.full((len(cost), 2, cost.shape[1]), np.inf)
     so_far[0, :, 0] = 0.0
-    for motion in range(len(cost) - 1):
-        np.minimum.reduce(so_far[motion][:, :, None] + both[motion], axis=1, out=so_far[motion + 1])
+    for k in range(len(cost) - 1):
+        np.minimum.reduce(so_far[k][:, :, None] + both_ways[k], axis=1, out=so_far[k + 1])
     return so_far[:, 0, :, None] + cost + so_far[::-1, 1, None]
 
 
@@ -240,11 +249,11 @@ def _cheapest(cost: Costs) -> Int[np.ndarray, " steps"]:
     so_far = np.full(size, np.inf)
     so_far[0] = 0.0
     previous = np.empty((len(cost), size), dtype=np.intp)
-    for motion, through in enumerate(cost):
-        total = so_far[:, None] + through
-        previous[motion] = total.argmin(axis=0)
-        so_far = total[previous[motion], rows]
+    for k, motion_costs in enumerate(cost):
+        total = so_far[:, None] + motion_costs
+        previous[k] = total.argmin(axis=0)
+        so_far = total[previous[k], rows]
     places = np.zeros(len(cost) + 1, dtype=np.intp)
-    for motion in range(len(cost) - 1, -1, -1):
-        places[motion] = previous[motion, places[motion + 1]]
+    for k in range(len(cost) - 1, -1, -1):
+        places[k] = previous[k, places[k + 1]]
     return places

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from plr_jax._arrays import ragged_indices, require_time
 from plr_jax._problem import Problem, row_times, straight_costs
-from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles
+from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles
 from plr_jax.planners.lattice import Lattice, cell_grid
 from plr_jax.robots.robot import between
 
@@ -68,8 +68,8 @@ class Timetable:
     ) -> Bool[np.ndarray, " m"]:
         """Return whether robot ``i`` meets nobody on straight motions of ``count`` time steps from ``row`` on."""
         owner, step = ragged_indices(count)
-        share = count[owner, None]
-        first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / share) for ahead in (0, 1))
+        num_steps = count[owner, None]
+        first, last = (between(begin[owner], end[owner], (step[:, None] + ahead) / num_steps) for ahead in (0, 1))
         piece, _ = self._meetings(i, first, last, row[owner] + step)
         fits = np.ones(len(begin), dtype=bool)
         fits[owner[piece]] = False
@@ -86,18 +86,20 @@ class Timetable:
         """Return, for each row, the first row, not earlier, from which ``q`` is free for ``patience`` rows."""
         # The row is inf if there is none. Nobody blocks the place for longer than the patience.
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
-        taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
-        taken[self._meetings(i, at, at, row)[0]] = True
-        until = np.minimum.accumulate(np.where(taken, row, np.inf)[::-1])[::-1]
+        is_taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
+        is_taken[self._meetings(i, at, at, row)[0]] = True
+        until = np.minimum.accumulate(np.where(is_taken, row, np.inf)[::-1])[::-1]
         return np.minimum.accumulate(np.where(until - row >= self.patience, row, np.inf)[::-1])[::-1]
 
     def _meetings(self, i: int, first: Configurations, last: Configurations, row: Rows) -> Meetings:
-        around, motion = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
-        piece, other = self._trajectory.robots_near(i, around, motion, list(self.ignored))
-        there = row[piece] < self.ends[other] + self.patience
-        piece, other = piece[there], other[there]
-        meet = self.test.meet(i, first[piece], last[piece], self._trajectory, motion[piece], other)
-        return piece[meet], other[meet]
+        # The pieces of motions, one time step each, that meet a robot, and this robot. A robot at rest blocks others
+        # for `patience` rows.
+        around, first_row = circles(first[:, None], last[:, None]), np.minimum(row, self._last)
+        piece, j = self._trajectory.robots_near(i, around, first_row, list(self.ignored))
+        is_present = row[piece] < self.ends[j] + self.patience
+        piece, j = piece[is_present], j[is_present]
+        meet = self.test.meet(i, first[piece], last[piece], self._trajectory, first_row[piece], j)
+        return piece[meet], j[meet]
 
 
 def subdivided(problem: Problem, path: JointPath, length: float) -> Float[np.ndarray, "more robots dof"]:
@@ -134,35 +136,35 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     free = timetable.next_free_rows(i, q[lattice.goal])
 
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-        there = row + to_go[node]
-        return np.maximum(there, free[np.minimum(there, len(free) - 1).astype(int)])
+        arrival = row + to_go[node]
+        return np.maximum(arrival, free[np.minimum(arrival, len(free) - 1).astype(int)])
 
     # 2. Search nodes and rows by A*.
     nodes, rows, parents = [lattice.start], [0], [-1]
-    waiting = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
-    known, best, arrived, num_expanded = {(lattice.start, 0)}, math.inf, -1, 0
+    open_states = [(float(soonest(np.array([lattice.start]), np.zeros(1))[0]), to_go[lattice.start], 0)]
+    visited, best, arrived, num_expanded = {(lattice.start, 0)}, math.inf, -1, 0
     if lattice.start == lattice.goal and free[0] == 0:
         best, arrived = 0, 0
-    while waiting and waiting[0][0] < best and num_expanded < max_states:
+    while open_states and open_states[0][0] < best and num_expanded < max_states:
         require_time(deadline, "a robot was planned")
-        some = [heapq.heappop(waiting)[2] for _ in range(min(len(waiting), _BATCH))]
-        num_expanded += len(some)
-        begin, row = np.array([nodes[k] for k in some]), np.array([rows[k] for k in some])
+        batch = [heapq.heappop(open_states)[2] for _ in range(min(len(open_states), _BATCH))]
+        num_expanded += len(batch)
+        begin, row = np.array([nodes[k] for k in batch]), np.array([rows[k] for k in batch])
         target, until = child[begin], row[:, None] + duration[begin]
         at_best = soonest(target, until)
         place, primitive = np.nonzero(at_best < best)
         end, when, at_best = (column[place, primitive] for column in (target, until, at_best))
         when = when.astype(int)
         keys = list(zip(end.tolist(), (when // _WAIT).tolist(), strict=True))
-        new = np.array([n for n, key in enumerate(keys) if key not in known], dtype=int)
+        new = np.array([n for n, key in enumerate(keys) if key not in visited], dtype=int)
         first, since = begin[place[new]], row[place[new]]
         for n in new[timetable.are_free(i, q[first], q[end[new]], since, when[new] - since)].tolist():
-            if keys[n] not in known:
-                known.add(keys[n])
+            if keys[n] not in visited:
+                visited.add(keys[n])
                 if end[n] == lattice.goal and at_best[n] == when[n]:
                     best, arrived = when[n], len(nodes)
-                heapq.heappush(waiting, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
-                for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, some[place[n]])):
+                heapq.heappush(open_states, (float(at_best[n]), float(to_go[end[n]]), len(nodes)))
+                for column, entry in ((nodes, end[n]), (rows, when[n]), (parents, batch[place[n]])):
                     column.append(int(entry))
     # 3. Else find a state near the goal where the robot may rest, best away from walls, so that others can pass.
     last, at, when = arrived, np.array(nodes), np.array(rows)
@@ -170,26 +172,30 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
         is_narrow = problem.workspace.clearance(q[at, :2]) < _ROOM * robot.circumscribed_radius
         order = np.lexsort((to_go[at], is_narrow))
         for begin in range(0, len(order), _BATCH):
-            some = order[begin : begin + _BATCH]
-            count = np.full(len(some), int(min(timetable.patience, len(timetable.path))))
-            may_rest = timetable.are_free(i, q[at[some]], q[at[some]], when[some], count)
+            batch = order[begin : begin + _BATCH]
+            count = np.full(len(batch), int(min(timetable.patience, len(timetable.path))))
+            may_rest = timetable.are_free(i, q[at[batch]], q[at[batch]], when[batch], count)
             if may_rest.any():
-                last = int(some[may_rest.argmax()])
+                last = int(batch[may_rest.argmax()])
                 break
         else:
             return None, False
-    way = [last]
-    while parents[way[-1]] >= 0:
-        way.append(parents[way[-1]])
-    way.reverse()
-    return _straightened(timetable, i, weight, length, q[at[way]], when[way]), arrived >= 0
+    chain = [last]
+    while parents[chain[-1]] >= 0:
+        chain.append(parents[chain[-1]])
+    chain.reverse()
+    return _straightened(timetable, i, weight, length, q[at[chain]], when[chain]), arrived >= 0
 
 
 def _straightened(timetable: Timetable, i: int, weight: float, length: float, q: Configurations, row: Rows) -> Motion:
-    """Skip waypoints ``q`` by straight motions where possible; reach each remaining one no later than its ``row``."""
-    # The robot, with rotation weight ``weight``, moves by ``length`` in a row.
+    """Return robot ``i``'s motion along waypoints ``q``, with straight motions that skip waypoints where possible.
+
+    The result has a configuration per time step (row of the timetable). The robot arrives at each waypoint that is
+    left at the latest in the waypoint's ``row``, and waits there if it arrives early and cannot go on. In a time step
+    it moves by ``length``, with turns weighted by ``weight``.
+    """
     walls, deadline = timetable.test.wall_tests[i], timetable.test.deadline
-    motion, at, now = [q[:1]], 0, 0
+    parts, at, now = [q[:1]], 0, 0
     while at < len(q) - 1:
         ahead = np.arange(at + 1, min(at + _AHEAD, len(q) - 1) + 1)
         begin = np.repeat(q[[at]], len(ahead), axis=0)
@@ -203,12 +209,12 @@ def _straightened(timetable: Timetable, i: int, weight: float, length: float, q:
         if fits.any():
             farthest = np.flatnonzero(fits)[-1]
             at, steps = int(ahead[farthest]), int(count[farthest])
-            motion.append(between(motion[-1][-1:], q[[at]], np.arange(1, steps + 1)[:, None] / max(steps, 1)))
+            parts.append(between(parts[-1][-1:], q[[at]], np.arange(1, steps + 1)[:, None] / max(steps, 1)))
             if steps:
-                motion[-1][-1] = q[at]  # without rounding
+                parts[-1][-1] = q[at]  # without rounding
             now += steps
         else:
             wait = min(_WAIT, int(row[at]) - now)
-            motion.append(np.repeat(q[[at]], wait, axis=0))
+            parts.append(np.repeat(q[[at]], wait, axis=0))
             now += wait
-    return np.concatenate(motion)
+    return np.concatenate(parts)

@@ -66,7 +66,7 @@ def _motion(problem: Problem, motion: Timeline, seconds: float) -> dict[str, obj
         "duration": motion.duration,
         "times": np.round(motion.times / motion.duration, 6).tolist(),
         "steps": [
-            [list(map(round, q, each)) for q, each in zip(step, digits, strict=True)]  # stops after the robot's dof
+            [list(map(round, q, n)) for q, n in zip(step, digits, strict=True)]  # stops after the robot's dof
             for step in motion.configurations.tolist()
         ],
     }
@@ -77,7 +77,7 @@ def _svg(problem: Problem, motion: Timeline) -> str:
     bounds, scale = problem.workspace.bounds, pixel_scale(problem.workspace.bounds)
     width, height = scale * bounds.width
     obstacles = f'<path d="{obstacles_path(problem.workspace, bounds)}" class="obstacle" fill-rule="evenodd"/>'
-    frame = f'<rect class="frame" width="{width:.1f}" height="{height:.1f}"/>'
+    border = f'<rect class="frame" width="{width:.1f}" height="{height:.1f}"/>'
     tracks, goals, trails, bodies = [], [], [], []
     for i, (robot, goal) in enumerate(zip(problem.robots, problem.goals, strict=True)):
         color = color_of(i)
@@ -108,7 +108,7 @@ def _svg(problem: Problem, motion: Timeline) -> str:
             place = f'x="{beside + 6:.2f}" y="{-beside:.2f}"'
             number = f'<text class="beside" {place} style="--color:{color}" fill="{color}">{i}</text>'
         bodies.append(f'<g id="place{i}"><g id="turn{i}">{body}</g>{number}</g>')
-    shapes = "\n".join([obstacles, frame, *tracks, *goals, *trails, *bodies])
+    shapes = "\n".join([obstacles, border, *tracks, *goals, *trails, *bodies])
     label = f"{len(problem.robots)} robots move from their starts to their goals"
     view_box = f"{-BORDER:g} {-BORDER:g} {width + 2 * BORDER:.1f} {height + 2 * BORDER:.1f}"
     return f'<svg viewBox="{view_box}" role="img" aria-label="{label}">\n{shapes}\n</svg>'

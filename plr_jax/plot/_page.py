@@ -53,6 +53,7 @@ def html_document(title: str, style: str, body: str, script: str) -> str:
 
 
 def packed_script(script: str) -> str:
+    """Return a script that unpacks and runs a given script, which is stored deflated and in base 64."""
     lines = (line.strip() for line in script.splitlines())
     bare = "\n".join(line for line in lines if line and not line.startswith("//"))
     packer = zlib.compressobj(9, wbits=-15)
@@ -68,8 +69,8 @@ new Response(new Blob([packed]).stream().pipeThrough(new DecompressionStream("de
 
 
 def in_iframe(page: str, width: float | int, height: float | int) -> str:
-    looks = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
-    return f'<iframe srcdoc="{html.escape(page)}" {looks}></iframe>'
+    attributes = f'width="{width:.0f}" height="{height:.0f}" sandbox="allow-scripts" style="border:0;max-width:100%"'
+    return f'<iframe srcdoc="{html.escape(page)}" {attributes}></iframe>'
 
 
 def pixel_scale(bounds: Box) -> float:

@@ -19,7 +19,7 @@ from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plot._axes import FONT_SIZE, INK
 from plr_jax.plot._plane import plot_workspace
-from plr_jax.robots.robot import Robot, motions_under_way, placed, shorter_turn
+from plr_jax.robots.robot import Robot, placed, rows_around, shorter_turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +37,9 @@ class Timeline:
         return float(self.times[-1])
 
     def at(self, times: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n robots dof"]:
-        row, after, share = motions_under_way(self.times, times)
-        share = share[:, None, None]
-        return (1 - share) * self.configurations[row] + share * self.configurations[after]
+        row, after, fraction = rows_around(self.times, times)
+        fraction = fraction[:, None, None]
+        return (1 - fraction) * self.configurations[row] + fraction * self.configurations[after]
 
     def between(self, first: float, last: float) -> Float[np.ndarray, "steps robots dof"]:
         inner = self.configurations[(self.times > first) & (self.times < last)]

@@ -17,7 +17,6 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.reach import Reach
 from plr_jax.plr._file import DecodedFile, cut_off_leaves, encode, filled_coefficients
 from plr_jax.plr._proof import certificate_of
-from plr_jax.plr.cell_memory import CellMemory
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.container import frame_size
 from plr_jax.plr.folding import Folding, folding_of
@@ -38,6 +37,7 @@ from plr_jax.plr.sampling import (
     reach_of,
     sample_pattern,
 )
+from plr_jax.plr.source_cache import SourceCache
 from plr_jax.plr.tree import Cells, grown_domain
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class BuildOptions:
         for name in ("compute_coefficients", "should_split", "split", "weight_fn"):
             if name != "weight_fn" or self.weight_fn is not None:
                 require_function(name, getattr(self, name))
-        as_number("margin", self.margin, "a fraction from 0 to 1 of a cell's width", lambda share: 0 <= share <= 1)
+        as_number("margin", self.margin, "a fraction from 0 to 1 of a cell's width", lambda value: 0 <= value <= 1)
         if self.num_samples is not None:
             require_integer("num_samples", self.num_samples, 1)
             if self.num_samples > _MAX_SAMPLES:
@@ -236,9 +236,9 @@ def _build_leaves(
     require_integer("num_samples", num_samples, model.min_samples(domain.dim))
 
     # 2. Wrap the distance function: cell sources, workers, folded points.
-    memory = None
+    cache = None
     if answers_for_cells and domain.dim == 2:
-        memory = CellMemory(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
+        cache = SourceCache(domain, distance_fn.cell_sources(grown_domain(domain)) if root is None else root)
     weight_fn = options.weight_fn
     if options.executor is not None:
         distance_fn = ParallelOracle(distance_fn, options.executor)
@@ -250,10 +250,10 @@ def _build_leaves(
     margin, rule = float(options.margin), options.compute_coefficients
     for factor in _SAMPLE_FACTORS:  # more samples if hardly one reaches the goal
         pattern, dense = (
-            sample_pattern(domain.dim, min(each * int(num_samples), _MAX_SAMPLES), margin, int(seed))
-            for each in (factor, max(factor, _DENSE_FACTOR))
+            sample_pattern(domain.dim, min(density * int(num_samples), _MAX_SAMPLES), margin, int(seed))
+            for density in (factor, max(factor, _DENSE_FACTOR))
         )
-        sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, rule, memory, reach)
+        sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, rule, cache, reach)
         seen = sampler(Cells.root(domain.dim)).reachable
         if reach is not None or seen.sum() > few_samples(domain.dim):
             break
@@ -264,9 +264,9 @@ def _build_leaves(
     contents = DecodedFile(domain, model, tree, stored, folding=folding, cut_off=cut_off)
 
     # 4. Prove its error bounds.
-    if proof is not Proof.NONE and memory is not None:
+    if proof is not Proof.NONE and cache is not None:
         try:
-            certificate = certificate_of(contents, memory.sources_of_leaves(tree), proof)
+            certificate = certificate_of(contents, cache.sources_of_leaves(tree), proof)
             contents = replace(contents, certificate=certificate)
         except KeyboardInterrupt:
             message = "Interrupted during the proof: the PLR is complete, but has no certificate."
@@ -300,7 +300,7 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
         part = lo[:, None] + (hi - lo)[:, None] * steps / _PARTS
         size = np.broadcast_to((hi - lo)[:, None] / _PARTS, part.shape).reshape(-1, dim)
         part = part.reshape(size.shape)
-        wrong, share = size[reach.far(part, part + size)].prod(axis=1).sum(), reach.share_cut_off(dim)
+        wrong, cut_off = size[reach.far(part, part + size)].prod(axis=1).sum(), reach.cut_off_fraction(dim)
     except KeyboardInterrupt:  # the PLR is complete without these warnings
         return
     if wrong > 0:
@@ -308,8 +308,8 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
             f"In about {100 * wrong:.2g} % of the domain, the PLR answers a finite number, but no path leads to "
         )
         warnings.warn(f"{message}the goal. Allow more bytes or leaves.", stacklevel=3)
-    if share > 0.5:
-        message = f"The goal cannot be reached from about {share:.0%} of free space: is the goal in the right part?"
+    if cut_off > 0.5:
+        message = f"The goal cannot be reached from about {cut_off:.0%} of free space: is the goal in the right part?"
         warnings.warn(message, stacklevel=3)
 
 
@@ -367,6 +367,7 @@ def build_best_model(
 def _models_to_try(
     root: CellSources | None, domain: Box, proof: Proof, max_bytes: int | None, only_bytes: bool
 ) -> list[str]:
+    """Return the names of the leaf models among which construction looks for the smallest error."""
     # On all maps of the experiments, cones had 10 to 1,000 times smaller mean errors than other leaves if all corners
     # took at most _ROOMY * max_bytes. Above _CROWDED * max_bytes, a few cones could err far more than others.
     cones = [name for name in leaf_names() if isinstance(leaf_model(name), Cone)]
@@ -376,15 +377,16 @@ def _models_to_try(
     if root is None:
         return others
     corner_bytes = _BYTES_A_SOURCE * np.count_nonzero(np.isfinite(root.sources.distances))
-    share = corner_bytes / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
-    if share <= _ROOMY and only_bytes:
+    corner_fraction = corner_bytes / max_bytes if isinstance(max_bytes, int | float) and max_bytes > 0 else 0.0
+    if corner_fraction <= _ROOMY and only_bytes:
         return cones
-    if proof is Proof.NONE and share <= _CROWDED:
+    if proof is Proof.NONE and corner_fraction <= _CROWDED:
         others.append("smooth")
-    return [name for name in leaf_names() if name in others or (name in cones and share <= _CROWDED)]
+    return [name for name in leaf_names() if name in others or (name in cones and corner_fraction <= _CROWDED)]
 
 
 def _sampled_error(contents: DecodedFile, distance_fn: DistanceFn, seed: int) -> float:
+    """Estimate a PLR's error at random points: the geometric mean of the mean and the largest error."""
     domain = contents.domain
     x = domain.lo + domain.width * np.random.default_rng(seed).random((_ERROR_POINTS, domain.dim))
     distance = as_distances("The distance function", distance_fn(x), x)
@@ -423,12 +425,13 @@ def certify(plr: "PLR", oracle: DistanceFn, *, leaf_bounds: bool = False) -> "PL
         )
     proof = Proof.LEAVES if as_bool("leaf_bounds", leaf_bounds) else Proof.CLASSES
     root = require_certifiable(oracle, plr.domain).cell_sources(grown_domain(plr.domain))
-    visible = CellMemory(plr.domain, root).sources_of_leaves(plr._contents.tree)
+    visible = SourceCache(plr.domain, root).sources_of_leaves(plr._contents.tree)
     proven = replace(plr._contents, certificate=certificate_of(plr._contents, visible, proof), straight=None)
     return plr_of_leaves(proven).with_label(plr.label)
 
 
 def require_certifiable(oracle: DistanceFn, domain: Box) -> CellwiseFn:
+    """Return an oracle for which bounds can be proven; ``ValueError`` for any other."""
     if domain.dim != 2 or not isinstance(oracle, CellwiseFn):
         raise ValueError(
             "A proof needs a distance function in the plane that answers for whole cells, such as VisibilityGraph, "

@@ -129,6 +129,6 @@ def _files(
         contents = [DecodedFile(task.domain, leaf, *tree) for tree in built.values()]
         if contents and visible is not None:
             proofs = certificates_of(contents, visible, task.limits.proof)
-            contents = [replace(each, certificate=proof) for each, proof in zip(contents, proofs, strict=True)]
+            contents = [replace(file, certificate=proof) for file, proof in zip(contents, proofs, strict=True)]
         files |= zip(built, map(encode, contents), strict=True)
     return [files.get(i) or alone(oracle).to_bytes() for i, oracle in enumerate(oracles)]

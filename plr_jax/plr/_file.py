@@ -12,9 +12,9 @@ from plr_jax.geometry.reach import Reach
 from plr_jax.plr.certificate import Certificate, Proof, StraightBound, read_proof, write_proof
 from plr_jax.plr.coding import BitReader, BitWriter, read_tree, write_tree
 from plr_jax.plr.container import Container, Layer
-from plr_jax.plr.faces import neighbor_of_largest_contact
 from plr_jax.plr.folding import Folding
 from plr_jax.plr.frame import FRACTION_BITS, LARGEST, Corner, table_corners
+from plr_jax.plr.leaf_faces import neighbor_of_largest_contact
 from plr_jax.plr.leaves import Cone, code_of_leaf, leaf_of_code, read_goals, write_goals
 from plr_jax.plr.leaves.base import LeafModel, LinearLeafModel
 from plr_jax.plr.tree import Tree
@@ -22,6 +22,8 @@ from plr_jax.plr.tree import Tree
 
 @dataclass(frozen=True, eq=False)
 class DecodedFile:
+    """The content of a PLR file, decoded."""
+
     domain: Box  # covered by the leaves; the PLR's domain, unless the file has mirror symmetries
     leaf: LeafModel
     tree: Tree
@@ -37,6 +39,7 @@ def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, " leaves
 
 
 def encode(contents: DecodedFile) -> bytes:
+    """Return the bytes of a PLR's file."""
     body = body_of_leaves(contents)
     proof = write_proof(body, contents.certificate, contents.straight)
     domain = contents.domain if contents.folding is None else contents.folding.domain
@@ -59,6 +62,7 @@ def body_of_leaves(contents: DecodedFile) -> BitWriter:
 
 
 def decode(data: bytes) -> DecodedFile:
+    """Decode the bytes of a PLR's file; ``ValueError`` if they are invalid."""
     container = Container.from_bytes(data)
     layer, dim = container.last, container.domain.dim
     leaf = leaf_of_code(layer.leaf_code)

@@ -109,6 +109,7 @@ class PLR(FileBacked):
         return SmallBatches()
 
     def _tables_and_points(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
+        """Return the tables that answer for points, and the points as these tables need them."""
         if isinstance(x, jax.Array):
             return self.tables, x
         x = as_queries(x)

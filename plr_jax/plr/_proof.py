@@ -29,8 +29,8 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
             f"in {domain}. The domain is too far from the origin, too narrow, or small beside its workspace: move "
             "the origin, divide the domain, or build the PLR without a proof."
         )
-    lo, hi = map(np.concatenate, zip(*(each.tree.leaves.boxes(domain) for each in contents), strict=True))
-    coefficients = np.concatenate([filled_coefficients(each) for each in contents])
+    lo, hi = map(np.concatenate, zip(*(file.tree.leaves.boxes(domain) for file in contents), strict=True))
+    coefficients = np.concatenate([filled_coefficients(file) for file in contents])
     if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:
         at = np.unique(visible.cell)[blind[0]]
         raise ValueError(
@@ -39,25 +39,27 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
             "certified=True."
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
-    ends = np.cumsum([0, *(len(each.tree.leaves) for each in contents)]).tolist()
+    ends = np.cumsum([0, *(len(file.tree.leaves) for file in contents)]).tolist()
     targets = []
-    for each, leaves in zip(contents, (slice(*both) for both in pairwise(ends)), strict=True):
-        rounding = leaf.rounding_bounds(domain, each.tree.leaves, coefficients[leaves])
-        volume, size = np.ldexp(1.0, -each.tree.leaves.depth.sum(axis=1)), len(body_of_leaves(each).to_bytes())
+    for file, leaves in zip(contents, (slice(*rows) for rows in pairwise(ends)), strict=True):
+        rounding = leaf.rounding_bounds(domain, file.tree.leaves, coefficients[leaves])
+        volume, size = np.ldexp(1.0, -file.tree.leaves.depth.sum(axis=1)), len(body_of_leaves(file).to_bytes())
         encode = partial(Certificate.of, proof=proof, volume=volume, num_bytes=size)
         targets.append(_Targets(leaves, rounding, encode))
 
-    def sufficient(least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
-        bounds = [each(least[each.leaves], most[each.leaves], anew) for each in targets]
+    def sufficient(least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
+        bounds = [target(least[target.leaves], most[target.leaves], recompute) for target in targets]
         low, high = map(np.concatenate, zip(*bounds, strict=True))
         return low, high
 
-    found = prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
-    return [each.encode(found.lower[each.leaves], found.upper[each.leaves]) for each in targets]
+    proven = prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
+    return [target.encode(proven.lower[target.leaves], proven.upper[target.leaves]) for target in targets]
 
 
 @dataclass(eq=False)
 class _Targets:
+    """The bounds that suffice for the file of one of several PLRs, so that a proof can stop."""
+
     leaves: slice
     rounding: Errors
     certificate: Callable[..., Certificate]
@@ -67,12 +69,12 @@ class _Targets:
     def encode(self, lower: Errors, upper: Errors, before: Certificate | None = None) -> Certificate:
         return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
 
-    def __call__(self, least: Errors, most: Errors, anew: bool) -> tuple[Errors, Errors]:
+    def __call__(self, least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         # Tighter bounds would hardly change the file. Encode again only if attained errors changed: late in a proof,
         # few of its PLRs still improve.
-        attained, last = np.stack([least, most, np.full(len(least), anew)]), self.last
+        attained, last = np.stack([least, most, np.full(len(least), recompute)]), self.last
         if last is None or self.attained is None or not np.array_equal(self.attained, attained):
             self.attained = attained
-            if last is None or anew or last.codes is not None or max(most.max(), -least.min()) > last.scale:
-                self.last = last = self.encode(least, most, None if anew else last)
+            if last is None or recompute or last.codes is not None or max(most.max(), -least.min()) > last.scale:
+                self.last = last = self.encode(least, most, None if recompute else last)
         return last.sufficient_bounds(least, most, self.rounding)

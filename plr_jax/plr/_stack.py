@@ -298,6 +298,10 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
 
 @partial(jax.jit, static_argnums=3)
 def _evaluate(stacked: PLRStack, index: AnyArray, x: AnyArray, outside: Outside | None) -> tuple[AnyArray, ...]:
+    """Return the value of PLR ``index`` at each point, or lower and upper bounds if ``outside`` is None.
+
+    They are NaN if there is no PLR of this index.
+    """
     xp, shape = x.__array_namespace__(), jnp.broadcast_shapes(index.shape, x.shape[:-1])
     index, x = xp.broadcast_to(index, shape), xp.broadcast_to(x, (*shape, x.shape[-1]))
     is_one = (index >= 0) & (index < len(stacked))

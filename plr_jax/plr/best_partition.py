@@ -23,7 +23,7 @@ from plr_jax.plr.tree import leaf_order
 # errors: at 8 KB, the largest falls from 7.0 to 0.9 cm on the map arena. With proofs, proven errors would be larger.
 MAX_ASPECT_BITS, _MAX_ASPECT_BITS_OF_PEAKS, _PEAKED = 2, 4, 0.1
 # Weight of a box's largest error (its peak) beside the integral of its error, in volumes of an average leaf.
-LEAST_SHARE, LEAST_SHARE_PROVEN = 0.01, 0.05
+PEAK_WEIGHT, PEAK_WEIGHT_PROVEN = 0.01, 0.05
 # One more leaf is expected to divide a box's peak by this factor at most. Measured for certified cones: without this
 # assumption, a quarter more boxes are computed for errors as small; with a factor of 2, some bounds are less narrow.
 _MOST_DROP = 3.0
@@ -43,15 +43,15 @@ class BoxLevel:
     def of(boxes: Any, key: UInt64[np.ndarray, " boxes"]) -> "BoxLevel":
         return BoxLevel(boxes, key, np.full((2, 2, len(key)), UNKNOWN))
 
-    def costs(self, share: float) -> Float[np.ndarray, " boxes"]:
-        """Return each box's cost as a leaf: the integral of its error plus ``share`` times its largest error."""
-        return self.boxes.integral + share * self.boxes.peak
+    def costs(self, weight: float) -> Float[np.ndarray, " boxes"]:
+        """Return each box's cost as a leaf: the integral of its error plus ``weight`` times its largest error."""
+        return self.boxes.integral + weight * self.boxes.peak
 
-    def is_open(self, limits: Limits, share: float) -> Bool[np.ndarray, "2 boxes"]:
+    def is_open(self, limits: Limits, weight: float) -> Bool[np.ndarray, "2 boxes"]:
         # Whether each box may be halved along each axis, but has not been halved yet.
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
-        is_peaked = (limits.proof is Proof.NONE) & (share * self.boxes.peak > _PEAKED * self.boxes.integral)
+        is_peaked = (limits.proof is Proof.NONE) & (weight * self.boxes.peak > _PEAKED * self.boxes.integral)
         most = np.where(is_peaked, _MAX_ASPECT_BITS_OF_PEAKS, MAX_ASPECT_BITS)
         return shallow & (depth - depth.min(axis=0) < most) & (self.child[:, 0] == UNKNOWN)
 
@@ -68,16 +68,19 @@ class TreeCosts(NamedTuple):
     least: Float[np.ndarray, " boxes"]  # none of the box's trees is expected to cost less
 
     @staticmethod
-    def of(level: BoxLevel, below: "TreeCosts | None", price: float, share: float, limits: Limits) -> "TreeCosts":
-        best = level.costs(share) + price
-        halved = cost_if_halved(share * level.boxes.peak, price)
-        least = np.where(level.is_open(limits, share).any(axis=0), np.minimum(best, halved), best)
+    def of(level: BoxLevel, below: "TreeCosts | None", price: float, weight: float, limits: Limits) -> "TreeCosts":
+        # `below` has the costs of the next level. For a box b, over all axes along which its halves l, u are known:
+        #   best(b)  = min(cost(b) + price, best(l) + best(u))
+        #   least(b) = min(cost(b) + price, least(l) + least(u), and cost_if_halved(b) if b is open along an axis)
+        best = level.costs(weight) + price
+        halved = cost_if_halved(weight * level.boxes.peak, price)
+        least = np.where(level.is_open(limits, weight).any(axis=0), np.minimum(best, halved), best)
         if below is None:
             return TreeCosts(best, least)
         for lower, upper in level.child:
-            known = np.flatnonzero(lower >= 0)
+            is_known = np.flatnonzero(lower >= 0)
             for total, of_halves in ((best, below.best), (least, below.least)):
-                total[known] = np.minimum(total[known], of_halves[lower[known]] + of_halves[upper[known]])
+                total[is_known] = np.minimum(total[is_known], of_halves[lower[is_known]] + of_halves[upper[is_known]])
         return TreeCosts(best, least)
 
 
@@ -88,24 +91,28 @@ def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.
     return (1 + more) * price + peak * _MOST_DROP**-more
 
 
-def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits) -> None:
+def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) -> None:
     """Halve all boxes that the tree of least cost might split, and add the halves to ``levels``.
 
-    Each leaf of a tree costs ``price``, plus the integral of its error, plus ``share`` times its largest error.
+    Each leaf of a tree costs ``price``, plus the integral of its error, plus ``weight`` times its largest error.
     """
+    # Branch and bound, first up and then down the levels. A box b, with `best` and `least` of `TreeCosts`, is halved
+    # along all its open axes if
+    #   least(b) < min(best(b), most(b)).
+    # A tree of b that costs at least most(b) improves no tree that contains it. The root has no such limit. Along an
+    # axis, the two halves of b share what b may cost:
+    #   most(half) = max over all boxes b with this half of min(best(b), most(b)) - least(other half of b).
     costs: dict[int, TreeCosts] = {}
 
     def update_costs(depth: int) -> None:
-        costs[depth] = TreeCosts.of(levels[depth], costs.get(depth + 1), price, share, limits)
+        costs[depth] = TreeCosts.of(levels[depth], costs.get(depth + 1), price, weight, limits)
 
     for depth in reversed(range(len(levels))):
         update_costs(depth)
-    # A box is halved only if its trees may cost less than its best computed tree and less than ``most``: at a higher
-    # cost, no tree that contains them beats the computed ones.
     most = np.full(len(levels[0].key), np.inf)
     for depth, level in enumerate(levels):  # including the levels that are added meanwhile
         axis, parent = np.nonzero(
-            level.is_open(limits, share) & (np.minimum(costs[depth].best, most) > costs[depth].least)
+            level.is_open(limits, weight) & (np.minimum(costs[depth].best, most) > costs[depth].least)
         )
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
@@ -115,31 +122,35 @@ def expand(levels: list[BoxLevel], price: float, share: float, limits: Limits) -
             allowed, below = np.minimum(costs[depth].best, most), costs[depth + 1].least
             most = np.full(len(below), -np.inf)
             for lower, upper in level.child:
-                known = np.flatnonzero(lower >= 0)
-                for half, other in ((lower[known], upper[known]), (upper[known], lower[known])):
-                    np.maximum.at(most, half, allowed[known] - below[other])
+                is_known = np.flatnonzero(lower >= 0)
+                for half, other in ((lower[is_known], upper[is_known]), (upper[is_known], lower[is_known])):
+                    np.maximum.at(most, half, allowed[is_known] - below[other])
     check_memory(float(sum(len(level.key) for level in levels)))
 
 
 def _add_halves(
     levels: list[BoxLevel], depth: int, parent: Int[np.ndarray, " new"], axis: Int[np.ndarray, " new"]
 ) -> None:
+    """Halve boxes ``parent`` of a level along ``axis``: add their halves to the next level, unless it has them.
+
+    Both arrays have two equal entries for each halving, one for the lower half and one for the upper half.
+    """
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1
     order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
     parent, axis, is_upper = parent[order], axis[order], is_upper[order]
     for begin in range(0, len(parent), BOXES_PER_BATCH):
-        some = slice(begin, begin + BOXES_PER_BATCH)
-        known = levels[depth + 1].key if depth + 1 < len(levels) else np.zeros(0, np.uint64)
-        boxes, key, of_half = level.boxes.new_halves(parent[some], axis[some], is_upper[some], known)
-        if not len(known):
+        batch = slice(begin, begin + BOXES_PER_BATCH)
+        known_keys = levels[depth + 1].key if depth + 1 < len(levels) else np.zeros(0, np.uint64)
+        boxes, key, of_half = level.boxes.new_halves(parent[batch], axis[batch], is_upper[batch], known_keys)
+        if not len(known_keys):
             levels.append(BoxLevel.of(boxes, key))
         elif len(key):
             levels[depth + 1].append(boxes, key)
         keys = levels[depth + 1].key
         by_key = np.argsort(keys)
         place = by_key[np.searchsorted(keys, of_half, sorter=by_key)]
-        level.child[axis[some], is_upper[some].astype(int), parent[some]] = place
+        level.child[axis[batch], is_upper[batch].astype(int), parent[batch]] = place
 
 
 # How prices are chosen. A round multiplies the price by a factor between the first two numbers.
@@ -148,7 +159,7 @@ _RATE_STEP = 8.0  # trees at two prices of this ratio show how the number of lea
 _MUCH_ROOM = 8.0  # if the limits allow this many times more leaves, the price falls by the largest drop
 _BEYOND = 1.15  # near the limits, the next tree should exceed them by this factor
 _FIRST_RATE, _UNLIMITED = 2.2, 1e7  # guess: price ~ leaves**-2.2; this many leaves or more count as unlimited
-_FIRST_SHARE = 0.25  # the first price aims at this share of the limits, since the guess is rough
+_FIRST_FILL = 0.25  # the first price aims at this share of the limits, since the guess is rough
 _BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # estimated bits of one more leaf, and of a source that it needs
 # Most prices to try between two trees; the share of the limits to aim at, and the share at which the search stops.
 _ATTEMPTS, _AIM, _FULL = 12, 0.9985, 0.997
@@ -172,11 +183,13 @@ class PricedTree:
         return len(self.order)
 
 
-def peak_share(num_leaves: float, is_proven: bool) -> float:
-    return LEAST_SHARE_PROVEN / num_leaves if is_proven else LEAST_SHARE / float(np.sqrt(num_leaves))
+def peak_weight(num_leaves: float, is_proven: bool) -> float:
+    return PEAK_WEIGHT_PROVEN / num_leaves if is_proven else PEAK_WEIGHT / float(np.sqrt(num_leaves))
 
 
 class SelectedBoxes(NamedTuple):
+    """The boxes of a level that a tree at the current or a lower price may contain."""
+
     box: Int[np.ndarray, " own"]  # boxes of a level that a tree may contain
     child: Int[np.ndarray, "2 2 own"]  # their halves, as indices into the selection of the next level
 
@@ -193,7 +206,7 @@ class PriceSearch:
         self, levels: list[BoxLevel], limits: Limits, size: Callable[[PricedTree], int], num_sources: int = 0
     ) -> None:
         self.levels, self._limits, self._size, self._num_sources = levels, limits, size, num_sources
-        self._peak_share = partial(peak_share, is_proven=limits.proof is not Proof.NONE)
+        self._peak_weight = partial(peak_weight, is_proven=limits.proof is not Proof.NONE)
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
         self._selected: list[SelectedBoxes] = []
 
@@ -209,23 +222,23 @@ class PriceSearch:
         """Search on, mostly at a lower price per leaf; return the next tree, or None if ``now`` is the last one."""
         if now.is_final:
             return None
-        price, share = self._next_price(now)
+        price, weight = self._next_price(now)
         num_boxes = self._num_boxes()
-        expand(self.levels, price, share, self._limits)
-        self._select_boxes(price, share)
-        larger = self._tree(price, share)
-        if self._num_boxes() == num_boxes and self._is_finest(larger, share):
-            larger = replace(self._tree(_LAST * price, share), is_final=True)
-        return larger if self._share(larger) <= 1 else self._largest(now, larger, share)
+        expand(self.levels, price, weight, self._limits)
+        self._select_boxes(price, weight)
+        larger = self._tree(price, weight)
+        if self._num_boxes() == num_boxes and self._is_finest(larger, weight):
+            larger = replace(self._tree(_LAST * price, weight), is_final=True)
+        return larger if self._fill(larger) <= 1 else self._largest(now, larger, weight)
 
     def _num_boxes(self) -> int:
         return sum(len(level.key) for level in self.levels)
 
-    def _is_finest(self, tree: PricedTree, share: float) -> bool:
+    def _is_finest(self, tree: PricedTree, weight: float) -> bool:
         leaves = zip(self.levels, tree.leaves, strict=False)
         return not any(
-            (level.is_open(self._limits, share).any(axis=0) & (level.costs(share) > 0))[of].any()
-            for level, of in leaves
+            (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any()
+            for level, boxes in leaves
         )
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
@@ -235,88 +248,98 @@ class PriceSearch:
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
         more = bits / (self._bits_a_leaf + _BITS_A_SOURCE * is_crowded)  # each new leaf brings its source
         most = float(min(self._limits.max_leaves, len(now) + more))
-        share, room = self._peak_share(most if most < _UNLIMITED else len(now)), most / len(now)
+        weight, room = self._peak_weight(most if most < _UNLIMITED else len(now)), most / len(now)
         if len(now) == 1:
-            room = max(_FIRST_SHARE * room, 2.0)
-            return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), share
-        before = len(self._best_tree(_RATE_STEP * now.price, share))
+            room = max(_FIRST_FILL * room, 2.0)
+            return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), weight
+        before = len(self._best_tree(_RATE_STEP * now.price, weight))
         if before == len(now) or room > _MUCH_ROOM:
-            return _LARGEST_DROP * now.price, share
+            return _LARGEST_DROP * now.price, weight
+        # Assume leaves ~ price**-rate, with the rate between the last price and a higher one.
         rate = np.log(len(now) / before) / np.log(_RATE_STEP)
         drop = float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
-        return drop * now.price, share
+        return drop * now.price, weight
 
-    def _tree(self, price: float, share: float) -> PricedTree:
-        tree = self._best_tree(price, share)
+    def _tree(self, price: float, weight: float) -> PricedTree:
+        tree = self._best_tree(price, weight)
         return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
 
-    def _share(self, tree: PricedTree) -> float:
+    def _fill(self, tree: PricedTree) -> float:
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
-    def _largest(self, fits: PricedTree, beyond: PricedTree, share: float) -> PricedTree:
-        # Interpolate between the prices of a tree that fits and of a tree that is too large.
+    def _largest(self, fits: PricedTree, beyond: PricedTree, weight: float) -> PricedTree:
+        # Regula falsi: between the prices of a tree that fits and of a tree that is too large, the logarithm of the
+        # used share of the limits counts as linear in the logarithm of the price. Every fourth attempt bisects.
         largest = fits
         for attempt in range(_ATTEMPTS):
             low, high = np.log(max(beyond.price, 1e-6 * fits.price)), np.log(fits.price)
-            sizes = np.log([self._share(fits), self._share(beyond)])
+            sizes = np.log([self._fill(fits), self._fill(beyond)])
             aim = (sizes[0] - np.log(_AIM)) / (sizes[0] - sizes[1]) if attempt % 4 < 3 else 0.5
             price = float(np.exp(high + np.clip(aim, 0.01, 0.99) * (low - high)))
-            middle = self._tree(price, share)
-            if self._share(middle) <= 1:
+            middle = self._tree(price, weight)
+            if self._fill(middle) <= 1:
                 fits = largest = middle
             else:
                 beyond = middle
-            if self._share(largest) > _FULL:
+            if self._fill(largest) > _FULL:
                 break
         return replace(largest, is_final=True)
 
-    def _select_boxes(self, price: float, share: float) -> None:
-        # The best tree at this or a higher price halves no box that costs at most the price as a leaf.
-        here, own = np.zeros(1, np.int64), []
+    def _select_boxes(self, price: float, weight: float) -> None:
+        # Store the boxes that the best tree at this or a higher price may contain. It halves no box whose cost as a
+        # leaf is at most the price: two leaves cost two prices. Descend from the root along all other halvings. The
+        # indices of halves then count the selected boxes of the next level.
+        nodes, selected = np.zeros(1, np.int64), []
         for depth, level in enumerate(self.levels):
-            if not len(here):
+            if not len(nodes):
                 break
-            child = level.child[:, :, here]
-            child[:, :, level.costs(share)[here] <= price] = UNKNOWN
-            own.append(SelectedBoxes(here, child))
+            child = level.child[:, :, nodes]
+            child[:, :, level.costs(weight)[nodes] <= price] = UNKNOWN
+            selected.append(SelectedBoxes(nodes, child))
             if depth + 1 < len(self.levels):
                 is_own = np.zeros(len(self.levels[depth + 1].key), bool)
-                known = child >= 0
-                halves = child[known]
+                is_known = child >= 0
+                halves = child[is_known]
                 is_own[halves] = True
-                here = np.flatnonzero(is_own)
+                nodes = np.flatnonzero(is_own)
                 place = np.empty(len(is_own), np.int64)
-                place[here] = np.arange(len(here))
-                child[known] = place[halves]
-        self._selected = own
+                place[nodes] = np.arange(len(nodes))
+                child[is_known] = place[halves]
+        self._selected = selected
 
-    def _best_tree(self, price: float, share: float) -> PricedTree:
-        own = self._selected
-        axes = best_axes(self.levels, own, price, share)
-        leaves, walked, here = [], [], np.zeros(1, np.int64)
-        for (box, child), choice in zip(own, axes, strict=True):
-            if not len(here):
+    def _best_tree(self, price: float, weight: float) -> PricedTree:
+        # Choose an axis for each selected box upward, then collect the tree's nodes and leaves downward.
+        selected = self._selected
+        axes = best_axes(self.levels, selected, price, weight)
+        leaves, walked, nodes = [], [], np.zeros(1, np.int64)
+        for (box, child), choice in zip(selected, axes, strict=True):
+            if not len(nodes):
                 break
-            axis = choice[here]
+            axis = choice[nodes]
             is_inner = axis >= 0
-            leaves.append(box[here[~is_inner]])
+            leaves.append(box[nodes[~is_inner]])
             walked.append(axis)
-            here = child[axis[is_inner], :, here[is_inner]].ravel()
+            nodes = child[axis[is_inner], :, nodes[is_inner]].ravel()
         return PricedTree(leaves, walked, leaf_order(walked), price)
 
 
 def best_axes(
-    levels: list[BoxLevel], own: list[SelectedBoxes], price: float, share: float
+    levels: list[BoxLevel], selected: list[SelectedBoxes], price: float, weight: float
 ) -> list[Int[np.ndarray, " own"]]:
+    """Return, for each level, the axis along which the best tree halves each selected box, or -1 for a leaf.
+
+    By dynamic programming from the smallest boxes up, the cost of a box is the least of its cost as a leaf, including
+    the ``price``, and for each axis the sum of the costs of its halves.
+    """
     choices, below = [], np.zeros(0)
-    for level, (box, child) in zip(reversed(levels[: len(own)]), reversed(own), strict=True):
-        total, choice = level.costs(share)[box] + price, np.full(len(box), -1)
+    for level, (box, child) in zip(reversed(levels[: len(selected)]), reversed(selected), strict=True):
+        total, choice = level.costs(weight)[box] + price, np.full(len(box), -1)
         for axis, (lower, upper) in enumerate(child):
             halved = np.flatnonzero(lower >= 0)
-            both = below[lower[halved]] + below[upper[halved]]
-            cheaper = both < total[halved]
+            split_cost = below[lower[halved]] + below[upper[halved]]
+            cheaper = split_cost < total[halved]
             halved = halved[cheaper]
-            total[halved], choice[halved] = both[cheaper], axis
+            total[halved], choice[halved] = split_cost[cheaper], axis
         below = total
         choices.append(choice)
     return choices[::-1]

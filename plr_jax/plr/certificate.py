@@ -39,13 +39,15 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
     upper = np.minimum.reduceat(np.where(visible.by_all[pairs], highest, np.inf), first)
     unseen = np.flatnonzero(np.isinf(upper))
     if len(unseen):
-        of = piece[unseen]
-        _, upper[unseen] = cones_above(visible.pieces[:, of], visible.center[of], visible.distance[of], unseen)
+        rows = piece[unseen]
+        _, upper[unseen] = cones_above(visible.pieces[:, rows], visible.center[rows], visible.distance[rows], unseen)
     return lower, upper
 
 
 @dataclass(frozen=True, eq=False)
 class LeafFunctions:
+    """The functions of leaves, which are the boxes from ``lo`` to ``hi``."""
+
     model: Any  # a LeafModel, which this file may not import
     lo: Float[np.ndarray, "leaves dim"]
     hi: Float[np.ndarray, "leaves dim"]
@@ -73,10 +75,10 @@ class LeafFunctions:
 _MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
 Errors: TypeAlias = Float[np.ndarray, " leaves"]
 SufficientFn: TypeAlias = Callable[[Errors, Errors, bool], tuple[Errors, Errors]]
-"""Function ``sufficient(least, most, anew)`` that returns lower and upper bounds of errors that are tight enough.
+"""Function ``sufficient(least, most, recompute)``: returns lower and upper bounds of errors that are tight enough.
 
-``least`` and ``most`` are the smallest and the largest error met at points of each leaf. If ``anew`` is False, the
-function may return about the same bounds as in the call before.
+``least`` and ``most`` are the smallest and the largest error met at points of each leaf. If ``recompute`` is False,
+the function may return about the same bounds as in the call before.
 """
 Codes: TypeAlias = Integer[np.ndarray, "2 leaves"]
 """8-bit logarithms of each leaf's lower and upper bound, as in a file."""
@@ -102,8 +104,8 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
     aside: list[tuple[Any, ...]] = []
     rounds, below, above = np.zeros(num_leaves, np.int64), np.zeros(0), np.zeros(0)
 
-    def open_pieces(anew: bool) -> Bool[np.ndarray, " pieces"]:
-        low, high = sufficient(least - slack, most + slack, anew)
+    def open_pieces(recompute: bool) -> Bool[np.ndarray, " pieces"]:
+        low, high = sufficient(least - slack, most + slack, recompute)
         low, high = np.minimum(low + slack, least - slack), np.maximum(high - slack, most + slack)
         return ((below < low[leaf]) | (above > high[leaf])) & (rounds[leaf] < _MOST_ROUNDS)
 
@@ -111,9 +113,9 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
         # 1. Bound the errors of pieces. Attained errors are those at centers. If all of a piece sees all its sources,
         #    its distance is the least of their cones: then errors at corners are attained, and exact lower bounds; of
         #    a single source, exact upper bounds too.
-        met = visible.distance - functions.values(leaf, visible.center)
-        np.minimum.at(least, leaf, met)
-        np.maximum.at(most, leaf, met)
+        attained = visible.distance - functions.values(leaf, visible.center)
+        np.minimum.at(least, leaf, attained)
+        np.maximum.at(most, leaf, attained)
         below, above = functions.bounds_of_pieces(visible, leaf)
         num_sources = np.diff(visible.first_pair)
         is_clear = np.bincount(visible.piece, visible.by_all, len(leaf)) == num_sources
@@ -127,11 +129,11 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
             pairs, piece = take_ragged(visible.first_pair, rows)
             source, first = visible.source[pairs], np.cumsum(num_sources[rows]) - num_sources[rows]
             for x in visible.pieces[:, rows].transpose(2, 1, 0):
-                ways = np.linalg.norm(x[piece] - visible.sources.points[source], axis=1)
-                distance = np.minimum.reduceat(visible.sources.distances[source] + ways, first)
-                met = distance - functions.values(leaf[rows], x)
-                np.minimum.at(least, leaf[rows], met)
-                np.maximum.at(most, leaf[rows], met)
+                legs = np.linalg.norm(x[piece] - visible.sources.points[source], axis=1)
+                distance = np.minimum.reduceat(visible.sources.distances[source] + legs, first)
+                attained = distance - functions.values(leaf[rows], x)
+                np.minimum.at(least, leaf[rows], attained)
+                np.maximum.at(most, leaf[rows], attained)
         # 2. Halve the pieces whose bounds are not tight enough. If there are none, test the pieces of earlier rounds
         #    again, since attained errors have changed.
         is_open = open_pieces(not rounds.any())
@@ -144,8 +146,8 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
             break
         rounds[np.unique(leaf[is_open])] += 1
         is_final = (below >= least[leaf] - slack) & (above <= most[leaf] + slack)
-        rest = np.flatnonzero(~is_open & ~is_final)
-        aside.append((visible.of_pieces(rest), leaf[rest], below[rest], above[rest]))
+        pending = np.flatnonzero(~is_open & ~is_final)
+        aside.append((visible.of_pieces(pending), leaf[pending], below[pending], above[pending]))
         np.minimum.at(lower, leaf[is_final], below[is_final])
         np.maximum.at(upper, leaf[is_final], above[is_final])
         visible = _halve_pieces(visible, np.flatnonzero(is_open))
@@ -159,11 +161,11 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
     parent, is_upper = np.repeat(np.arange(len(piece)), 2), np.tile([False, True], len(piece))
     lo, hi = (extreme(visible.pieces[:, piece], axis=2).T[parent] for extreme in (np.min, np.max))
-    axis, each = np.argmax(hi - lo, axis=1), np.arange(len(parent))
-    middle = (lo + hi)[each, axis] / 2
+    axis, row = np.argmax(hi - lo, axis=1), np.arange(len(parent))
+    middle = (lo + hi)[row, axis] / 2
     # The halves of ``piece[i]`` become cells ``2 * i`` and ``2 * i + 1``.
-    lo[each[is_upper], axis[is_upper]] = middle[is_upper]
-    hi[each[~is_upper], axis[~is_upper]] = middle[~is_upper]
+    lo[row[is_upper], axis[is_upper]] = middle[is_upper]
+    hi[row[~is_upper], axis[~is_upper]] = middle[~is_upper]
     return visible.pieces_as_cells(piece).parts(parent, axis, is_upper, lo, hi)
 
 
@@ -182,42 +184,44 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], vo
     # A class has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width
     # between bounds plus a price per bit; bisection finds the lowest price at which the classes fit.
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
-    number = len(rank)
+    num_ranks = len(rank)
 
     def of_ranges(of_rank: Shaped[np.ndarray, " ranks"], fold: np.ufunc) -> Shaped[np.ndarray, "ranks ranks"]:
-        return fold.accumulate(np.triu(np.broadcast_to(of_rank, (number, number))), axis=1)
+        return fold.accumulate(np.triu(np.broadcast_to(of_rank, (num_ranks, num_ranks))), axis=1)
 
-    highest = np.zeros((2, number), codes.dtype)
+    highest = np.zeros((2, num_ranks), codes.dtype)
     for of_rank, of_leaf in zip(highest, codes, strict=True):
         np.maximum.at(of_rank, rank_of, of_leaf)
-    of_class = np.stack([of_ranges(each, np.maximum) for each in highest])
+    of_class = np.stack([of_ranges(of_rank, np.maximum) for of_rank in highest])
     width = of_ranges(np.bincount(rank_of, volume), np.add) * bound_of_code[of_class].sum(axis=0)
     members = of_ranges(np.bincount(rank_of).astype(float), np.add)
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
     width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
 
     def best_classes(price: float) -> Codes:
-        costs, least, first = width + price * bits, np.zeros(number + 1), []
-        for last in range(number):
+        # least[k] is the least cost of classes of the k lowest ranks: over all begins of the last class, the least of
+        #   least[begin] + cost of a class of ranks begin to k - 1;     first[k - 1] is this begin.
+        costs, least, first = width + price * bits, np.zeros(num_ranks + 1), []
+        for last in range(num_ranks):
             costs_to = least[: last + 1] + costs[last, : last + 1]
             first.append(costs_to.argmin())
             least[last + 1] = costs_to[first[-1]]
-        best, end = np.empty_like(highest), number
+        best, end = np.empty_like(highest), num_ranks
         while end:
             start = first[end - 1]
             best[:, start:end] = of_class[:, start, end - 1, None]
             end = start
         return best[:, rank_of]
 
-    found, few, many = np.broadcast_to(of_class[:, :1, -1], codes.shape), 0, len(_PRICES)
-    while few < many:
-        middle = (few + many) // 2
+    shared, low, high = np.broadcast_to(of_class[:, :1, -1], codes.shape), 0, len(_PRICES)
+    while low < high:
+        middle = (low + high) // 2
         classes = best_classes(_PRICES[middle] * width[-1, 0])
         if _fits(classes, max_bits):
-            found, few = classes, middle + 1
+            shared, low = classes, middle + 1
         else:
-            many = middle
-    return found
+            high = middle
+    return shared
 
 
 def requantize_bounds(
@@ -226,11 +230,12 @@ def requantize_bounds(
     # Widen each leaf's bounds to the narrowest pair in ``classes`` that contains them.
     classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
     holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
-    found = classes[:, holds.argmax(axis=0)]
-    return found if holds.any(axis=0).all() and _fits(found, max_bits) else None
+    shared = classes[:, holds.argmax(axis=0)]
+    return shared if holds.any(axis=0).all() and _fits(shared, max_bits) else None
 
 
 def _fits(codes: Codes, max_bits: int) -> bool:
+    """Return whether shared bounds take at most ``max_bits`` bits in a file."""
     num_classes = distinct_classes(codes).shape[1]
     if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
         return False
@@ -245,9 +250,9 @@ def write_classes(body: BitWriter, codes: Codes) -> None:
     classes, order = np.stack(np.divmod(key, 1 << _CODE_BITS)), np.argsort(-size, kind="stable")
     place = np.argsort(order)[class_of]
     body.write(np.array([len(order) - 1]), _COUNT_BITS).write(classes[:, order].ravel(), _CODE_BITS)
-    for each in range(len(order) - 1):
-        body.write_set(place > each)
-        place = place[place > each]
+    for index in range(len(order) - 1):
+        body.write_set(place > index)
+        place = place[place > index]
 
 
 def distinct_classes(codes: Codes) -> Integer[np.ndarray, "2 classes"]:
@@ -260,12 +265,13 @@ def _class_keys(codes: Codes) -> Int[np.ndarray, " leaves"]:
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
+    """Decode each leaf's codes: the classes' codes, then for each class which leaves are in a later one."""
     count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
     classes = body.read_fixed_width(2 * count, _CODE_BITS).reshape(2, count)
-    place, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
+    place, leaf = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
     for _ in range(count - 1):
-        rest = rest[body.read_set(len(rest))]
-        place[rest] += 1
+        leaf = leaf[body.read_set(len(leaf))]
+        place[leaf] += 1
     return classes[:, place]
 
 
@@ -277,12 +283,12 @@ _BYTES_A_BIT, _LEAST_BITS = 16, 80
 
 
 class Proof(IntEnum):
-    """The kind of error bounds in a file: none, bounds that groups of leaves share, or bounds of each leaf."""
+    """The kind of error bounds in a file."""
 
-    NONE = 0
-    CLASSES = 1  # or only the largest error of all leaves, if there is no room for classes
-    LEAVES = 2
-    OPEN_LEAVES = 3  # leaves with the largest upper code have no upper bound
+    NONE = 0  # no bounds
+    CLASSES = 1  # bounds that groups of leaves share; if there is no room, only the largest error of all leaves
+    LEAVES = 2  # bounds of each leaf
+    OPEN_LEAVES = 3  # bounds of each leaf, where a leaf with the largest upper code has no upper bound
 
     def num_bits(self, num_leaves: int, num_bytes: int) -> int:
         """Return the most bits of this kind of proof in a file whose leaves take ``num_bytes`` bytes."""
@@ -319,7 +325,7 @@ class StraightBound:
 
     @property
     def arrays(self) -> list[Float[np.ndarray, "..."]]:
-        return [np.asarray(each, np.float32) for each in (self.goals, self.groups, self.rates, self.margin)]
+        return [np.asarray(values, np.float32) for values in (self.goals, self.groups, self.rates, self.margin)]
 
     @property
     def numbers(self) -> Float[np.ndarray, " _"]:
@@ -379,14 +385,14 @@ class Certificate:
             return Certificate(scale, None, proof)
         codes = np.stack([_encode_bounds(lower, scale), _encode_bounds(np.where(is_open, scale, upper), scale)])
         if proof is Proof.CLASSES:
-            factor, found = _decode_bounds(np.arange(_MOST + 1), 1.0), None
+            factor, shared = _decode_bounds(np.arange(_MOST + 1), 1.0), None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
                 of_scale = np.stack([_encode_bounds(lower, before.scale), _encode_bounds(upper, before.scale)])
-                found = requantize_bounds(of_scale, distinct_classes(before.codes), factor, room)
-                scale = scale if found is None else before.scale
-            if found is None:
-                found = classify_bounds(codes, factor, np.broadcast_to(volume, lower.shape), room)
-            codes = None if (found == found[:, :1]).all() else found
+                shared = requantize_bounds(of_scale, distinct_classes(before.codes), factor, room)
+                scale = scale if shared is None else before.scale
+            if shared is None:
+                shared = classify_bounds(codes, factor, np.broadcast_to(volume, lower.shape), room)
+            codes = None if (shared == shared[:, :1]).all() else shared
         return Certificate(scale, codes, proof)
 
     @property
@@ -408,6 +414,10 @@ class Certificate:
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
+        """Return bounds of errors such that tighter ones would hardly change the file, given attained errors.
+
+        ``least`` and ``most`` are errors that the leaves attain, so bounds cannot be tighter.
+        """
         if self.proof is not Proof.CLASSES:
             largest = max(most.max(initial=0.0), -least.min(initial=0.0))
             spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
@@ -417,7 +427,7 @@ class Certificate:
         lower, upper = self._classes
         holds = (least + spare - rounding >= lower[:, None]) & (most - spare + rounding <= upper[:, None])
         place, is_held = holds.argmax(axis=0), holds.any(axis=0)
-        low, high = (np.where(is_held, each[place], 0.0) for each in (lower, upper))
+        low, high = (np.where(is_held, bounds[place], 0.0) for bounds in (lower, upper))
         return np.minimum(least, low + rounding), np.maximum(most, high - rounding)
 
 
@@ -444,6 +454,7 @@ def write_proof(body: BitWriter, certificate: Certificate | None, straight: Stra
 def read_proof(
     body: BitReader, proof: Proof, num_leaves: int, dim: int
 ) -> tuple[Certificate | None, StraightBound | None]:
+    """Decode error bounds and a straight-line bound, the inverse of :func:`write_proof`."""
     if proof is Proof.NONE:
         return None, None
     scale = float(body.read_floats(1)[0])

@@ -43,6 +43,7 @@ class ByteReader:
         return self.take(1)[0]
 
     def varint(self) -> int:
+        """Read an integer in bytes of seven bits, lowest first; the eighth bit says that another byte follows."""
         value = 0
         for place in range(_MOST_BYTES):
             byte = self.byte()
@@ -109,6 +110,7 @@ class BitWriter:
 
 
 def _bits_of(values: Int[np.ndarray, " n"], widths: Int[np.ndarray, " n"] | int) -> UInt8[np.ndarray, " bits"]:
+    """Return the bits of integers one after the other, each lowest bit first, in ``widths`` bits each."""
     if isinstance(widths, int):
         bits = (values[:, None] >> np.arange(widths)) & 1
     else:
@@ -160,6 +162,7 @@ class BitReader:
         return index
 
     def read_coded(self, num_values: int) -> Int[np.ndarray, " n"]:
+        """Read the Exp-Golomb codes of :meth:`BitWriter.write_coded`."""
         if not num_values:
             return np.zeros(0, np.int64)
         order = int(self.read_fixed_width(1, _ORDER_BITS)[0])
@@ -223,6 +226,7 @@ def write_tree(body: BitWriter, tree: Tree) -> None:
 
 
 def read_tree(body: BitReader, dim: int) -> Tree:
+    """Decode a tree, level by level: which nodes are split, and along which axes."""
     axes, num_nodes = [], 1
     while num_nodes:
         if len(axes) > MAX_DEPTH:

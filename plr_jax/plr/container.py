@@ -41,6 +41,8 @@ _SIZE_BYTES = 4
 
 @dataclass(frozen=True)
 class Layer:
+    """The encoded leaves of a file, with codes of their leaf model and their kind of proof."""
+
     leaf_code: int
     body: bytes  # encoded leaves
     proof_code: int = 0
@@ -48,6 +50,8 @@ class Layer:
 
 @dataclass(frozen=True)
 class Header:
+    """The header of a file: the domain, and what the layers hold."""
+
     domain: Box
     leaf_code: int  # of the last layer
     proof_code: int = 0
@@ -59,6 +63,7 @@ class Header:
 
     @cached_property
     def data(self) -> bytes:
+        """The bytes of the header, as ``portable/FORMAT.md`` describes them."""
         dim, (domain, is_floats) = self.domain.dim, domain_to_bytes(self.domain)
         if dim > MOST_AXES:
             raise ValueError(f"A domain must have at most {MOST_AXES} axes, got {dim}.")
@@ -79,6 +84,7 @@ class Header:
 
     @staticmethod
     def read(data: bytes) -> "Header":
+        """Decode the header of a file; ``ValueError`` if it is invalid, or not encoded as ``data`` does it."""
         if data.startswith(_EARLIER):
             raise ValueError(f"it must have format version {VERSION}, but has an earlier one; build it again")
         reader = ByteReader(data)
@@ -89,9 +95,9 @@ class Header:
         newest = VERSION + _NAMING_GOALS + _WITH_CUT_OFF
         if not VERSION <= (version := first & 15) <= newest:
             remedy = "update plr_jax" if version > VERSION else "build it again"
-            known = f"versions {VERSION} to {newest}"
-            raise ValueError(f"it has format version {version}, this release reads {known}; {remedy}")
-        names_goals, has_cut_off = (bool(version - VERSION & each) for each in (_NAMING_GOALS, _WITH_CUT_OFF))
+            readable = f"versions {VERSION} to {newest}"
+            raise ValueError(f"it has format version {version}, this release reads {readable}; {remedy}")
+        names_goals, has_cut_off = (bool(version - VERSION & bit) for bit in (_NAMING_GOALS, _WITH_CUT_OFF))
         if version > VERSION and second & 7 == PAIRS_CODE:
             raise ValueError("it names goals or leaves of distances between any two points")
         if not 1 <= (dim := first >> 4 or reader.varint()) <= MOST_AXES:
@@ -140,6 +146,7 @@ class Container:
         return self.domain if self.folding is None else self.folding.box
 
     def to_bytes(self) -> bytes:
+        """Encode the file: the header, then each layer with a checksum of the header and all layers so far."""
         *first, last = self.layers
         parts = [*(bytes([layer.leaf_code | layer.proof_code << 4]) + layer.body for layer in first), last.body]
         sizes = tuple(len(part) + _CRC.size for part in parts[:-1])
@@ -202,6 +209,7 @@ def folding_to_bytes(folding: Folding) -> bytes:
 
 
 def read_folding(reader: ByteReader, domain: Box) -> Folding:
+    """Decode mirror symmetries; ``ValueError`` if one is invalid or does not cut the domain."""
     dim = domain.dim
     center = np.frombuffer(reader.take(8 * dim), "<f8").astype(np.float64)
     axes = np.eye(dim)
@@ -233,6 +241,7 @@ def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
 
 
 def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
+    """Decode the corners of a domain, floats or decimal numbers; on a periodic axis, the upper end comes first."""
     if is_floats:
         numbers = np.frombuffer(reader.take(16 * dim), "<f8").astype(np.float64)
     else:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import Distances, Points
-from plr_jax.plr.faces import (
+from plr_jax.plr.leaf_faces import (
     SharedFaces,
     check_num_weights,
     corner_parents,
@@ -83,7 +83,8 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     _, label = connected_components(graph, directed=False)
     _, first_node, group = np.unique(label, return_index=True, return_inverse=True)
     group, num_groups = np.argsort(np.argsort(first_node))[group], len(first_node)
-    # 3. Hanging groups: interpolate each from the first leaf on which it hangs, until only free groups remain.
+    # 3. Hanging groups: interpolate each from the first leaf on which it hangs, until only free groups remain. Row i
+    # of `of_groups` then has the weights of free groups in the value of group i.
     hangs = is_corner & ~is_corner[::-1]
     hanging, first = np.unique(group[node[hangs]], return_index=True)
     host_leaf, at = leaf[::-1][hangs][first], t[::-1][hangs][first]
@@ -96,8 +97,10 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
     level = np.zeros(num_groups, np.int64)
     level[group] = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=1)
-    # 5. In 3 or more dimensions a corner may hang on two leaves, whose interpolations must agree there. Each such
-    # equation eliminates the group of the highest level in it.
+    # 5. In 3 or more dimensions a corner may hang on two leaves, whose interpolations must agree there:
+    #   (below - above) @ of_groups @ f == 0,     with f the values of free groups.
+    # Each row is solved for the group of the highest level in it, which is then no longer free. The matrix of these
+    # solutions turns any values into values that satisfy all rows.
     if dim > 2:
         row = np.flatnonzero(~is_shared)
         check_num_weights(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, row], axis=2))), most)
@@ -138,7 +141,8 @@ def _interpolation(
 ) -> "csr_array":
     from scipy.sparse import csr_array
 
-    # Row ``row[i]`` interpolates values of groups (tied corners) at point ``t[i]`` of leaf ``leaf[i]``.
+    # Row ``row[i]`` interpolates values of groups (tied corners) at point ``t[i]`` of leaf ``leaf[i]``. A corner's
+    # weight is a product over the axes: ``t`` along an axis at whose upper end the corner lies, else ``1 - t``.
     point, corner, weight = np.arange(len(t)), np.zeros(len(t), np.int64), np.ones(len(t))
     for axis in range(t.shape[1]):  # skip ends of weight 0
         along = t[point, axis]
@@ -180,6 +184,10 @@ def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
 
 
 def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.ndarray, "n terms"]:
+    """Return the coefficients of planes: ``center`` is the value in the middle of a leaf.
+
+    Along each axis, ``half`` is the change from there to the upper face.
+    """
     corners = corner_bits(half.shape[1])
     values = center[:, None] + half @ (2 * corners - 1).T
     if order == 0:
@@ -192,8 +200,9 @@ def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.
 
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
+    """Return each basis function's coefficients of all products of powers of ``t``, last axis fastest."""
     along = _BASIS_1D[order]
-    table = np.ones((1, 1, 1))  # basis functions in monomials of ``t``; powers of the last axis vary fastest
+    table = np.ones((1, 1, 1))  # by corner, kind of derivative, and product of powers
     for _ in range(dim):
         table = np.einsum("cmp,adq->camdpq", table, along).reshape(
             2 * table.shape[0], along.shape[1] * table.shape[1], along.shape[2] * table.shape[2]
@@ -220,14 +229,16 @@ def enclosing_planes(
 
 
 def _shifted_powers(count: int, center: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n power power"]:
-    # Coefficients of each power of ``t`` in powers of ``t - center``.
+    # Coefficients of each power of ``t`` in powers of ``t - center``, by the binomial theorem:
+    #   t**n = sum over k of comb(n, k) * center**(n - k) * (t - center)**k.
     power, of_difference = np.arange(count)[:, None], np.arange(count)
-    ways = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
-    return ways * center[:, None, None] ** np.maximum(power - of_difference, 0)
+    binomials = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
+    return binomials * center[:, None, None] ** np.maximum(power - of_difference, 0)
 
 
 def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> Float[np.ndarray, "n terms"]:
-    # Differentiate along all axes where ``derivative`` is 1.
+    # Differentiate along all axes where ``derivative`` is 1. Basis functions are products of functions of one axis
+    # each: by axis, multiply the values so far, by corner and kind, with those of the axis.
     n, (_, kinds, num_powers) = len(t), _BASIS_1D[order].shape
     values, powers = np.ones((n, 1, 1)), np.arange(num_powers)
     for axis, is_along in enumerate(derivative):
@@ -242,6 +253,11 @@ def _values_and_derivatives(space: NodalSpace) -> "csr_array":
     from scipy.sparse import csr_array, diags_array, kron
 
     # From the free degrees of freedom to the Hermite coefficients of all leaves.
+    # A kind k has a bit for each axis along which it differentiates: kind 0 is the value. D[g, k] is the derivative
+    # of kind k, by fractions of the domain, at group g; h is the depth of a leaf, whose widths are 2**-h. At place t
+    # of the leaf (0 to 1 along each axis), its function with the Hermite basis B is
+    #   f = sum over corners c and kinds k of B[c, k](t) * 2**-(h . k) * D[group of c, k].
+    # Its derivative of kind j is 2**(h . j) times this sum, with the derivative of kind j of B[c, k] in place of it.
     kinds, group, leaf_depth = corner_bits(space.dim), space.group, space.tree.leaves.depth
     size, num_groups, nodes = len(kinds), int(group.max()) + 1, np.arange(len(group))
     depth = np.repeat(leaf_depth, size, axis=0)
@@ -261,7 +277,7 @@ def _values_and_derivatives(space: NodalSpace) -> "csr_array":
         weight /= np.bincount(group, weight)[group] + (weight == 0)
         mean = csr_array((weight, (group * size + kind, nodes)), (num_groups * size, len(nodes)))
         of_free_dofs = of_free_dofs + mean @ (differences @ space.values)
-    # 2. Hanging groups: value and derivatives of the host leaf's cubic.
+    # 2. Hanging groups: D[hanging, j] is the derivative of kind j of the host leaf's cubic, as above.
     on_depth, on_group = leaf_depth[space.host_leaf], group.reshape(-1, size)[space.host_leaf]
     to_leaf = np.tile(np.ldexp(1.0, -(on_depth @ kinds.T)), size)  # by corner, then kind
     columns = (on_group[:, :, None] * size + np.arange(size)).reshape(len(on_group), size * size)
@@ -276,7 +292,7 @@ def _values_and_derivatives(space: NodalSpace) -> "csr_array":
     is_free = np.ones((num_groups, size))
     is_free[space.hanging] = 0
     of_groups = resolve_constraints(of_hanging, is_free.ravel()) @ csr_array(of_free_dofs)
-    # 3. Coefficients of all leaves, by corner, then kind, scaled to the leaf's width.
+    # 3. Coefficients of all leaves, by corner, then kind: 2**-(h . k) * D[group of c, k].
     scale = np.ldexp(1.0, -(depth @ kinds.T))
     row, kind = np.nonzero(np.broadcast_to(is_answered[:, None], scale.shape))
     place = row * size + kind, group[row] * size + kind

@@ -86,11 +86,11 @@ class Folding:
     def unfold(self, z: Points) -> Points:
         """Return points that the mirrors map to ``z``, each inside the domain if possible."""
         images = self.images(z)
-        found, is_inside = next(images)
+        x, is_inside = next(images)
         while not is_inside.all() and (image := next(images, None)):  # most points need no further image
-            found = np.where((image[1] & ~is_inside)[:, None], image[0], found)
+            x = np.where((image[1] & ~is_inside)[:, None], image[0], x)
             is_inside |= image[1]
-        return found
+        return x
 
     def boxes(
         self, lo: Float[np.ndarray, "leaves dim"], hi: Float[np.ndarray, "leaves dim"]
@@ -105,8 +105,8 @@ class Folding:
         high = np.concatenate([self.center + np.where(is_odd, -lo, hi) for is_odd in self._reversals])
         periodic = np.array(self.domain.periodic)
         low, high = (np.where(periodic, x, np.clip(x, self.domain.lo, self.domain.hi)) for x in (low, high))
-        kept = (high > low).all(axis=1)
-        return low[kept], high[kept], np.flatnonzero(kept) % len(lo)
+        is_box = (high > low).all(axis=1)
+        return low[is_box], high[is_box], np.flatnonzero(is_box) % len(lo)
 
 
 _SAME = 1e-12  # tolerance for entries of orthogonal matrices
@@ -115,6 +115,13 @@ _SAME_PLACE = 1e-9  # tolerance for points, relative to a coordinate or to the d
 
 def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
     """Return a folding by the symmetries of a distance function; None if no folding makes the domain smaller."""
+    # A symmetry maps x to S x + offset, and S is a symmetric involution: S S = 1. So it is a reflection, with
+    # eigenvalues 1 and -1, and commuting ones have common orthogonal eigenvectors, the rows of A. In coordinates
+    # z = A (x - center) about a common fixed point, the symmetries only change signs:
+    #   z_i -> sign_i * z_i, with sign_i = (A S A')_ii.
+    # For example, the symmetry that swaps x_0 and x_1 has the axes (1, 1) and (1, -1), both divided by sqrt(2), and
+    # changes the sign of z along (1, -1). Points where this coordinate is negative are mirrored: half of the domain
+    # remains.
     # 1. Keep symmetric involutions that commute and do not mix periodic axes with others.
     symmetries: list[Symmetry] = []
     for symmetry in distance_fn.symmetries if isinstance(distance_fn, SymmetricFn) else ():
@@ -142,13 +149,14 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
     signs = np.einsum("ij,njk,ik->ni", axes, matrices, axes)
     mirrors = _assign_pivots(signs < 0, ~np.array(domain.periodic))
 
-    # 3. Find the fixed point of all symmetries that is nearest to the middle of the domain.
+    # 3. Find the fixed point of all symmetries that is nearest to the middle of the domain. With x = middle + step,
+    #    each symmetry gives (1 - S) step = offset - (1 - S) middle. The solution of least norm is the nearest.
     middle = (domain.lo + domain.hi) / 2
     moved = np.concatenate([np.eye(domain.dim) - symmetry.matrix for symmetry in symmetries])
-    by = np.concatenate([symmetry.offset for symmetry in symmetries]) - moved @ middle
-    step = np.linalg.lstsq(moved, by, rcond=None)[0]
+    shift = np.concatenate([symmetry.offset for symmetry in symmetries]) - moved @ middle
+    step = np.linalg.lstsq(moved, shift, rcond=None)[0]
     scale = _SAME_PLACE * (np.abs(middle) + domain.width)
-    is_fixed = np.abs(moved @ step - by).max() <= scale.max()
+    is_fixed = np.abs(moved @ step - shift).max() <= scale.max()
     if not is_fixed or np.abs(np.abs(signs) - 1).max() > _SAME_PLACE or not mirrors:
         return None
     center = np.where(np.abs(step) <= scale * 1e-3, middle, middle + step)
@@ -164,14 +172,14 @@ def _assign_pivots(
     mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, " dim"]
 ) -> tuple[tuple[bool, ...], ...]:
     # Combine mirrors until each reverses an axis alone (reduced row echelon form modulo 2); drop all others.
-    rows, done = mirrors.copy(), 0
+    rows, rank = mirrors.copy(), 0
     for axis in np.flatnonzero(may_pivot):
-        below = np.flatnonzero(rows[done:, axis])
+        below = np.flatnonzero(rows[rank:, axis])
         if not len(below):
             continue
-        rows[[done, done + below[0]]] = rows[[done + below[0], done]]
+        rows[[rank, rank + below[0]]] = rows[[rank + below[0], rank]]
         others = rows[:, axis].copy()
-        others[done] = False
-        rows[others] ^= rows[done]
-        done += 1
-    return tuple(tuple(map(bool, row)) for row in rows[:done])
+        others[rank] = False
+        rows[others] ^= rows[rank]
+        rank += 1
+    return tuple(tuple(map(bool, row)) for row in rows[:rank])

@@ -81,10 +81,10 @@ def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, "points dim"]]:
     """Enumerate integer points ``p`` of boxes ``first <= p < first + count``; return each one's box, and ``p``."""
-    box, rest = ragged_indices(count.prod(axis=1))
+    box, index = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
-        rest, digit = np.divmod(rest, count[box, axis])
+        index, digit = np.divmod(index, count[box, axis])
         points[:, axis] = first[box, axis] + digit
     return box, points
 
@@ -116,7 +116,10 @@ def rows_of_class(of_class: int, least_bytes: int | float) -> int:
 
 
 def slot_bits_of_rows(rows: int) -> int:
-    """Return log2 of the least size, after padding, of a lookup table for a file with room for ``rows`` leaves."""
+    """Return log2 of the least number of slots of a lookup table for a file with room for ``rows`` leaves.
+
+    Smaller tables are padded, so that most files with equally much room have tables of one shape.
+    """
     return next((bits for most, bits in _SLOT_BITS if rows <= most), _MAX_FLAT_BITS)
 
 

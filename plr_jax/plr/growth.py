@@ -44,6 +44,8 @@ class ConstructionInterrupted(UserWarning):
 
 @dataclass(frozen=True, eq=False)
 class Limits:
+    """The limits of a construction; it ends at the first one that it reaches."""
+
     max_depth: int
     max_axis_depth: int  # most halvings of a cell along one axis, which limit the size of lookup tables
     max_leaves: int
@@ -67,6 +69,7 @@ class Limits:
 
 
 def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
+    """Raise a ``ValueError`` if a construction needs more memory than the machine has."""
     needed = num_nodes * bytes_a_node
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else np.inf
     if needed > memory:
@@ -103,7 +106,7 @@ class Nodes(Rows):
     cells: Cells
     coefficients: Float[np.ndarray, "nodes terms"]
     error: Float[np.ndarray, " nodes"]  # weighted mean absolute error over samples that reach the goal
-    share: Float[np.ndarray, " nodes"]  # share of the domain's volume that these samples represent
+    volume: Float[np.ndarray, " nodes"]  # share of the domain's volume that these samples represent
     axis: Int[np.ndarray, " nodes"]
     key: Float[np.ndarray, " nodes"]  # priority of splitting, at most the parent's; -inf if the node may not be split
     child: Int[np.ndarray, " nodes"]  # the lower child, which the upper child follows; -1 for a leaf
@@ -134,6 +137,7 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
+    """Make leaves of fitted cells, with the priority and the axis of their split, by rules and limits."""
     check_rules(fit, priority, axis)
     priority, axis = urgent_first(fit, priority, axis)
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
@@ -143,7 +147,7 @@ def nodes_of_fit(
         cells=fit.cells,
         coefficients=coefficients,
         error=error,
-        share=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1)),
+        volume=volume / fit.pattern.weight.sum() * np.ldexp(1.0, -fit.cells.depth.sum(axis=1)),
         axis=axis,
         key=np.where(may_split, np.minimum(priority, key_of_parent), NEVER),
         child=np.full(len(fit), -1),
@@ -170,6 +174,7 @@ def is_within_depth(cells: Cells, axis: Int[np.ndarray, " cells"], limits: Limit
 
 
 def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.ndarray, "..."]) -> None:
+    """Raise a ``ValueError`` unless the rules returned a priority and an axis for each cell."""
     cells, dim = fit.cells.depth.shape
     if priority.shape != (cells,) or np.isnan(priority).any():
         raise ValueError(
@@ -253,28 +258,34 @@ FitNodes = Callable[[Cells, Float[np.ndarray, " cells"]], Nodes]
 
 @dataclass(frozen=True)
 class Encoding:
+    """How files store leaves, for several numbers of bits per value."""
+
     choices: Sequence[int]  # numbers of bits to choose from
     size: Callable[[Nodes, Leaves, int], int]  # bytes of a file, by nodes, leaves and bits per value
     rounding_error: Callable[[Nodes, Leaves, int], float]  # mean error of rounded values
 
 
 def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray, " cells"]], Nodes]) -> FitNodes:
-    """Return a function that samples and fits cells and returns ``nodes_of(fits, priorities of the parents)``."""
+    """Return a function that turns cells, and the priorities of their parents, into nodes of a growing tree.
+
+    It samples and fits cells, about a million samples at a time, and calls ``nodes_of(fits, priorities)``. Cells with
+    few samples that reach the goal are sampled densely.
+    """
     at_once = max(1, _SAMPLES_AT_ONCE // len(sampler.pattern))
 
-    def fit_nodes(cells: Cells, bound: Float[np.ndarray, " cells"]) -> Nodes:
+    def fit_nodes(cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
         parts = [slice(start, start + at_once) for start in range(0, len(cells), at_once)]
-        first, *others = (fit_part(cells[part], bound[part]) for part in parts)
+        first, *others = (fit_part(cells[part], parent_key[part]) for part in parts)
         return first.append(*others)
 
-    def fit_part(cells: Cells, bound: Float[np.ndarray, " cells"]) -> Nodes:
+    def fit_part(cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
         fit = sampler(cells)
-        few = fit.is_hardly_seen  # such cells get more samples
+        few = fit.is_hardly_seen
         if not few.any():
-            return nodes_of(fit, bound)
+            return nodes_of(fit, parent_key)
         order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
-        fits = (fit[~few], bound[~few]), (sampler.sample_densely(cells[few]), bound[few])
-        first, *others = (nodes_of(*each) for each in fits if len(each[1]))
+        fits = (fit[~few], parent_key[~few]), (sampler.sample_densely(cells[few]), parent_key[few])
+        first, *others = (nodes_of(*part_of_fit) for part_of_fit in fits if len(part_of_fit[1]))
         return first.append(*others)[np.argsort(order)]
 
     return fit_nodes
@@ -295,13 +306,13 @@ def grow_best_first(
         allowed = limits.max_leaves - 1
         if np.isfinite(limits.max_bytes):  # estimate the number of leaves from the bytes per leaf so far
             leaf = nodes.leaves_of_splits(order[nodes.child[order] >= 0][:allowed])
-            enough = _ROUNDING_SHARE * _fit_error(nodes, leaf)
-            bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - enough))
+            target = _ROUNDING_SHARE * _fit_error(nodes, leaf)
+            bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - target))
             a_leaf = encoding.size(nodes, leaf, bits) / len(leaf)
             allowed = min(allowed, int(_BYTES_SLACK * limits.max_bytes / a_leaf) + 1)
-        wanted = order[:allowed]
-        wanted = wanted[nodes.child[wanted] < 0]
-        batch = wanted[: max((len(wanted) + 1) // 2, len(order) // _LAST_SHARE)]
+        unsplit = order[:allowed]
+        unsplit = unsplit[nodes.child[unsplit] < 0]
+        batch = unsplit[: max((len(unsplit) + 1) // 2, len(order) // _LAST_SHARE)]
         if len(batch) == 0:
             return None
         children = fit_nodes(nodes.cells[batch].split(nodes.axis[batch]), np.repeat(nodes.key[batch], 2))
@@ -321,14 +332,15 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Le
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]
 
     def most_leaves(bits: int) -> Leaves:
+        # The leaves after as many splits, in their order, as the file has room for; none if one leaf is too large.
         if np.isinf(limits.max_bytes):
             return nodes.leaves_of_splits(order)
-        enough = bisect_right(
+        num_fitting = bisect_right(
             range(len(order) + 1),
             limits.max_bytes,
-            key=lambda number: encoding.size(nodes, nodes.leaves_of_splits(order[:number]), bits),
+            key=lambda num_splits: encoding.size(nodes, nodes.leaves_of_splits(order[:num_splits]), bits),
         )
-        return nodes.leaves_of_splits(order[: enough - 1]) if enough else np.empty(0, np.int64)
+        return nodes.leaves_of_splits(order[: num_fitting - 1]) if num_fitting else np.empty(0, np.int64)
 
     def expected_error(leaf: Leaves, bits: int) -> float:
         # Errors of fit and rounding are combined as if they were independent.
@@ -339,5 +351,5 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Le
 
 
 def _fit_error(nodes: Nodes, leaf: Leaves) -> float:
-    share = nodes.share[leaf]
-    return float(np.sum(share * nodes.error[leaf]) / np.sum(share)) if share.any() else 0.0
+    volume = nodes.volume[leaf]
+    return float(np.sum(volume * nodes.error[leaf]) / np.sum(volume)) if volume.any() else 0.0

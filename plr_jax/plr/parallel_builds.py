@@ -66,6 +66,7 @@ def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm)
 
 
 def _build_by(pool: Executor, chunks: list[Chunk], results: dict[int, bytes], progress: tqdm) -> None:
+    """Build chunks by the workers of a pool, and add the results as they finish."""
     futures: dict[Future[list[bytes]], list[int]] = {}
     try:
         with suppress(BrokenExecutor):

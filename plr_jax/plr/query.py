@@ -251,6 +251,7 @@ def _wrap(tables: Tables, x: Points) -> Points:
 
 
 def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
+    """Return the values of leaf functions at points; ``row`` has the row of each leaf's parameters."""
     numbers, frame, place = _leaf_parameters(tables, row, x.dtype), tables.frame.astype(x.dtype), []
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
@@ -308,6 +309,7 @@ def _join_bits(fractions: list[Bits], mask: UInt32[AnyArray, " dim"], right: UIn
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
+    """Return the row of each point's leaf in a stack of PLRs, level by level of the trie."""
 
     def descend(entry: Bits, bits: UInt32[AnyArray, "2 dim"]) -> Bits:
         fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]

@@ -14,8 +14,8 @@ from plr_jax._types import DistanceFn, Distances, Points, ReachFn
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas
 from plr_jax.geometry.reach import BoxTest, Reach
-from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.folding import Folding
+from plr_jax.plr.source_cache import SourceCache, distances_in_cells
 from plr_jax.plr.tree import Cells, Rows
 
 # The longest side of a cell is at most 2**3 times its shortest, in fractions of the domain. That suffices for thin
@@ -225,20 +225,21 @@ class Sampler:
     dense_pattern: Pattern  # for cells where few samples reach the goal
     max_axis_depth: int
     compute_coefficients: FitRule = least_squares
-    memory: CellMemory | None = None  # if there is one, it computes distances in cells instead of distance_fn
+    cache: SourceCache | None = None  # if there is one, it computes distances in cells instead of distance_fn
     reach: Reach | None = None  # if known
     is_sparse: bool = False  # whether little of the domain reaches the goal
 
     def __call__(self, cells: Cells) -> CellFit:
+        """Sample the distance in cells, and fit a plane to the samples of each cell that reach the goal."""
         pattern = self.pattern
         points = cells.points(pattern.u, self.domain)
         if pattern.reaches_beyond:
             points = self.domain.wrapped(points)
         x = points.reshape(-1, cells.dim)
-        if self.memory is None or pattern.reaches_beyond:
+        if self.cache is None or pattern.reaches_beyond:
             distance = call_oracle(self.distance_fn, x).reshape(len(cells), len(pattern))
         else:
-            distance = distances_in_cells(self.memory.sources(cells), points)
+            distance = distances_in_cells(self.cache.sources(cells), points)
         reachable = np.isfinite(distance)
         weight = reachable.astype(np.float64)
         if self.weight_fn is not None:
@@ -257,6 +258,8 @@ class Sampler:
         return CellFit(*fit, self._urgent_axes(cells, reachable.sum(axis=1)), is_cut_off)
 
     def _urgent_axes(self, cells: Cells, num_reachable: Int[np.ndarray, " cells"]) -> Int[np.ndarray, " cells"]:
+        # The axis along which to halve cells at the border of what reaches the goal, and coarse cells in which few
+        # samples reach it; -1 for other cells.
         reach, axis = self.reach, np.full(len(cells), -1)
         if reach is not None:
             axis = urgent_axes(cells, reach.is_border, self.max_axis_depth)
@@ -277,7 +280,7 @@ class Sampler:
         knows free space from which the goal can be reached.
         """
         fit = self(Cells.root(self.domain.dim))
-        has_pieces = pieces_suffice and self.memory is not None and len(self.memory.sources(fit.cells).cell) > 0
+        has_pieces = pieces_suffice and self.cache is not None and len(self.cache.sources(fit.cells).cell) > 0
         if not (fit.reachable.any() or has_pieces or fit.urgent_axis[0] >= 0):
             raise ValueError(
                 "distance_fn found nothing reachable: it must be finite somewhere in the domain, but was inf at all "
@@ -311,9 +314,9 @@ def urgent_axes(cells: Cells, holds: BoxTest, max_axis_depth: int) -> Int[np.nda
     axis = np.full(len(cells), -1)
     some = np.flatnonzero(holds(*cells.fractions))
     count, depth = np.empty((len(some), cells.dim)), cells.depth[some]
-    for each in range(cells.dim):
-        halves = cells[some].split(np.full(len(some), each))
-        count[:, each] = holds(*halves.fractions).reshape(-1, 2).sum(axis=1)
+    for k in range(cells.dim):
+        halves = cells[some].split(np.full(len(some), k))
+        count[:, k] = holds(*halves.fractions).reshape(-1, 2).sum(axis=1)
     count += depth / (1 + depth.max(initial=0))
     count[is_closed(depth, max_axis_depth)] = np.inf
     axis[some] = np.argmin(count, axis=1)
@@ -328,9 +331,9 @@ def is_closed(depth: Int[np.ndarray, "cells dim"], max_axis_depth: int) -> Bool[
 def fill_unsampled_planes(fit: CellFit, sampler: Sampler) -> CellFit:
     """Fit the cells in which some free space, but no sample, reaches the goal, by planes tangent to the distance."""
     unseen = np.flatnonzero(~fit.reachable.any(axis=1))
-    if sampler.memory is None or not len(unseen):
+    if sampler.cache is None or not len(unseen):
         return fit
-    visible = sampler.memory.sources(fit.cells[unseen])
+    visible = sampler.cache.sources(fit.cells[unseen])
     order = np.lexsort((-areas(visible.pieces), visible.cell))
     first = order[np.append(True, np.diff(visible.cell[order]) > 0)[: len(order)]]
     cell, middle = unseen[visible.cell[first]], visible.center[first]

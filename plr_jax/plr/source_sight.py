@@ -67,8 +67,8 @@ class SourceSight:
         view = self._view[source]
         sees = view >= 0
         sees[sees] = self._table.sees(view[sees], x[sees])
-        if len(rest := np.flatnonzero(~sees)):  # these may see the source up to the tolerance
-            sees[rest] = self._workspace.is_visible(x[rest], self._points[source[rest]], self._tolerance)
+        if len(pending := np.flatnonzero(~sees)):  # these may see the source up to the tolerance
+            sees[pending] = self._workspace.is_visible(x[pending], self._points[source[pending]], self._tolerance)
         return sees
 
 

@@ -219,6 +219,8 @@ def build_pages(
     if best is None:
         return None
     block_bits, page_bits, later_bits, shape, start, num_entries, total = best
+    # An index into a page has a field of `page_bits` bits for each axis, the last axis lowest. A page that is halved
+    # less often along an axis uses the highest `shape` bits of the field; the bits below them are gaps.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
     alone = ~shape[block].any(axis=1)
     start[block[alone]] = leaf[alone]

@@ -63,6 +63,7 @@ class TableStack:
         return distances.T
 
     def _padded(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "size robots dof"]:
+        """Return joint configurations in the precision of JAX, with rows of zeros up to one of few batch sizes."""
         size = padded_size(len(q), _SIZES)
         padded = np.empty((size, *q.shape[1:]), jax.dtypes.canonicalize_dtype(np.float64))
         padded[: len(q)], padded[len(q) :] = q, 0

@@ -28,8 +28,8 @@ class Rows:
         return cast(Any, replace)(self, **columns)
 
     def _columns(self) -> dict[str, Any]:
-        every = {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
-        return {name: column for name, column in every.items() if isinstance(column, np.ndarray | Rows)}
+        values = {field.name: getattr(self, field.name) for field in fields(cast(Any, self))}
+        return {name: column for name, column in values.items() if isinstance(column, np.ndarray | Rows)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +86,8 @@ class Cells(Rows):
 
     def split(self, axis: Int[np.ndarray, " cells"]) -> "Cells":
         """Halve each cell along its axis; in the result, a cell's upper half follows its lower half."""
-        both = np.repeat(np.arange(len(self)), 2)
-        return self[both].halves(axis[both], np.arange(len(both)) % 2 == 1)
+        parent = np.repeat(np.arange(len(self)), 2)
+        return self[parent].halves(axis[parent], np.arange(len(parent)) % 2 == 1)
 
     def halves(self, axis: Int[np.ndarray, " cells"], is_upper: Bool[np.ndarray, " cells"]) -> "Cells":
         halved = np.eye(self.dim, dtype=np.int64)[axis]

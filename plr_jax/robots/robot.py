@@ -69,6 +69,7 @@ class Robot:
 
 
 def check_body(name: str, robot: Robot) -> None:
+    """Raise a ``ValueError`` unless a robot is convex, counterclockwise, and around its reference point."""
     core, rounding, dof = np.asarray(robot.core), robot.rounding, robot.dof
     if core.ndim != 2 or core.shape[1] != 2 or len(core) == 0 or not np.isfinite(core).all():
         raise ValueError(f"{name} must have a core of finite vertices (n, 2), got {robot.core!r:.200}.")
@@ -118,8 +119,8 @@ def between(
     return q0 + t * change
 
 
-def motions_under_way(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
-    """Return a path's rows before and after given times, and the share of the motion between them that is done."""
+def rows_around(times: Float[np.ndarray, " steps"], when: Moments) -> tuple[Rows, Rows, Moments]:
+    """Return a path's rows before and after given times, and the fraction of the motion between them that is done."""
     last = len(times) - 1
     when = np.clip(when, times[0], times[-1])
     row = np.minimum(np.searchsorted(times, when, side="right") - 1, max(last - 1, 0))

@@ -96,12 +96,13 @@ def _robot_entry(i: int, robot: Robot) -> dict[str, Any]:
 
 
 def _robot(i: int, entry: Any, version: int) -> Robot:
-    known = {shape: row for shape, row in _SHAPES.items() if row[2] <= version}
+    """Make robot ``i`` of a scene from its entry in a decoded JSON file."""
+    allowed = {shape: row for shape, row in _SHAPES.items() if row[2] <= version}
     shape = entry.get("shape") if isinstance(entry, dict) else None
-    kind, sizes, _ = known.get(shape, (None, (), 0)) if isinstance(shape, str) else (None, (), 0)
+    kind, sizes, _ = allowed.get(shape, (None, (), 0)) if isinstance(shape, str) else (None, (), 0)
     if kind is None or set(entry) != {"shape", *sizes}:
         forms = " or ".join(
-            str({"shape": name, **{size: f"<{size}>" for size in row[1]}}) for name, row in known.items()
+            str({"shape": name, **{size: f"<{size}>" for size in row[1]}}) for name, row in allowed.items()
         )
         raise ValueError(f"expected robot {i} to be like {forms} in version {version}, got {shortened(entry)}.")
     try:
@@ -122,6 +123,7 @@ def _workspace_entry(workspace: Workspace) -> dict[str, Any]:
 
 
 def _workspace(entry: Any) -> Workspace:
+    """Make the workspace of a scene from its entry in a decoded JSON file."""
     keys = ("bounds", "obstacles", "squeeze")
     if not isinstance(entry, dict) or any(key not in entry for key in keys):
         raise ValueError(f'expected "workspace" to have the keys {", ".join(keys)}, got {shortened(entry)}.')
@@ -134,6 +136,7 @@ def _workspace(entry: Any) -> Workspace:
 
 
 def _obstacle(i: int, entry: Any) -> Any:
+    """Return obstacle ``i`` of a scene from its entry in a decoded JSON file: a ring, or a polygon with holes."""
     if not isinstance(entry, dict) or "outer" not in entry or not isinstance(entry.get("holes", []), list):
         raise ValueError(
             f'expected obstacle {i} to be {{"outer": ring, "holes": [ring, ...]}}, got {shortened(entry)}.'

@@ -91,7 +91,7 @@ def read_geojson(
         document = json_of(path)
         if not is_geojson(document):
             raise ValueError(f'expected GeoJSON of "type" {", ".join(_PARTS_KEY)}, got {shortened(document)}.')
-        found, bbox = list(_polygons(document, "")), document.get("bbox")
+        shapes, bbox = list(_polygons(document, "")), document.get("bbox")
         if bounds is None and bbox is not None:  # [west, south, east, north], or six numbers with altitudes
             half = len(bbox) // 2 if isinstance(bbox, list) and len(bbox) in (4, 6) else 0
             if not (half and _is_position(bbox) and _is_position(bbox[half:])):
@@ -100,7 +100,7 @@ def read_geojson(
                     f"got {shortened(bbox)}."
                 )
             bounds = bbox[:2], bbox[half : half + 2]
-        return _workspace_of(path, found, polygons, bounds, squeeze)
+        return _workspace_of(path, shapes, polygons, bounds, squeeze)
 
 
 def read_wkt(
@@ -132,8 +132,8 @@ def read_wkt(
                 f"expected one geometry in WKT, got something else ({error}). Put several geometries into a "
                 "GEOMETRYCOLLECTION."
             ) from None
-        found = [as_polygon(f"polygon {i}", part) for i, part in enumerate(_parts(geometry)) if not part.is_empty]
-        return _workspace_of(path, found, polygons, bounds, squeeze)
+        shapes = [as_polygon(f"polygon {i}", part) for i, part in enumerate(_parts(geometry)) if not part.is_empty]
+        return _workspace_of(path, shapes, polygons, bounds, squeeze)
 
 
 def _parts(geometry: Any) -> Iterator[Any]:
@@ -145,13 +145,14 @@ def _parts(geometry: Any) -> Iterator[Any]:
 
 
 def _workspace_of(
-    path: Path, found: list[Any], polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
+    path: Path, shapes: list[Any], polygons: str, bounds: Box | ArrayLike | None, squeeze: bool
 ) -> Workspace:
+    """Make a workspace of polygons, obstacles or free space; warn if coordinates look like degrees."""
     if polygons not in ("obstacles", "free"):
         raise ValueError(f"polygons must be 'obstacles' or 'free', got {shortened(polygons)}.")
-    if not found:
+    if not shapes:
         raise ValueError("expected at least one polygon, got none: all geometries of the file are empty.")
-    extent = shapely.total_bounds(found).reshape(2, 2)
+    extent = shapely.total_bounds(shapes).reshape(2, 2)
     width = np.ptp(extent, axis=0).max()
     # A town in degrees is small and far from the origin, and within 180 and 90 degrees.
     if (np.abs(extent) <= _DEGREES).all() and width < _MAX_TOWN and np.abs(extent).max() > 10 * width:
@@ -162,9 +163,9 @@ def _workspace_of(
         )
     box = Box.of(extent if bounds is None else bounds, "bounds")
     if polygons == "free":
-        return Workspace.from_polygons(found, box, squeeze=squeeze)
+        return Workspace.from_polygons(shapes, box, squeeze=squeeze)
     try:
-        return Workspace(box, found, squeeze=squeeze)
+        return Workspace(box, shapes, squeeze=squeeze)
     except ValueError as error:
         if bounds is not None:
             raise
@@ -209,18 +210,19 @@ def _polygons(entry: Any, where: str) -> Iterator[shapely.Polygon | shapely.Mult
 
 
 def _polygon(rings: Any, where: str) -> Iterator[Any]:
+    """Yield the polygon of a list of rings, the outer one first; yield nothing if they are empty."""
     if not isinstance(rings, list | None):
         raise ValueError(f"{where}: expected a list of rings, got {shortened(rings)}.")
     rings = rings or []
-    given = [ring for ring in rings if ring not in (None, [])]
-    for ring in given:
+    nonempty = [ring for ring in rings if ring not in (None, [])]
+    for ring in nonempty:
         if not (isinstance(ring, list) and len(ring) >= 3 and all(map(_is_position, ring))):
             expected = "a ring, a list of at least 3 finite points [x, y] of numbers"
             raise ValueError(f"{where}: expected {expected}, got {shortened(ring)}.")
-    if given and given[0] is not rings[0]:
+    if nonempty and nonempty[0] is not rings[0]:
         raise ValueError(f"{where}: expected an outer ring before its holes, got an empty one.")
-    if given:
-        outer, *holes = (np.array([point[:2] for point in ring], dtype=np.float64) for ring in given)
+    if nonempty:
+        outer, *holes = (np.array([point[:2] for point in ring], dtype=np.float64) for ring in nonempty)
         yield as_polygon(where, shapely.Polygon(outer, holes))
 
 

@@ -31,6 +31,7 @@ Triangles: TypeAlias = Float[np.ndarray, "triangles 3 3"]
 
 
 def read_mesh(path: Path) -> Triangles:
+    """Read the faces of a mesh as triangles; ``ValueError`` if the file is no mesh or damaged."""
     with path.open("rb") as file:
         data = file.read(_MOST_BYTES + 1)
     if len(data) > _MOST_BYTES:
@@ -175,6 +176,7 @@ def _read_ply(data: bytes) -> list[Polygons]:
 
 
 def _grouped(polygons: Iterable[Sequence[Any]]) -> list[Polygons]:
+    """Return polygons as arrays, one for each number of corners; polygons with too few corners are left out."""
     by_size = defaultdict(list)
     for polygon in polygons:
         by_size[len(polygon)].append(polygon)

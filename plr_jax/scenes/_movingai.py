@@ -43,6 +43,7 @@ def read_cells(path: str | os.PathLike[str]) -> Bool[np.ndarray, "rows columns"]
 
 
 def _passable_cells(lines: list[str]) -> Bool[np.ndarray, "rows columns"]:
+    """Return which cells of the lines of a ``.map`` file are passable, in the order of the file."""
     match [line.split() for line in lines[:_HEADER_LINES]]:
         case [["type", _], ["height", height], ["width", width], ["map"]] if (
             height.isdecimal() and width.isdecimal() and int(height) > 0 and int(width) > 0

@@ -28,10 +28,11 @@ Gray = Int[np.ndarray, "rows columns"]
 PICTURE_ENDINGS = (".png", ".pgm", ".pbm", ".ppm", ".pnm", ".bmp", ".gif", ".jpg", ".jpeg", ".tif", ".tiff", ".webp")
 YAML_ENDINGS = (".yaml", ".yml")
 _FORMATS = ("PNG", "PPM", "BMP", "GIF", "JPEG", "TIFF", "WEBP")  # Pillow decodes these without external programs
+# Most pixels of a picture, most bytes of its decoded pixels (4 a pixel in color), and most bytes of its file.
 _MOST_PIXELS, _MOST_DECODED, _MOST_BYTES = 2**24, 3 * 2**24, 2**26
 _SMALL, _PIXELS_PER_BYTE = 2**22, 2**12  # a file may have this many pixels, or this many per byte
 _NUMBERS = "one channel of 32-bit floats, or of integers of 16 or 32 bits"
-_NUMBER_MODES = "F", "I", "I;16", "I;16B"
+_NUMBER_MODES = "F", "I", "I;16", "I;16B"  # modes of Pillow for such pixels
 _BYTES = {"1": 1, "L": 1, "P": 1}  # bytes of a decoded pixel by mode; all other modes take 4
 _BAND = 2**18  # pixels that are converted at a time, which bounds the memory
 OPAQUE = 255
@@ -39,7 +40,7 @@ _BITS_PER_SAMPLE, _PHOTOMETRIC, _SAMPLE_FORMAT = 258, 262, 339  # tags of TIFF
 _PIXEL_SCALE, _TIE_POINT, _TRANSFORMATION, _GEO_KEYS, _GDAL_NODATA = 33550, 33922, 34264, 34735, 42113  # of GeoTIFF
 _PIXEL_IS_POINT = 1025, 0, 1, 2  # with this GeoTIFF key, raster coordinates refer to pixel centers
 _IS_GEOGRAPHIC = 1024, 0, 1, 2  # with this GeoTIFF key, coordinates are longitudes and latitudes
-_BLACK_IS_ZERO, _SIGNED = 1, 2
+_BLACK_IS_ZERO, _SIGNED = 1, 2  # values of the tags _PHOTOMETRIC and _SAMPLE_FORMAT
 _GRAY_STEP = {"L;2": 85, "L;4": 17}  # 8-bit step between gray levels of PNG files with 2 or 4 bits
 
 
@@ -122,6 +123,7 @@ def open_picture(path: Path, *, numbers: bool = False) -> Iterator["Image"]:
 
 
 def _require_limits(picture: "Image", num_bytes: int) -> None:
+    """Raise a ``ValueError`` if a picture, whose file has ``num_bytes`` bytes, takes too much memory to decode."""
     num_pixels = picture.width * picture.height
     if num_pixels > _MOST_PIXELS or num_pixels * _BYTES.get(picture.mode, 4) > _MOST_DECODED:
         raise ValueError(
@@ -138,8 +140,9 @@ def _require_limits(picture: "Image", num_bytes: int) -> None:
 
 def _require_plain(picture: Any, numbers: bool) -> None:
     # Pillow does not decode the lightness or opacity of other pixels reliably.
-    raw = str(picture.tile[0][3]) if picture.tile else ""
+    raw = str(picture.tile[0][3]) if picture.tile else ""  # how the file stores pixels, such as "L;4": gray of 4 bits
     tags, is_deep = getattr(picture, "tag_v2", None), picture.mode.startswith("I")  # gray of more than 8 bits
+    # 1. TIFF: unsigned numbers; gray of more than 8 bits has exactly 16, with 0 for black.
     is_plain = tags is None or _SIGNED not in tags.get(_SAMPLE_FORMAT, ())
     if tags and is_deep:
         is_plain &= tags.get(_BITS_PER_SAMPLE) == (16,) and tags.get(_PHOTOMETRIC) == _BLACK_IS_ZERO
@@ -148,6 +151,7 @@ def _require_plain(picture: Any, numbers: bool) -> None:
             "expected black, gray or color in 8 or 16 bits, unsigned and 0 for black, got a TIFF of other pixels: "
             f"save it in 8 bits{'' if numbers else ' for a map of walls; scenes.read_cost_map reads costs'}."
         )
+    # 2. PNG: a color or gray that counts as transparent must be comparable with the pixels that Pillow decodes.
     if picture.mode == "RGB" and "16" in raw and "transparency" in picture.info:
         raise ValueError("expected a transparent color of 8 bits, got 16 bits: save it with an alpha channel.")
     if raw in _GRAY_STEP and "transparency" in picture.info:  # Pillow scales pixels, but not the transparent gray
@@ -163,6 +167,8 @@ def bands(picture: "Image") -> Iterator[tuple[slice, Gray, int, Gray | None]]:
 
 
 def _lightness(part: "Image") -> tuple[Gray, int, Gray | None]:
+    """Return the lightness of each pixel, the lightness of white, and opacity from 0 to 255 (None if opaque)."""
+    # Opaque gray of 8 bits, and gray of 16 bits, stay as they are; else lightness is the sum of red, green and blue.
     if part.mode.startswith("I"):
         light, clear = np.asarray(part, np.int32), part.info.get("transparency")
         return light, 2**16 - 1, None if clear is None else np.where(light == clear, 0, OPAQUE)
@@ -270,6 +276,7 @@ def read_cost_map(
 
 
 def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[Any, Any]]:
+    """Read a TIFF of cost factors: the factors, lowest row first, ``inf`` where blocked, and the raster's corners."""
     with open_picture(path, numbers=True) as picture:
         if picture.mode not in _NUMBER_MODES:
             raise ValueError(
@@ -282,16 +289,21 @@ def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[
     missing = float(str(tags.get(_GDAL_NODATA, "nan")).strip(" \0"))
     with np.errstate(over="ignore"):
         factors[factors == (float(np.float32(missing)) if is_float else missing)] = np.inf
-    # 2. Locate the raster: the tie point is one point in raster and in map coordinates.
+    # 2. Locate the raster by the tie point: `column` and `row`, counted from the upper left corner of the raster, lie
+    #    at (x, y) of the map.
+    #      +-----------+    x = lo_x + column * along_x
+    #      | o (x, y)  |    y = lo_y + (rows - row) * along_y, since rows count downward
+    #      |           |
+    #     lo-----------+
     if _TRANSFORMATION in tags:
         raise ValueError("expected a GeoTIFF whose rows lie along x, got a transformation: rotate the picture.")
     rows, columns = factors.shape
     column, row, _, x, y, _ = _doubles(tags, _TIE_POINT, (0, rows, 0, 0, 0, 0))
     sides = _doubles(tags, _PIXEL_SCALE, (1, 1, 0))[:2]
     along_x, along_y = (as_finite("a pixel's side", side, positive=True) for side in sides)
-    keys = np.ravel(tags.get(_GEO_KEYS, ()))
+    keys = np.ravel(tags.get(_GEO_KEYS, ()))  # groups of four numbers: key, place of its value, count, value
     keys = keys[: len(keys) // 4 * 4].reshape(-1, 4).tolist()
-    if [*_PIXEL_IS_POINT] in keys:
+    if [*_PIXEL_IS_POINT] in keys:  # pixel (0, 0) has its center there, half a pixel from the corner
         column, row = column + 0.5, row + 0.5
     if [*_IS_GEOGRAPHIC] in keys:
         warnings.warn("Coordinates are degrees, and so are lengths: project the raster to meters.", stacklevel=4)
@@ -301,6 +313,7 @@ def _read_factors(path: Path) -> tuple[Float[np.ndarray, "rows columns"], tuple[
 
 
 def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any, ...]:
+    """Return the numbers of a tag of TIFF, finite and as many as in ``default``, which stands for a missing tag."""
     values = tags.get(tag, default)
     if not isinstance(values, tuple) or len(values) != len(default) or not np.isfinite(values).all():
         raise ValueError(f"expected {len(default)} finite numbers in the tag {tag}, got {shortened(values)}.")
@@ -309,9 +322,11 @@ def _doubles(tags: Any, tag: int, default: tuple[float | int, ...]) -> tuple[Any
 
 @dataclass(frozen=True, eq=False)
 class _MapServer:
+    """The ``.yaml`` file of a map of ROS's ``map_server``."""
+
     image: Path
-    resolution: float
-    origin: Float[np.ndarray, "3"]
+    resolution: float  # side of a pixel in meters
+    origin: Float[np.ndarray, "3"]  # x, y and yaw of the lower left corner of the picture
     mode: str
     negate: bool
     free_thresh: float
@@ -319,6 +334,7 @@ class _MapServer:
 
     @classmethod
     def read(cls, path: Path) -> "_MapServer":
+        """Read and check the ``.yaml`` file of a map, with ROS's defaults; the picture is read later."""
         entry = yaml_of(path)
         missing = [key for key in _REQUIRED if not isinstance(entry, dict) or key not in entry]
         if missing:
@@ -336,7 +352,7 @@ class _MapServer:
         origin = entry["origin"]
         if not isinstance(origin, list) or len(origin) not in (2, 3):
             raise ValueError(f"origin must be [x, y, yaw], got {shortened(origin)}.")
-        origin = np.array([_number("origin", each) for each in [*origin, 0.0][:3]])
+        origin = np.array([_number("origin", value) for value in [*origin, 0.0][:3]])
         thresholds = {"free_thresh": 0.196, "occupied_thresh": 0.65}
         thresholds = (_number(key, entry.get(key, default)) for key, default in thresholds.items())
         return cls(image, resolution, origin, mode, bool(negate), *thresholds)
@@ -348,6 +364,7 @@ class _MapServer:
         with errors_named(self.image), open_picture(self.image) as picture:
             cells = np.empty((picture.height, picture.width), dtype)
             for rows, light, full, alpha in bands(picture):
+                # Lightness is from 0 to `full`, alpha from 0 to OPAQUE; as in ROS, alpha counts as a fourth color.
                 if self.mode == "trinary" and alpha is not None:
                     light = 0.75 * light + 0.25 * full * (alpha / OPAQUE)
                 occupancy = (light if self.negate else full - light) / full
@@ -360,18 +377,20 @@ class _MapServer:
         return cells
 
     def free(self, unknown_is_free: bool) -> Bool[np.ndarray, "rows columns"]:
+        """Return which pixels are free: row 0 is the top row."""
+        # Comparisons with NaN (unknown) are False. So unknown pixels are free only by the first test.
         least, most = self.free_thresh, self.occupied_thresh
         return self.cells(lambda occupancy: ~(occupancy > most) if unknown_is_free else occupancy < least, bool)
 
     def occupancy_grid(self, occupancy: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
         """Convert occupancy (0 to 1, NaN where unknown) to values of ROS's ``OccupancyGrid``: 0 to 100, or -1."""
-        between = np.full(occupancy.shape, _UNKNOWN, np.float64)
+        between = np.full(occupancy.shape, _UNKNOWN, np.float64)  # also where occupancy is NaN: comparisons are False
         if self.mode == "raw":
             return np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_RAW_MOST * occupancy))
         least, most = self.free_thresh, self.occupied_thresh
         if self.mode == "scale" and least < most:
-            share = np.clip((occupancy - least) / (most - least), 0.0, 1.0)
-            between = np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_OCCUPIED * share))
+            fraction = np.clip((occupancy - least) / (most - least), 0.0, 1.0)
+            between = np.where(np.isnan(occupancy), _UNKNOWN, np.rint(_OCCUPIED * fraction))
         return np.where(occupancy > most, _OCCUPIED, np.where(occupancy < least, _FREE, between))
 
 

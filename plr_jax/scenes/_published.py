@@ -34,6 +34,7 @@ def perturbed(problem: Problem, seed: int, distance: float | int = 0.1) -> Probl
 
 
 def _moved(problem: Problem, end: int, i: int, rng: np.random.Generator, distance: float | int) -> Problem:
+    """Move robot ``i``'s start (``end`` 0) or goal (1) to a random free place, up to ``distance`` away."""
     for _ in range(_ATTEMPTS):
         ends = np.stack([problem.starts, problem.goals])
         angle, radius = rng.uniform(0, 2 * np.pi), distance * np.sqrt(rng.uniform())
@@ -89,6 +90,7 @@ def crowd(num_robots: int, seed: int = 0) -> Problem:
 
 
 def _scattered(num_robots: int, side: float, rng: np.random.Generator) -> Float[np.ndarray, "robots 2"]:
+    """Draw random places for discs in a square of width ``side``, at a distance from one another."""
     places, margin = np.empty((0, 2)), _RADIUS + _CLEAR
     for _ in range(_MOST_TRIALS):
         place = rng.uniform(margin, side - margin, 2)

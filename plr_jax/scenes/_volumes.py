@@ -81,6 +81,7 @@ def read_volume(
 
 
 def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
+    """Read booleans, or integers 0 and 1, from a ``.npy`` file."""
     try:  # memory-mapped: a header that promises more than the file holds fails early
         values = np.lib.format.open_memmap(path, mode="r")
     except OSError:
@@ -97,6 +98,7 @@ def _read_array(path: Path) -> Bool[np.ndarray, "..."]:
 
 
 def _read_list(path: Path) -> Voxels:
+    """Read a text file that lists blocked voxels after a line with the numbers of voxels."""
     text = text_of(path, _MOST_LIST_BYTES)
     first, _, rest = text.partition("\n")
     # 1. Read the number of voxels along each axis.
@@ -127,6 +129,7 @@ def _read_list(path: Path) -> Voxels:
 
 
 def free_of_mesh(triangles: Triangles, pitch: float, bounds: Box | None, fill: bool) -> Voxels:
+    """Return which voxels no triangle meets and, with ``fill``, the surface does not enclose."""
     lo = triangles.min(axis=(0, 1)) if bounds is None else bounds.lo
     hi = triangles.max(axis=(0, 1)) if bounds is None else bounds.hi
     with np.errstate(over="ignore", invalid="ignore"):
@@ -198,14 +201,14 @@ def _clip_to_layers(edges: Edges, layer: Int[np.ndarray, " n"]) -> Edges:
     change, floor, ceiling = end - begin, layer - _TOUCHES, layer + 1 + _TOUCHES
     change[change == 0] = np.nan  # an edge parallel to the layer lies in it as a whole or not at all
     enters, leaves = (floor - begin) / change, (ceiling - begin) / change
-    shares = np.fmax(np.fmin(enters, leaves), 0.0), np.fmin(np.fmax(enters, leaves), 1.0)
+    fractions = np.fmax(np.fmin(enters, leaves), 0.0), np.fmin(np.fmax(enters, leaves), 1.0)
     is_outside = (np.maximum(begin, end) < floor) | (np.minimum(begin, end) > ceiling)
-    ends = [edges[1:, 0] + np.where(is_outside, np.nan, share) * (edges[1:, 1] - edges[1:, 0]) for share in shares]
+    ends = [edges[1:, 0] + np.where(is_outside, np.nan, t) * (edges[1:, 1] - edges[1:, 0]) for t in fractions]
     return np.stack(ends, axis=1)
 
 
 def _outlines(edges: Edges) -> Edges:
     """Return the outlines of clipped triangles: the clipped edges, and segments that join ends of these edges."""
     return np.concatenate(
-        [edges, *(np.stack([of, np.roll(of, -1, axis=1)], axis=1) for of in (edges[:, 0], edges[:, 1]))], axis=2
+        [edges, *(np.stack([ends, np.roll(ends, -1, axis=1)], axis=1) for ends in (edges[:, 0], edges[:, 1]))], axis=2
     )

@@ -30,15 +30,16 @@ def read_workspace(path: str | os.PathLike[str] | BaseGeometry, **options: Any) 
     """
     path = path if isinstance(path, BaseGeometry) else Path(path)
     reader = _reader_of(path) if isinstance(path, Path) else Workspace.from_polygons
-    known = list(inspect.signature(reader).parameters)[1:]
-    if unknown := ", ".join(name for name in options if name not in known):
+    accepted = list(inspect.signature(reader).parameters)[1:]
+    if unknown := ", ".join(name for name in options if name not in accepted):
         raise ValueError(
-            f"{path}: expected options of this kind of file ({', '.join(known) or 'none'}), got {unknown}."
+            f"{path}: expected options of this kind of file ({', '.join(accepted) or 'none'}), got {unknown}."
         )
     return reader(path, **options)
 
 
 def _reader_of(path: Path) -> Callable[..., Workspace]:
+    """Return the function that reads a file, chosen by the ending, and for ``.json`` by the content."""
     match path.suffix.lower():
         case ".map":
             return read_map

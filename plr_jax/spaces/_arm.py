@@ -23,6 +23,7 @@ _MOST_BISECTIONS = 12
 _SIDES = 12  # sides of the polygon around the disc that a link's end sweeps; it reaches 3.5 % farther than the disc
 _PROBES = np.array([0.0, 0.5, 1.0])  # positions along each link at which it is tested against obstacles
 Angles: TypeAlias = Float[np.ndarray, "n joints"]
+# Positions of an arm's joints, base first, and of its tip: link ``i`` leads from point ``i`` to point ``i + 1``.
 Ends: TypeAlias = Float[np.ndarray, "n joints_plus_one 2"]
 
 
@@ -161,15 +162,16 @@ class PlanarArm:
         return free & (self._link_distances(ends) >= self.width + self._link_motion_bounds(half)).all(axis=1)
 
     def _boxes_are_blocked(self, center: Angles, half: Angles) -> Bool[np.ndarray, " n"]:
+        """Return whether boxes of joint angles surely hold no free configuration."""
         ends, reaches = self.forward(center), half @ self._max_reach + 2 * self.workspace.tolerance
         hit = np.zeros(len(center), dtype=bool)
         for i in range(self.dof):
             rows = np.flatnonzero(~hit)
             hit[rows] = crosses_walls(self.workspace, ends[rows, i : i + 2], reaches[rows, i : i + 2])
-            for share in _PROBES:
+            for t in _PROBES:
                 rows = np.flatnonzero(~hit)
-                x = (1 - share) * ends[rows, i] + share * ends[rows, i + 1]
-                moves = (1 - share) * reaches[rows, i] + share * reaches[rows, i + 1]
+                x = (1 - t) * ends[rows, i] + t * ends[rows, i + 1]
+                moves = (1 - t) * reaches[rows, i] + t * reaches[rows, i + 1]
                 hit[rows] = walls_within(self.workspace, x, self.width / 2 - moves)
         deep = self.width - self._link_motion_bounds(half) - 2 * self.workspace.tolerance
         return hit | (self._link_distances(ends) <= deep).any(axis=1)

@@ -149,7 +149,7 @@ class ClearanceSpace:
             if not len(owner) or bisections == _MOST_BISECTIONS:
                 break
             width /= 2
-            begin, middle = (q0[owner] + share[:, None] * change[owner] for share in (at, at + width))
+            begin, middle = (q0[owner] + t[:, None] * change[owner] for t in (at, at + width))
             between = self._clearances(middle)
             self._require_consistent(begin, before, middle, between)
             free[owner[between < least[owner]]] = False
@@ -185,9 +185,9 @@ class ClearanceSpace:
         change, difference = np.abs(self.domain.difference(q1, q0)), np.abs(b - a)
         allowed = _LIPSCHITZ_SLACK * (change @ self.lipschitz)
         rounding = self._rounding(np.maximum(np.abs(a), np.abs(b)), np.maximum(np.abs(q0), np.abs(q1)))
-        over = difference - allowed - rounding
-        if (over > 0).any():
-            i = over.argmax()
+        excess = difference - allowed - rounding
+        if (excess > 0).any():
+            i = excess.argmax()
             got = f"{a[i]:.6g} at {format_numbers(q0[i])} and {b[i]:.6g} at {format_numbers(q1[i])}"
             raise ValueError(
                 f"lipschitz must bound how fast the clearance changes, but the clearance is {got}: they differ by "
@@ -197,12 +197,13 @@ class ClearanceSpace:
 
 
 def _advice(lipschitz: Float[np.ndarray, " dof"], change: Float[np.ndarray, " dof"], difference: float) -> str:
+    """Advise how to raise Lipschitz constants so that a ``change`` of the configuration explains a ``difference``."""
     (axes,) = np.nonzero(change > _AXIS_TOLERANCE * change.max())
     if not len(axes):
         return "No constant explains it: the clearance must be a function of the configuration."
     least = [(difference - np.delete(change * lipschitz, axis).sum()) / change[axis] for axis in axes]
     if len(axes) == 1:
         return f"Axis {axes[0]} needs at least {least[0]:.6g}."
-    each = ", or ".join(f"axis {axis} {of_axis:.6g}" for axis, of_axis in zip(axes, least, strict=True))
-    every = f"of all axes to {difference / change.sum():.6g}"
-    return f"Raise the constant of one axis to at least: {each}; or those {every}."
+    single = ", or ".join(f"axis {axis} {of_axis:.6g}" for axis, of_axis in zip(axes, least, strict=True))
+    joint = f"of all axes to {difference / change.sum():.6g}"
+    return f"Raise the constant of one axis to at least: {single}; or those {joint}."

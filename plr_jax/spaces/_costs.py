@@ -21,14 +21,14 @@ def _require(fine: Bool[np.ndarray, " n"], expected: str, got: list[np.ndarray],
     """Raise a ``ValueError`` with the first row that is not ``fine``: values ``got``, and their place ``at``."""
     if not fine.all():
         i = int(fine.argmin())
-        what = " and ".join(str(column[i].tolist()) for column in got)
-        where = ("at " if len(at) == 1 else "over ") + " to ".join(str(column[i].tolist()) for column in at)
-        raise ValueError(f"{expected}, got {what} {where}.")
+        values = " and ".join(str(column[i].tolist()) for column in got)
+        place = ("at " if len(at) == 1 else "over ") + " to ".join(str(column[i].tolist()) for column in at)
+        raise ValueError(f"{expected}, got {values} {place}.")
 
 
 # A box has pulls only if they say more than the bounds of the cost map: ``least`` must exceed this share of ``most``,
 # and the cost that pulls save must be below ``least`` by more than this share of ``most``.
-_LEAST_SHARE, _LEAST_MARGIN = 0.25, 0.02
+_LEAST_RATIO, _LEAST_MARGIN = 0.25, 0.02
 
 
 @runtime_checkable
@@ -81,11 +81,17 @@ class DirectionalCost(CostMap, Protocol):
     """
 
     def pulls(self, lo: Vectors, hi: Vectors, /) -> tuple[Vectors, Vectors, Rates, Rates]:
-        """Return, for each box, vectors ``a`` and ``b``, ``(n, dof)``, and numbers ``least`` and ``most``, ``(n,)``.
+        """Bound the cost of all motions in each box, by constants for the box.
 
-        Every motion ``dq`` in the box costs ``max(a . dq, b . dq)`` plus between ``least`` and ``most`` times
-        ``|dq|``. Too loose pulls are not used: if ``least <= most / 4`` or ``least - d <= most / 50`` for a box, its
-        :meth:`bounds` count instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
+        A motion ``dq`` in the box costs at least ``least * |dq| + max(a . dq, b . dq)``, and at most the same with
+        ``most``. Boxes have corners ``lo`` and ``hi``, ``(n, dof)``, and may extend beyond the domain along periodic
+        axes.
+
+        If ``least <= most / 4`` or ``least - d <= most / 50``, pulls are too loose, and :meth:`bounds` count in this
+        box instead. Here ``d`` is the distance of the origin from the segment from ``a`` to ``b``.
+
+        Returns:
+            The vectors ``a`` and ``b``, ``(n, dof)``, and the numbers ``least`` and ``most``, ``(n,)``.
         """
         ...
 
@@ -135,7 +141,9 @@ class LipschitzCost:
         return np.maximum((1 - rounding) * middle - reach, self.least), (1 + rounding) * middle + reach
 
 
-def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors) -> tuple[Rates, Rates, Pulls | None]:
+def cost_bounds(
+    motion_cost: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors
+) -> tuple[Rates, Rates, Pulls | None]:
     """Return lower and upper bounds of the cost factor over boxes, and for a ``DirectionalCost`` *pulls*, else None.
 
     A motion ``dq`` costs its ``motion_cost`` times a factor within the bounds, plus the larger scalar product of
@@ -149,8 +157,8 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
     _require((lower > 0) & (lower <= upper) & (upper < np.inf), expected, [lower, upper], [lo, hi])
     if not isinstance(cost_map, DirectionalCost):
         return lower, upper, None
-    if [weight for _, weight in motion.blocks] != [1]:
-        raise ValueError(f"A DirectionalCost needs a space whose motion_cost is a length, got {motion}.")
+    if [weight for _, weight in motion_cost.blocks] != [1]:
+        raise ValueError(f"A DirectionalCost needs a space whose motion_cost is a length, got {motion_cost}.")
     pulls = cost_map.pulls(lo, hi)
     if not isinstance(pulls, Sequence) or len(pulls) != 4:
         expected = "two arrays of vectors and two of numbers"
@@ -166,17 +174,17 @@ def cost_bounds(motion: MotionCost, cost_map: CostMap, lo: Vectors, hi: Vectors)
     # The pulls save at most this cost per unit of length: the distance from 0 to the segment between both vectors.
     change = second - first
     square = np.sum(change * change, axis=1)
-    share = np.divide(-np.sum(first * change, axis=1), square, out=np.zeros(len(first)), where=square > 0)
-    size = np.linalg.norm(first + np.clip(share, 0.0, 1.0)[:, None] * change, axis=1)
-    use = (least > _LEAST_SHARE * most) & (least - size > _LEAST_MARGIN * most)
+    t = np.divide(-np.sum(first * change, axis=1), square, out=np.zeros(len(first)), where=square > 0)
+    size = np.linalg.norm(first + np.clip(t, 0.0, 1.0)[:, None] * change, axis=1)
+    use = (least > _LEAST_RATIO * most) & (least - size > _LEAST_MARGIN * most)
     pulls = np.where(use[:, None], np.stack([first, second]), 0.0)
     return np.where(use, least, lower), np.where(use, most, upper), pulls
 
 
-def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
+def point_costs(motion_cost: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rates, Pulls | None]:
     """Return the factor of the motion cost at configurations, and the pulls of :func:`cost_bounds` or None."""
     if isinstance(cost_map, DirectionalCost):
-        lower, upper, pulls = cost_bounds(motion, cost_map, q, q)
+        lower, upper, pulls = cost_bounds(motion_cost, cost_map, q, q)
         return (lower + upper) / 2, pulls
     factors = as_values("The cost map", cost_map(q), len(q))
     expected = "A cost map's factors must be positive and finite"
@@ -184,10 +192,10 @@ def point_costs(motion: MotionCost, cost_map: CostMap, q: Vectors) -> tuple[Rate
     return factors, None
 
 
-def motion_rates(motion: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
+def motion_rates(motion_cost: MotionCost, cost_map: CostMap, q: Vectors, change: Vectors) -> Rates:
     """Return the costs of straight motions from ``q`` to ``q + change``, if costs were everywhere as at ``q``."""
-    factors, pulls = point_costs(motion, cost_map, q)
-    return factors * motion.norm(change) + pulled(pulls, change)
+    factors, pulls = point_costs(motion_cost, cost_map, q)
+    return factors * motion_cost.norm(change) + pulled(pulls, change)
 
 
 def pulled(pulls: Pulls | None, change: Vectors) -> Rates | float:

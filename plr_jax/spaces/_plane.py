@@ -1,4 +1,8 @@
-"""The configuration space of a point or disc in the plane, and tests against walls for other robots there."""
+"""Configuration spaces of robots in a planar workspace.
+
+``PlaneSpace`` has the positions of a point or disc; ``BodySpace`` is the base of spaces of one robot. Functions test
+points, segments and Shapely shapes against the walls of a workspace.
+"""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -48,6 +52,7 @@ def crosses_walls(workspace: Workspace, links: Links, reaches: Positions) -> Boo
 
 
 def segment_distances(a: Links, b: Links) -> Float[np.ndarray, " n"]:
+    """Return the distance between segments ``a[i]`` and ``b[i]``; 0 if they cross."""
     distances, crosses = [], np.ones(len(a), dtype=bool)
     for segments, others in ((a, b), (b, a)):
         along, from_ends = segments[:, 1] - segments[:, 0], segments[:, :1] - others
@@ -71,6 +76,8 @@ _SLIVER = 0.01
 
 @dataclass(frozen=True)
 class BodySpace:
+    """A base of the spaces of one robot in a workspace, which tests configurations and motions."""
+
     workspace: Workspace
     robot: Robot
 
@@ -177,8 +184,8 @@ class PlaneSpace(BodySpace):
         holds = joined_parts(polygons, as_points("q", q, 2), 2 * self.workspace.tolerance, may_squeeze)
         if holds.all() or not holds.any():
             return self, None
-        kept, rest = (shapely.MultiPolygon(polygons[some].tolist()) for some in (holds, ~holds))
-        return _PlanePart(self.workspace, self.robot, kept), _PlanePart(self.workspace, self.robot, rest)
+        holding, rest = (shapely.MultiPolygon(polygons[some].tolist()) for some in (holds, ~holds))
+        return _PlanePart(self.workspace, self.robot, holding), _PlanePart(self.workspace, self.robot, rest)
 
     def _touch_contacts(self, shapes: Any) -> Booleans:
         """Return whether shapes touch a point where obstacles touch and the robot may not pass between them."""

@@ -197,8 +197,8 @@ class RasterCost:
         distance = distance[middle] * (1 - _RADIUS_ROUNDING)
         side = self._sides.min()
         reach = side * np.ceil(reach / side * (1 - _RADIUS_ROUNDING))
-        share = np.where(distance <= reach, np.exp(-scaling * np.maximum(distance - inscribed, 0.0)), 0.0)
-        factors = np.where(distance <= inscribed, np.inf, np.maximum(self.values, 1 + multiplier * share))
+        decay = np.where(distance <= reach, np.exp(-scaling * np.maximum(distance - inscribed, 0.0)), 0.0)
+        factors = np.where(distance <= inscribed, np.inf, np.maximum(self.values, 1 + multiplier * decay))
         cost = RasterCost(factors, self.domain, self.interpolation)
         set_fields(cost, _lethal=self._lethal)
         return cost
@@ -225,9 +225,9 @@ class RasterCost:
         """Return the factor of the motion cost, ``(n,)``; NaN where one of the leading coordinates is not finite."""
         q = self._leading_coordinates("q", q)
         factors = np.full(len(q), np.nan)
-        known = np.flatnonzero(np.isfinite(q).all(axis=1))
-        for begin in range(0, len(known), _POINTS_PER_BATCH):
-            part = known[begin : begin + _POINTS_PER_BATCH]
+        finite = np.flatnonzero(np.isfinite(q).all(axis=1))
+        for begin in range(0, len(finite), _POINTS_PER_BATCH):
+            part = finite[begin : begin + _POINTS_PER_BATCH]
             coords = self._cell_coordinates(q[part])
             coords = np.where(self.domain.periodic, coords % self._sizes, self._clipped(coords))
             factors[part] = self._interpolated(coords)
@@ -265,6 +265,7 @@ class RasterCost:
         return (1 - _FACTOR_ROUNDING) * least, (1 + _FACTOR_ROUNDING) * most
 
     def _interpolated(self, coords: Vectors) -> Rates:
+        # With "nearest", cell k has coordinates from k to k + 1; else they count from the center of cell 0.
         below = np.floor(coords).astype(np.intp)
         if self.interpolation == "nearest":
             return self._cell_factors(below)
@@ -302,7 +303,7 @@ class RasterCost:
         is_whole = last - first >= self._sizes
         around = np.where(is_whole, 0, first - turns), np.where(is_whole, self._sizes, last - turns)
         within = self._clipped(first), self._clipped(last)
-        first, last = (np.where(self.domain.periodic, *each) for each in zip(around, within, strict=True))
+        first, last = (np.where(self.domain.periodic, *ends) for ends in zip(around, within, strict=True))
         return first, last
 
     @property
@@ -366,22 +367,22 @@ class SparseTable:
         least, most = np.empty(len(first)), np.empty(len(first))
         sides = np.array([side for side, _, _ in self._levels])
         level = np.count_nonzero((last - first + 1 >= sides[1:, None]).all(axis=2), axis=0)
-        for each in np.unique(level):
-            blocks = np.flatnonzero(level == each)
-            counts = -(-(last - first + 1)[blocks] // sides[each])
+        for k in np.unique(level):
+            blocks = np.flatnonzero(level == k)
+            counts = -(-(last - first + 1)[blocks] // sides[k])
             for part in parts(counts.prod(axis=1), _WINDOWS_PER_BATCH):
-                which = blocks[part]
-                least[which], most[which] = self._window_extremes(int(each), first[which], last[which], counts[part])
+                rows = blocks[part]
+                least[rows], most[rows] = self._window_extremes(int(k), first[rows], last[rows], counts[part])
         return least, most
 
     def _window_extremes(self, level: int, first: Entries, last: Entries, counts: Entries) -> Extremes:
         # Windows of the level's size, `counts` of them along each axis, cover a block.
         side, least, most = self._levels[level]
         totals = counts.prod(axis=1)
-        block, rest = ragged_indices(totals)
+        block, index = ragged_indices(totals)
         begin = np.empty((len(block), counts.shape[1]), np.intp)
         for axis in range(counts.shape[1]):
-            rest, step = np.divmod(rest, counts[block, axis])
+            index, step = np.divmod(index, counts[block, axis])
             begin[:, axis] = np.minimum(first[block, axis] + step * side[axis], last[block, axis] - side[axis] + 1)
         window = np.ravel_multi_index(tuple(begin.T), least.shape)
         starts = np.cumsum(totals) - totals

@@ -66,7 +66,7 @@ class RigidBodySpace(BodySpace):
         if rest is None or self.robot.breadth == 0 or self.robot.inscribed_radius < 0:
             return self, None
         bounds, squeeze = self.workspace.bounds, self.workspace.squeeze
-        parts, rest = (Workspace._from_free_space(bounds, each._passable, squeeze) for each in (parts, rest))
+        parts, rest = (Workspace._from_free_space(bounds, part._passable, squeeze) for part in (parts, rest))
         return replace(self, workspace=parts), replace(self, workspace=rest)
 
     def classify(self, lo: ArrayLike, hi: ArrayLike) -> Int8[np.ndarray, " n"]:
@@ -86,6 +86,7 @@ class RigidBodySpace(BodySpace):
         return state
 
     def _boxes_are_free(self, center: Boxes, half: Boxes) -> Booleans:
+        """Return which boxes of positions and headings are proven free."""
         free = shapely.intersects_xy(self.workspace.free_space, *center[:, :2].T)
         narrow, wide = (np.flatnonzero(free & of) for of in (half[:, 2] < _WIDEST_ARC, half[:, 2] >= _WIDEST_ARC))
         positions = shapely.box(*(center - half)[wide, :2].T, *(center + half)[wide, :2].T)
@@ -104,6 +105,7 @@ class RigidBodySpace(BodySpace):
         return free
 
     def _boxes_are_blocked(self, center: Boxes, half: Boxes) -> Booleans:
+        """Return which boxes of positions and headings surely hold no free configuration."""
         hit = ~self.is_free(center)
         rows = np.flatnonzero(hit)
         center, half = center[rows], half[rows]
@@ -112,15 +114,15 @@ class RigidBodySpace(BodySpace):
         middle, depth = self._deepest_point
         erosion = _motion_bounds(half, float(np.hypot(*self.robot.core.T).max())) + 2 * self.workspace.tolerance
         small = erosion < depth
-        share = (1 - erosion[small] / depth)[:, None, None]
-        eroded = _placed(middle + share * (self.robot.core - middle), center[small])
+        scale = (1 - erosion[small] / depth)[:, None, None]
+        eroded = _placed(middle + scale * (self.robot.core - middle), center[small])
         hit[rows] = False
         hit[rows[small]] = ~shapely.covers(self.workspace.free_space, shapely.polygons(eroded))
         for point, depth in zip(*self._probes, strict=True):
-            left = np.flatnonzero(~hit[rows])
-            position = _placed(point[None], center[left])[:, 0]
-            spare = depth - _motion_bounds(half[left], np.hypot(*point)) - 2 * self.workspace.tolerance
-            hit[rows[left]] = walls_within(self.workspace, position, spare)
+            pending = np.flatnonzero(~hit[rows])
+            position = _placed(point[None], center[pending])[:, 0]
+            spare = depth - _motion_bounds(half[pending], np.hypot(*point)) - 2 * self.workspace.tolerance
+            hit[rows[pending]] = walls_within(self.workspace, position, spare)
         return hit
 
     @cached_property

@@ -44,16 +44,16 @@ class MotionCost:
             pairs = [(tuple(axes), weight) for axes, weight in blocks]
         except (TypeError, ValueError):
             pairs = [((), None)]
-        given = [axis for axes, _ in pairs for axis in axes]
-        are_integers = all(isinstance(axis, int | np.integer) and not isinstance(axis, bool) for axis in given)
+        listed = [axis for axes, _ in pairs for axis in axes]
+        are_integers = all(isinstance(axis, int | np.integer) and not isinstance(axis, bool) for axis in listed)
         if not are_integers or not all(axes for axes, _ in pairs):
             expected = "pairs (axes, weight), such as ((0, 1), 1.0), with one or more integer axes each"
             raise ValueError(f"The blocks of a MotionCost must be {expected}, got {shortened(blocks)}.")
-        if not given or sorted(given) != list(range(len(given))):
-            raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(given)}.")
+        if not listed or sorted(listed) != list(range(len(listed))):
+            raise ValueError(f"The blocks of a MotionCost must hold each axis from 0 on once, got {sorted(listed)}.")
         weight_of = partial(as_finite, "The weight of a block", positive=True)
-        kept = tuple((tuple(map(int, axes)), weight_of(weight)) for axes, weight in pairs)
-        object.__setattr__(self, "blocks", kept)
+        checked = tuple((tuple(map(int, axes)), weight_of(weight)) for axes, weight in pairs)
+        object.__setattr__(self, "blocks", checked)
 
     @property
     def dof(self) -> int:
@@ -189,6 +189,8 @@ def precision_of(numbers: ArrayLike) -> float:
 
 @dataclass(frozen=True, eq=False)
 class CheckedSpace:
+    """A base of spaces made from a space that only tests configurations; it checks the answers of this test."""
+
     space: FreeTest
 
     @property
@@ -209,8 +211,8 @@ def require_space(space: object) -> None:
             "space must be a configuration space with a domain, a motion_cost and is_free, such as "
             f"PlaneSpace(workspace), got {shortened(space)}."
         )
-    domain, motion = space.domain, space.motion_cost
+    domain, cost = space.domain, space.motion_cost
     if not isinstance(domain, Box):
         raise ValueError(f"The space's domain must be a Box, got {shortened(domain)}.")
-    if not isinstance(motion, MotionCost) or motion.dof != domain.dim:
-        raise ValueError(f"A space's motion_cost must be a MotionCost of {domain.dim} axes, got {shortened(motion)}.")
+    if not isinstance(cost, MotionCost) or cost.dof != domain.dim:
+        raise ValueError(f"A space's motion_cost must be a MotionCost of {domain.dim} axes, got {shortened(cost)}.")

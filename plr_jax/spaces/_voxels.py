@@ -108,7 +108,7 @@ class VoxelSpace:
             state[free[~self.grid.touches_contact(lo[:, free], hi[:, free])]] = CellState.FREE
             return state
         # Margins of half the tolerance cover rounding errors.
-        near, forbidden = (self.radius - share * self.tolerance for share in (0.5, 1.5))
+        near, forbidden = (self.radius - margin * self.tolerance for margin in (0.5, 1.5))
         state[free[~blocked_within(self.grid, lo[:, free], hi[:, free], near)]] = CellState.FREE
         mixed = np.flatnonzero(state == CellState.MIXED)
         state[mixed[blocked_within(self.grid, hi[:, mixed], lo[:, mixed], forbidden)]] = CellState.BLOCKED
@@ -135,8 +135,8 @@ class VoxelSpace:
         region = labeled[0]
         below, above = self.grid.numbers(as_points("q", q, self.grid.dim).T)
         voxels = (np.where(ends, above.T, below.T) for ends in product((False, True), repeat=self.grid.dim))
-        held = [region[tuple(voxel.T)] for voxel in voxels]
-        is_joined = np.isin(region, np.setdiff1d(held, 0))[(slice(1, -1),) * self.grid.dim]
+        regions = [region[tuple(voxel.T)] for voxel in voxels]
+        is_joined = np.isin(region, np.setdiff1d(regions, 0))[(slice(1, -1),) * self.grid.dim]
         if not is_joined.any() or not (rest := self.free & ~is_joined).any():
             return self, None
         return VoxelSpace(is_joined, self.domain, self.radius), VoxelSpace(rest, self.domain, self.radius)

@@ -213,7 +213,7 @@ def _as_points(name: str, value: ArrayLike) -> Array | np.ndarray:
 
 def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "*batch 2"]]:
     """Convert points, given by name, to floats of at least 32 bits; warn once if some are integers."""
-    names = [name for name, each in points.items() if jnp.issubdtype(each.dtype, jnp.integer)]
+    names = [name for name, x in points.items() if jnp.issubdtype(x.dtype, jnp.integer)]
     if names:
         message = (
             f"Integer points are corners of cells, got integers for {' and '.join(names)}: add 0.5 to (column, row) "
@@ -221,8 +221,8 @@ def _as_floats(**points: Array | np.ndarray) -> list[Float[Array | np.ndarray, "
         )
         warnings.warn(message, stacklevel=3)
     default = jax.dtypes.canonicalize_dtype(np.float64)
-    is_wide = [jnp.issubdtype(each.dtype, jnp.floating) and each.dtype.itemsize >= 4 for each in points.values()]
-    return [each if wide else each.astype(default) for each, wide in zip(points.values(), is_wide, strict=True)]
+    is_wide = [jnp.issubdtype(x.dtype, jnp.floating) and x.dtype.itemsize >= 4 for x in points.values()]
+    return [x if wide else x.astype(default) for x, wide in zip(points.values(), is_wide, strict=True)]
 
 
 def _as_array(value: ArrayLike) -> Array | np.ndarray:

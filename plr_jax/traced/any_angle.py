@@ -20,6 +20,11 @@ from plr_jax._compiled import pytree
 from plr_jax.traced.steps import WORD, Mask, Points, Shape, Words, containing_cells, pack
 
 Broadcast = Float[Array, "*#batch 2"]
+# Each end of a segment, a point, as two points inside free cells: the point moved into the first free cell, and into
+# the last one, of up to four cells around it. They are equal for a point with one free cell around it.
+#      |         A segment from x to the right begins at the last point, a segment to the left at the first one
+#    . x .       (`_end_facing`). So it begins in a free cell, and does not cross the border on which x lies.
+#      |
 Ends = Float[Array, "*batch 2 2"]
 Lengths = Float[Array, "*batch corners"]
 MOST_CORNERS = 2**12  # most corners of a map; the distances between so many take 64 MB
@@ -43,14 +48,14 @@ def inside_free_cells(free: Mask, x: Points) -> tuple[Ends, Bool[Array, "*batch"
 
 def is_unobstructed(blocked: Words, shape: Shape, a: Broadcast, b: Broadcast) -> Bool[Array, "..."]:
     """Return whether segments between points inside free cells cross none of the ``blocked`` cells (packed bits)."""
-    hit, every = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
+    hit, all_ones = jnp.zeros((), jnp.uint32), jnp.uint32(0xFFFFFFFF)
     for row, (first, last, is_crossed) in enumerate(_columns(jnp, shape, margin(shape, a.dtype) / 4, a, b)):
         first, last = first.astype(jnp.int32), last.astype(jnp.int32)
         in_row = jnp.zeros((), jnp.uint32)
         for word in range(blocked.shape[1]):
             begin, end = first - WORD * word, last - WORD * word
-            from_first = every << jnp.clip(begin, 0, WORD - 1).astype(jnp.uint32)
-            ones = from_first & (every >> (WORD - 1 - jnp.clip(end, 0, WORD - 1)).astype(jnp.uint32))
+            from_first = all_ones << jnp.clip(begin, 0, WORD - 1).astype(jnp.uint32)
+            ones = from_first & (all_ones >> (WORD - 1 - jnp.clip(end, 0, WORD - 1)).astype(jnp.uint32))
             if blocked.shape[1] > 1:  # the interval may miss this word
                 ones = jnp.where((begin < WORD) & (end >= 0), ones, jnp.uint32(0))
             in_row |= blocked[row, word] & ones
@@ -102,7 +107,16 @@ def crossed_cells(shape: Shape, from_centers: bool) -> UInt32[np.ndarray, "words
     A segment through another corner crosses all four cells there: if one is blocked, the segments to that corner
     and on are as long. A segment along a grid line runs on the left of the line: two corners see each other if the
     segment in one of both directions is free.
+
+    The result has the bits of :func:`pack` for all cells, row by row: cell ``row * columns + column`` is bit ``i`` of
+    word ``w`` if this number is ``32 * w + i``.
     """
+    # The ends move towards each other by a small share, the nudge, of the segment's length:
+    #   +---+---b---+       The cells below and left of a, and above and right of b, do not count as crossed. A corner
+    #   |   |  /|   |       in between is within the slack of `_columns`, a thousandth of the nudge, of all its cells.
+    #   +---+-/-+---+       If the segment is level or upright, both ends also move to its left, into the cells there.
+    #   |   |/  |   |
+    #   +---a---+---+
     a, b = (cell_centers(shape) if from_centers else lattice(shape))[:, None], lattice(shape)[None]
     along = b - a
     left = np.where((along == 0).any(axis=-1, keepdims=True), along[..., ::-1] * [-1, 1], 0)
@@ -188,8 +202,8 @@ def convex_corners(free: Mask, count: int) -> tuple[Corners, Bool[Array, ""]]:
     if count >= is_convex.size:
         return Corners(free, jnp.arange(is_convex.size, dtype=jnp.int32), is_convex), jnp.array(True)
     index = jnp.nonzero(is_convex, size=count, fill_value=0)[0].astype(jnp.int32)
-    found = is_convex.sum()
-    return Corners(free, index, jnp.arange(count) < found), found <= count
+    num_convex = is_convex.sum()
+    return Corners(free, index, jnp.arange(count) < num_convex), num_convex <= count
 
 
 def distance(a: Broadcast, b: Broadcast) -> Float[Array, "..."]:
@@ -224,6 +238,8 @@ def _(primals, tangents):
 
 @pytree
 class CornerPaths:
+    """The shortest paths to one goal: distances of points, by way of convex corners."""
+
     corners: Corners
     distances: Float[Array, "*maps corners"]  # from convex corners to the goal
     goal: Float[Array, "*maps 2"]
@@ -245,6 +261,7 @@ class CornerPaths:
         return self._distance(x, self.corners.seen_from(inside_free_cells(self.corners.free, x)[0]))
 
     def _distance(self, x: Float[Array, "n 2"], seen: Bool[Array, "n corners"]) -> Float[Array, " n"]:
+        # The least of the straight segment to the goal, and of the paths through each visible corner.
         goal = jnp.broadcast_to(self.goal.astype(x.dtype), x.shape)
         (ends, is_free), (goal_ends, goal_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, goal))
         sees_goal = self.corners.see_each_other(ends, goal_ends) & goal_is_free
@@ -258,21 +275,24 @@ class CornerPaths:
 
 @pytree
 class CornerPairs:
+    """The shortest paths between any two points, by way of convex corners."""
+
     corners: Corners
     between: Float[Array, "*maps corners corners"]
 
     @classmethod
     def of_grid(cls, corners: Corners) -> "CornerPairs":
         lengths = corners.lengths(jnp.zeros(()).dtype)
-        own = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
+        direct = jnp.where(jnp.eye(len(lengths), dtype=bool), 0, lengths)
         # Floyd-Warshall algorithm
-        between = lax.fori_loop(0, len(own), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), own)
+        between = lax.fori_loop(0, len(direct), lambda k, d: jnp.minimum(d, d[:, k, None] + d[None, k]), direct)
         return cls(corners, between)
 
     def distance(self, x: Float[Array, "n 2"], y: Float[Array, "n 2"]) -> Float[Array, " n"]:
+        # The straight segment, or x -> first corner -> last corner -> y: `onward` is the way from each corner to y.
         dtype = jnp.promote_types(jnp.promote_types(x.dtype, y.dtype), self.between.dtype)
         x, y, points = x.astype(dtype), y.astype(dtype), self.corners.points(dtype)[None]
-        (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, each) for each in (x, y))
+        (x_ends, x_is_free), (y_ends, y_is_free) = (inside_free_cells(self.corners.free, p) for p in (x, y))
         from_x = _length(self.corners.seen_from(x_ends), x[:, None], points)
         from_y = _length(self.corners.seen_from(y_ends), y[:, None], points)
         onward = _shortest(from_y[:, None], self.between[None])
@@ -298,6 +318,6 @@ def _(primals, tangents):
     least = jnp.min(total, axis=-1)
     # Prefer a minimizer with ``first > 0``: at a corner, the segment to that corner has no direction.
     is_least = total <= (1 + 4 * jnp.finfo(total.dtype).eps) * least[..., None]
-    one = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
-    is_one = jnp.arange(total.shape[-1]) == one[..., None]
-    return least, jnp.sum(jnp.where(is_one, change, 0), axis=-1)
+    minimizer = jnp.argmax(jnp.where(is_least, jnp.where(first > 0, 2, 1), 0), axis=-1)
+    is_minimizer = jnp.arange(total.shape[-1]) == minimizer[..., None]
+    return least, jnp.sum(jnp.where(is_minimizer, change, 0), axis=-1)

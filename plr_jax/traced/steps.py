@@ -85,6 +85,8 @@ class Steps:
 
 @pytree
 class StepPairs:
+    """Path lengths between any two cells; a point on a border has the least length of the cells there."""
+
     table: Float[Array, "*maps h w h w"]
 
     @classmethod
@@ -122,7 +124,9 @@ def _breadth_first_search(passable: Grids, start: Grids) -> tuple[Grids, UInt32[
     def has_digit(number):
         return (number >> powers) & 1 == 1
 
-    def four_levels(state):  # only two binary digits change within a round of four steps
+    def four_levels(state):
+        # Round f finds the cells at 4 f + 1 to 4 f + 4 steps. Their two lowest digits are 01, 10, 11 and 00; their
+        # other digits are those of f, and of f + 1 for the last.
         fours, reached, ones_plane, twos_plane, planes, _ = state
         new = []
         for _ in range(4):
@@ -157,6 +161,7 @@ MOST_CELLS = _FAR // _DIAGONAL  # for ``moves=8``: a path has fewer steps than c
 
 
 def _octile_distances(free: Mask, start: Mask) -> Distances:
+    """Return path lengths on the 8-connected grid, in straight steps, by relaxation of all cells at once."""
     h, w = free.shape
 
     def at(padded, down: int, right: int):
@@ -170,6 +175,7 @@ def _octile_distances(free: Mask, start: Mask) -> Distances:
     least = jnp.where(free, 0, _FAR).astype(jnp.int32)
 
     def relaxed(state):
+        # One round of the Bellman-Ford algorithm, for all cells at once.
         old, _ = state
         near = jnp.minimum(at(old, 0, 1), at(old, 0, -1))
         near = jnp.minimum(near, jnp.minimum(at(old, 1, 0), at(old, -1, 0)))

@@ -6,7 +6,7 @@ from eikonal_helpers import mesh_of, random_mesh
 
 from plr_jax.eikonal.elements import basis, function_space, to_bernstein
 from plr_jax.geometry.box import Box
-from plr_jax.plr.faces import face_points
+from plr_jax.plr.leaf_faces import face_points
 from plr_jax.plr.tree import Cells
 from plr_jax.spaces import CellState
 

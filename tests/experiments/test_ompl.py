@@ -7,7 +7,7 @@ from robot_helpers import random_motions
 from experiments.baselines import ompl as ompl_module
 from experiments.baselines.ompl import Done, Found, ompl_plan, task_of
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, validate
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.planners import Status
 

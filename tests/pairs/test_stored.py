@@ -61,7 +61,7 @@ def test_touching_walls_are_open_only_with_squeeze(squeeze):
     walls = {tuple(wall) for wall in found.moved_walls(0.1).round(9).tolist()}
     into = {(5.0, 5.0, corner, corner) for corner in (4.9, 5.1)}
     assert (into <= walls) != squeeze and ({wall[2:] + wall[:2] for wall in into} <= walls) != squeeze
-    ends = {tuple(wall[:2]) for wall in found.moved_walls(0.1, surely=True).round(9).tolist()}
+    ends = {tuple(wall[:2]) for wall in found.moved_walls(0.1, moves_all=True).round(9).tolist()}
     assert {(4.9, 4.9), (5.1, 5.1)} <= ends and (5.0, 5.0) not in ends
 
 

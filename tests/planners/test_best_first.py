@@ -243,7 +243,7 @@ def test_search_stops_at_limit(limit, status, num_states):
     search = search_of(ROOMS, 0.4, zero(), 0.0)
     search.budget = search.memory_use.budget = search_budget(**limit)
     search.memory_use.add(search.memory_use.num_bytes)
-    assert search.run(10_000) is status and search.found is None
+    assert search.run(10_000) is status and search.goal_node is None
     assert num_states[0] <= len(search.states) <= num_states[1]
     assert search.budget.num_expansions == 40 or status is not Status.EXPANSION_LIMIT
     assert search.budget.memory >= 1e6 or status is not Status.MEMORY_LIMIT

@@ -9,7 +9,7 @@ from planner_helpers import DOOR, ROOMS, exact, hallway, joint_lattice_of, nudge
 from team_helpers import MIXED
 
 from plr_jax import Problem, RectangleRobot, Workspace, scenes, validate
-from plr_jax.collision.team import JointMotionTest
+from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners import BLOptions, Status, bl_plan, driver, lacam, lattice, straight_line, sum_of_distances, zero
 from plr_jax.planners.lacam import PIBT
 

@@ -8,14 +8,14 @@ from planner_helpers import hallway, reachable, search_budget
 from team_helpers import TEAMS, search_of, team_of
 
 from plr_jax import scenes
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners import Status, lacam
 from plr_jax.planners.lacam import PIBT, Moves
 
 
 def test_exhausted_search_has_all_reachable_states():
     search = search_of(hallway(5), 1.0)
-    assert search.run(10**6) is Status.EXHAUSTED and search.found is None
+    assert search.run(10**6) is Status.EXHAUSTED and search.goal_node is None
     assert set(map(tuple, search.node_states.tolist())) == reachable(search.joint)
 
 

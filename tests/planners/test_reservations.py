@@ -9,7 +9,7 @@ from planner_helpers import search_budget
 from team_helpers import TEAMS, search_of
 
 from plr_jax import validate
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners import Status, reservations
 
 

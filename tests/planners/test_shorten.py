@@ -9,7 +9,7 @@ from planner_helpers import MIXED, ROOM, exact, joint_lattice_of, search_budget
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, scenes, validate
 from plr_jax._problem import motion_costs
-from plr_jax.collision.team import JointMotionTest
+from plr_jax.collision.motions import JointMotionTest
 from plr_jax.planners.best_first import BestFirstSearch, tabulate
 from plr_jax.planners.shorten import _cheapest, shorten, shorten_in_corridors
 

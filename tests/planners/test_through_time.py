@@ -6,7 +6,7 @@ import shapely
 from planner_helpers import MIXED, ROOM
 
 from plr_jax import DiscRobot, Problem, Workspace, scenes, validate
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners.through_time import ROWS_PER_STEP, Timetable, plan_through_time, subdivided
 from plr_jax.robots.robot import between
 

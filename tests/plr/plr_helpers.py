@@ -10,7 +10,7 @@ import pytest
 from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import DecodedFile
-from plr_jax.plr.faces import shared_faces
+from plr_jax.plr.leaf_faces import shared_faces
 from plr_jax.plr.leaves import leaf_model
 from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.continuous import StoredValues, TiedPartition

@@ -15,17 +15,17 @@ from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
 from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
 from plr_jax.plr._plr import leaf_of, plr_of_leaves
-from plr_jax.plr.cell_memory import CellMemory, distances_in_cells
 from plr_jax.plr.certificate import Certificate, Proof
+from plr_jax.plr.source_cache import SourceCache, distances_in_cells
 from plr_jax.plr.tree import Cells, grown_domain
 
 
-def check_cell_distances(oracle, domain, memory, cells, u):
+def check_cell_distances(oracle, domain, cache, cells, u):
     """Check distances from the sources of cells at points ``u`` of each cell, in [-1, 1]; return exact distances."""
     x, tolerance = cells.points(u, domain), 10 * oracle.workspace.tolerance
     exact = oracle(x.reshape(-1, 2)).reshape(x.shape[:2])
     clear = np.abs(oracle.workspace.clearance(x.reshape(-1, 2)).reshape(x.shape[:2])) > tolerance
-    found = distances_in_cells(memory.sources(cells), x)
+    found = distances_in_cells(cache.sources(cells), x)
     np.testing.assert_allclose(found[clear], exact[clear], atol=tolerance)
     return exact
 
@@ -34,14 +34,14 @@ def check_cell_distances(oracle, domain, memory, cells, u):
 def test_distances_in_cells_equal_the_oracle(kind, monkeypatch):
     """In cells that are asked for in any order, several times, along either axis first, in batches of any size."""
     for seed in range(2, 5):
-        monkeypatch.setattr("plr_jax.plr.cell_memory._PAIRS_AT_ONCE", 1 if seed == 4 else 1 << 19)
+        monkeypatch.setattr("plr_jax.plr.source_cache._PAIRS_AT_ONCE", 1 if seed == 4 else 1 << 19)
         rng, domain = np.random.default_rng(seed), (Box((0, 0), (10, 10)), Box((-3, 1), (7, 13)))[seed % 3 > 0]
         workspace = kind(rng, squeeze=seed % 2 == 0)
         oracle = VisibilityGraph(workspace, workspace.sample_free(1, seed)[0])
-        memory, cells = CellMemory(domain, oracle.cell_sources(grown_domain(domain))), Cells.root(2)
-        memory.sources(cells)
+        cache, cells = SourceCache(domain, oracle.cell_sources(grown_domain(domain))), Cells.root(2)
+        cache.sources(cells)
         for _ in range(5):
-            exact = check_cell_distances(oracle, domain, memory, cells, rng.uniform(-1, 1, (30, 2)))
+            exact = check_cell_distances(oracle, domain, cache, cells, rng.uniform(-1, 1, (30, 2)))
             assert np.isfinite(exact).any() or len(cells) < 100
             split = rng.permutation(len(cells))[: 1 + len(cells) // 2]
             both = cells[split].split(rng.integers(2, size=len(split)))
@@ -51,10 +51,10 @@ def test_distances_in_cells_equal_the_oracle(kind, monkeypatch):
 def test_cells_below_a_very_thin_wall_keep_the_corner_of_their_paths():
     """Paths turn at either corner of the wall's end; the wall is as thin as the tolerance, so their cones agree."""
     oracle = VisibilityGraph(Workspace(UNIT, [box(0.4, 0.45, 0.4 + 1e-9, 0.9)]), (0.9, 0.9))
-    memory, cells = CellMemory(UNIT, oracle.cell_sources(grown_domain(UNIT))), Cells.root(2)
+    cache, cells = SourceCache(UNIT, oracle.cell_sources(grown_domain(UNIT))), Cells.root(2)
     rng = np.random.default_rng(0)
     for axis in (0, 1, 0, 1, 0, 1, 0, 1):
-        check_cell_distances(oracle, UNIT, memory, cells, rng.uniform(-1, 1, (20, 2)))
+        check_cell_distances(oracle, UNIT, cache, cells, rng.uniform(-1, 1, (20, 2)))
         cells = cells.split(np.full(len(cells), axis))
 
 

@@ -12,8 +12,8 @@ from plr_helpers import UNIT, cone, points, random_partition, three_leaves, wall
 from plr_jax import BuildOptions
 from plr_jax.plr import construct
 from plr_jax.plr._plr import leaf_of
-from plr_jax.plr.faces import face_points, shared_faces
 from plr_jax.plr.finite_elements import coefficient_matrix, design, monomials, nodal_space
+from plr_jax.plr.leaf_faces import face_points, shared_faces
 from plr_jax.plr.leaves.continuous import FaceTests, StoredValues, TiedPartition, fit_values
 from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tree import Cells, tree_of

@@ -8,8 +8,8 @@ from plr_helpers import contents_of_planes, random_partition
 
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import filled_coefficients
-from plr_jax.plr.faces import corner_parents, face_points, overlapping_leaves, shared_faces
-from plr_jax.plr.faces import neighbor_of_largest_contact as lenders
+from plr_jax.plr.leaf_faces import corner_parents, face_points, overlapping_leaves, shared_faces
+from plr_jax.plr.leaf_faces import neighbor_of_largest_contact as lenders
 from plr_jax.plr.leaves.plane import encode_planes
 from plr_jax.plr.tree import Cells, corner_bits, tree_of
 

@@ -11,7 +11,7 @@ from robot_helpers import PEBBLE, WING, AnyShape, sled
 from shapely.geometry import Polygon
 
 from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, path_cost, plot, scenes, validate
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.collision.walls import MotionTest
 from plr_jax.planners import Stats, Status, bl_plan
 from plr_jax.planners._solution import make_solution

@@ -23,6 +23,8 @@ Parameters: TypeAlias = Float[np.ndarray, "n count"]
 
 
 class Rules(NamedTuple):
+    """The rules by which a construction splits leaves; see :data:`ShouldSplitRule`."""
+
     should_split: ShouldSplitRule
     split: SplitRule
 
@@ -48,16 +50,20 @@ class LeafModel(ABC):
     has_exact_cone_bounds: bool = False  # whether cone_minus_leaf_bounds are the least and largest difference
 
     @abstractmethod
-    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]: ...
+    def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]:
+        """Find a partition within the limits and fit its leaves; return its tree, and the leaves' stored data."""
 
     @abstractmethod
-    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None: ...
+    def write(self, body: BitWriter, domain: Box, cells: Cells, stored: Any) -> None:
+        """Append the stored data of leaves, which are cells of a domain, to the body of a file."""
 
     @abstractmethod
-    def read(self, body: BitReader, domain: Box, cells: Cells) -> Any: ...
+    def read(self, body: BitReader, domain: Box, cells: Cells) -> Any:
+        """Read the stored data that :meth:`write` wrote; ``ValueError`` if it is invalid."""
 
     @abstractmethod
-    def coefficients(self, cells: Cells, stored: Any) -> Coefficients: ...
+    def coefficients(self, cells: Cells, stored: Any) -> Coefficients:
+        """Return the coefficients of the leaves' functions, decoded from the stored data."""
 
     @abstractmethod
     def values(self, lo: Points, hi: Points, coefficients: Coefficients, x: Points) -> Distances:

@@ -18,7 +18,6 @@ from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
 from plr_jax.plr.coding import BitReader, BitWriter
-from plr_jax.plr.faces import SharedFaces, face_points, shared_faces
 from plr_jax.plr.finite_elements import (
     MAX_DIM_OF_ORDER,
     POWERS,
@@ -32,6 +31,7 @@ from plr_jax.plr.finite_elements import (
 )
 from plr_jax.plr.frame import LARGEST, Corner
 from plr_jax.plr.growth import Limits, check_memory, check_rules, grow, is_within_depth, least_priority, urgent_first
+from plr_jax.plr.leaf_faces import SharedFaces, face_points, shared_faces
 from plr_jax.plr.leaves.base import UNIT, Coefficients, LinearLeafModel, Parameters, Rules, largest_coordinates
 from plr_jax.plr.sampling import CellFit, Sampler, call_oracle, sample_pattern, weights_of_fit
 from plr_jax.plr.tree import Cells, Tree, tree_of
@@ -90,6 +90,7 @@ class FaceTests:
         self._keys, self._free = np.zeros(0, np.uint64), np.zeros(0, bool)  # of the faces of the last call
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, " faces"]:
+        """Return which faces are free; the faces of the call before are not tested again."""
         domain, of_cell = self._domain, cells.hashes()
         # With periodic axes, a cell may share a face along each axis with itself.
         keys = hash64(hash64(of_cell[faces.lower]) + of_cell[faces.upper]) + faces.axis.astype(np.uint64)
@@ -105,8 +106,8 @@ class FaceTests:
                 x = face_points(cells, tested, some)
                 across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]  # (faces, 1, dim)
                 sides = [domain.lo + domain.width * (x + sign * across) for sign in (-1, 1)]
-                both = domain.wrapped(np.concatenate(sides)).reshape(-1, domain.dim)
-                below, above = np.isfinite(call_oracle(self._distance_fn, both)).reshape(2, *x.shape[:2])
+                points_beside = domain.wrapped(np.concatenate(sides)).reshape(-1, domain.dim)
+                below, above = np.isfinite(call_oracle(self._distance_fn, points_beside)).reshape(2, *x.shape[:2])
                 free[unsure] = np.any(below & above, axis=1)
         self._keys, self._free = keys, free
         return free
@@ -209,6 +210,8 @@ _UNPREDICTED = 1e-3  # factor of the difference from the mean value, for values 
 
 @dataclass(frozen=True, eq=False)
 class _FittedPartition:
+    """A partition, the values fitted to it, and the size of its file."""
+
     fit: CellFit
     stored: StoredValues
     num_bytes: int
@@ -233,14 +236,15 @@ class _Rounds:
             if len(leaf) == 0:
                 return None
             children = self._sampler(now.fit.cells[leaf].split(axis))
-            kept = np.setdiff1d(np.arange(len(now)), leaf)
-            check_memory(2.0 * (len(kept) + len(children)))
-            grown = self.fit_leaves(now.fit[kept].append(children))
+            unsplit = np.setdiff1d(np.arange(len(now)), leaf)
+            check_memory(2.0 * (len(unsplit) + len(children)))
+            grown = self.fit_leaves(now.fit[unsplit].append(children))
             if grown.num_bytes <= self._limits.max_bytes:
                 return grown
             self._max_splits = len(leaf) // 2  # too large: try half as many splits
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
+        """Return the leaves to split next and the axes to split them along; none if growth ends."""
         fit, limits = now.fit, self._limits
         room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
@@ -249,9 +253,9 @@ class _Rounds:
             room = min(room, self._max_splits, int(np.ceil(len(now) * (limits.max_bytes / num_bytes - 1))))
             if now.is_full or room < _WORTH_A_ROUND * len(now):
                 room = 0
-        number = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
+        num_splits = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
         most_split = 1.0 if len(now) < _FEW_LEAVES * room else _MOST_SPLIT
-        number = min(number, int(np.ceil(most_split * len(now))), room)
+        num_splits = min(num_splits, int(np.ceil(most_split * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))  # priorities only; axes follow
         error, _ = urgent_first(fit, error, fit.urgent_axis)
@@ -259,8 +263,8 @@ class _Rounds:
         priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
         leaf, axis = np.empty(0, np.int64), np.empty(0, np.int64)
-        while len(best) and len(leaf) < number:  # go on if depth limits exclude some leaves
-            some, best = np.split(best, [number - len(leaf)])
+        while len(best) and len(leaf) < num_splits:  # go on if depth limits exclude some leaves
+            some, best = np.split(best, [num_splits - len(leaf)])
             axis_of_some = np.asarray(self._rules.split(fit[some]))
             check_rules(fit[some], error[some], axis_of_some)
             _, axis_of_some = urgent_first(fit[some], error[some], axis_of_some)

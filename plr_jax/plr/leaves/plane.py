@@ -116,16 +116,16 @@ class Plane(LinearLeafModel):
         choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
         choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
 
-        def nodes_of(fit: CellFit, bound: Float[np.ndarray, " cells"]) -> Nodes:
+        def nodes_of(fit: CellFit, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
             fit = fill_unsampled_planes(fit, sampler)
             planes = np.column_stack([fit.center, fit.half])
-            if by_proof and sampler.memory is not None:
+            if by_proof and sampler.cache is not None:
                 planes_or_zero = np.where(np.isfinite(planes), planes, 0.0)
                 functions = LeafFunctions(self, *fit.cells.boxes(sampler.domain), planes_or_zero)
-                priority = functions.largest_errors(sampler.memory.sources(fit.cells))
+                priority = functions.largest_errors(sampler.cache.sources(fit.cells))
             else:
                 priority = np.asarray(rules.should_split(fit), float)
-            return nodes_of_fit(fit, planes, bound, priority, np.asarray(rules.split(fit)), limits)
+            return nodes_of_fit(fit, planes, parent_key, priority, np.asarray(rules.split(fit)), limits)
 
         def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredPlanes:
             return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)

@@ -25,6 +25,8 @@ _WHY = {
 
 
 class CEmitter(Emitter):
+    """A generator of C99 code; ``floors`` has the types whose floor function the code calls."""
+
     root_of, cast = "sqrtf({})", "(float)({})"
     definition = "const {type} {name} = {value};"
 
@@ -44,6 +46,7 @@ class CEmitter(Emitter):
         return self.atom(f"{self.name}_floor_of_{x.type}({x})", x.type)
 
     def fraction(self, x: Expression) -> Expression:
+        # The 23 mantissa bits of a float in [1, 2), as the highest bits of a word; the shift drops the leading one.
         return self.atom(f"(uint32_t)({x * np.float32(1 << 23)}) << 9", "uint32_t")
 
 

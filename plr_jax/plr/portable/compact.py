@@ -73,6 +73,7 @@ class _CompactWriter:
         return 32 * _NUM_WORDS + self.body.num_bits
 
     def _write_domain(self) -> None:
+        """Write the domain: 32-bit numbers for queries, exact corners if needed, and mirrors or straight lines."""
         program, contents = self.program, self.program.contents
         ends = np.zeros((3, self.dim))
         for axis, (lo, hi, _, tolerance) in program.periods.items():
@@ -174,6 +175,7 @@ class _CompactWriter:
         return data + zlib.crc32(data).to_bytes(4, "little")
 
     def with_rows(self) -> bytes:
+        """Encode leaves as rows of 32-bit floats; equal rows are stored once."""
         rows, row_of_leaf = distinct_rows(self.numbers)
         self._write_tree()
         self.at_fields, self.at_levels = self._at, (len(rows) - 1).bit_length()  # not a position: the width of fields
@@ -181,6 +183,7 @@ class _CompactWriter:
         return self._finish(0, self.numbers, rows.ravel())
 
     def with_planes(self) -> bytes:
+        """Encode planes as the integers of the PLR file, with as many bits as each level of the tree needs."""
         planes = self.program.contents.stored
         self.offset, self.step = planes.offset, planes.step
         is_own = ~planes.unreachable[self.leaves, None]  # other leaves continue another leaf's plane
@@ -200,6 +203,7 @@ class _CompactWriter:
         return self._finish(_CODED, np.where(is_own, self.numbers, np.float32(0)), np.zeros(0))
 
     def with_values(self, middles: "_Middles") -> bytes:
+        """Encode continuous or smooth leaves as values at corners, which :class:`_Middles` predicts."""
         stored = self.program.contents.stored
         self.fraction_bits, self.offset = middles.fraction_bits, stored.offset
         self.step = float(np.ldexp(stored.step, -self.fraction_bits))
@@ -354,6 +358,7 @@ class _SmoothCorners:
         return self.known[point, value]
 
     def _numbers(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
+        """Return value, derivatives and chain of a corner: means over its leaves, or from a host's edge."""
         widths, terms, hosts = [], [], {}
         for quadrant in ((0, 0), (1, 0), (0, 1), (1, 1)):
             place = [along - below for along, below in zip(point, quadrant, strict=True)]

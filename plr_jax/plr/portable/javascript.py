@@ -94,10 +94,11 @@ def js_cone_reader() -> str:
 
 
 def js_module(program: Program) -> str:
+    """Return a JavaScript module with the tables of a PLR and the functions that answer queries."""
     dim, leaf, certificate, columns = program.dim, program.leaf, program.contents.certificate, program.leaf_parameters
     if certificate is not None:  # append the bounds of distance minus value
-        both = np.broadcast_to(certificate.bounds().T.astype(np.float32), (len(columns), 2))
-        columns = np.column_stack([columns, both])
+        leaf_bounds = np.broadcast_to(certificate.bounds().T.astype(np.float32), (len(columns), 2))
+        columns = np.column_stack([columns, leaf_bounds])
     rows, row_of_leaf = distinct_rows(columns)
     tree = CodedTree(program.contents.tree, row_of_leaf)
     # 1. Description.

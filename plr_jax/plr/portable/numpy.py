@@ -49,6 +49,7 @@ class PythonEmitter(Emitter):
         return self.atom(f"{'float64' if x.type == 'double' else 'float32'}(floor({x}))", x.type)
 
     def fraction(self, x: Expression) -> Expression:
+        # The 23 mantissa bits of a float in [1, 2), as an integer without the leading one.
         return self.atom(f"(int({x * np.float32(1 << 23)}) & {(1 << 23) - 1})", "uint32_t")
 
 
@@ -340,6 +341,7 @@ class NumpyPLR:
         return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
+        # Columns: the lower bound, at least 0, and the upper bound, both rounded outward.
         assert self._band is not None, "bounds are called only with a proof"
         value, band = self._values(offsets, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
         lower = np.nextafter(value + band[0], np.float32(-np.inf))

@@ -133,12 +133,12 @@ class Emitter(Operations, ABC):
 
     def used_statements(self) -> list[str]:
         """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
-        kept: list[str] = []
+        used: list[str] = []
         for statement in reversed(self.statements):
             name = re.match(r"const (?:\w+ )?(\w+) = ", statement)
-            if name is None or re.search(rf"\b{name[1]}\b", " ".join(kept)):
-                kept.append(statement)
-        return kept[::-1]
+            if name is None or re.search(rf"\b{name[1]}\b", " ".join(used)):
+                used.append(statement)
+        return used[::-1]
 
 
 def write_lookup(
@@ -176,6 +176,7 @@ def indent(lines: Iterable[str]) -> list[str]:
 
 
 def wrap_entries(entries: Iterable[str]) -> list[str]:
+    """Return lines with the entries of an initializer in C or JavaScript, each followed by a comma."""
     lines, line = [], ""
     for entry in entries:
         if len(line) + len(entry) > _WIDTH:

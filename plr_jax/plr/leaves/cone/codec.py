@@ -75,6 +75,8 @@ class StoredSources:
 
 @dataclass(frozen=True, eq=False)
 class StoredCones:
+    """Cones as in a file: the sources, and the source of each leaf."""
+
     sources: StoredSources
     source: Int[np.ndarray, " leaves"]
 
@@ -110,9 +112,9 @@ def store_sources(
     is_new = np.append(True, (rows[order[1:]] != rows[order[:-1]]).any(axis=1))
     first, index = order[is_new], np.empty(len(rows), np.int64)
     index[order], rows = np.cumsum(is_new) - 1, rows[first]
-    parent, each = index[parents[first]], np.arange(len(first))
-    root_offset = np.where(parent == each, offsets[first].astype(np.float32).astype(np.float64), 0.0)
-    of_roots = None if goals is None else goals[first[parent == each]]
+    parent, itself = index[parents[first]], np.arange(len(first))
+    root_offset = np.where(parent == itself, offsets[first].astype(np.float32).astype(np.float64), 0.0)
+    of_roots = None if goals is None else goals[first[parent == itself]]
     num_fine = int(np.count_nonzero(rows[:, 0] == 0))
     return StoredSources(num_fine, exponent, fraction, rows[:, 1:], parent, root_offset, of_roots), index
 
@@ -144,6 +146,7 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
+    """Write the sources: coordinates in steps of two lattices, and each one's distance to the goal or parent."""
     (fine, others), exponent = np.split(sources.code, [sources.num_fine]), sources.exponent
     kinds = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, sources.fraction, sources.fraction)
     for code, step, scale in kinds:
@@ -171,22 +174,23 @@ def _write_ranks(body: BitWriter, source: Int[np.ndarray, " leaves"]) -> None:
     changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
     # Only used sources need lists, by time of use and sorted; unused ones follow in their order.
     recent, used = [0], [0]
-    for each in source[changes].tolist():
-        if (place := bisect_left(used, each)) < len(used) and used[place] == each:
-            ranks.append(recent.index(each))
-            recent.remove(each)
+    for apex in source[changes].tolist():
+        if (place := bisect_left(used, apex)) < len(used) and used[place] == apex:
+            ranks.append(recent.index(apex))
+            recent.remove(apex)
         else:
-            ranks.append(len(used) + each - place)
-            used.insert(place, each)
-        recent.insert(0, each)
+            ranks.append(len(used) + apex - place)
+            used.insert(place, apex)
+        recent.insert(0, apex)
     rank[changes] = ranks
-    for each in range(_ESCAPE):
-        body.write((rank == each).astype(np.int64), 1)
-        rank = rank[rank > each]
+    for low_rank in range(_ESCAPE):
+        body.write((rank == low_rank).astype(np.int64), 1)
+        rank = rank[rank > low_rank]
     body.write_coded(rank - _ESCAPE)
 
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
+    """Decode the sources of cones, and the source of each leaf; ``ValueError`` if they are invalid."""
     exponent, fraction, parts = 0, 1, []
     num_fine = int(body.read_fixed_width(1, _COUNT_BITS)[0])
     if num_fine:
@@ -222,6 +226,7 @@ def read_goals(body: BitReader, num_roots: int) -> Int[np.ndarray, " roots"]:
 
 
 def _read_codes(body: BitReader, count: int, origin: Int[np.ndarray, " dim"]) -> Int[np.ndarray, "count dim"]:
+    """Decode the coordinates of sources in lattice steps; the first coordinates are stored as differences."""
     lowest = body.read_signed(len(origin))
     columns = [np.append(0, np.cumsum(body.read_coded(count - 1)))]
     for _ in origin[1:]:
@@ -239,18 +244,19 @@ def _origin_in_steps(steps: Float[np.ndarray, " dim"]) -> Int[np.ndarray, " dim"
 
 
 def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, " leaves"]:
-    rank, rest = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
-    for each in range(_ESCAPE):
-        rest = rest[body.read_fixed_width(len(rest), 1) == 0]
-        rank[rest] = each + 1
-    rank[rest] += body.read_coded(len(rest))
+    """Decode the source of each leaf: the inverse of :func:`_write_ranks`, with a list of all sources."""
+    rank, pending = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
+    for low_rank in range(_ESCAPE):
+        pending = pending[body.read_fixed_width(len(pending), 1) == 0]
+        rank[pending] = low_rank + 1
+    rank[pending] += body.read_coded(len(pending))
     if (rank >= count).any():
         raise ValueError(f"it names source {rank.max()} of {count}")
     recent, changes = list(range(count)), np.flatnonzero(rank)
     latest = np.zeros(len(changes) + 1, np.int64)
-    for number, place in enumerate(rank[changes].tolist()):
+    for i, place in enumerate(rank[changes].tolist()):
         recent.insert(0, recent.pop(place))
-        latest[number + 1] = recent[0]
+        latest[i + 1] = recent[0]
     return latest[np.searchsorted(changes, np.arange(num_leaves), side="right")]
 
 
@@ -283,6 +289,7 @@ class ConeFiles:
         return self.num_bytes(source, limits) <= limits.max_bytes
 
     def _stored(self, source: Int[np.ndarray, " leaves"]) -> tuple[StoredCones, int]:
+        """Encode leaves and the sources that their paths need; also return the number of bits of the sources."""
         leaf, sources = np.flatnonzero(source >= 0), self._sources
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]

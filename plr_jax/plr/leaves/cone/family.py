@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import FamilyFn, Sources
 from plr_jax.geometry.box import Box
-from plr_jax.plr.best_partition import LEAST_SHARE, MAX_ASPECT_BITS
+from plr_jax.plr.best_partition import MAX_ASPECT_BITS, PEAK_WEIGHT
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
@@ -51,8 +51,8 @@ class Lattice:
     @cached_property
     def first(self) -> dict[Shape, int]:
         # For each shape, the lowest number of a box of this shape.
-        each = range(self.halvings + 1)
-        shapes = [(i, j) for i in each for j in each if abs(i - j) <= MAX_ASPECT_BITS]
+        depths = range(self.halvings + 1)
+        shapes = [(i, j) for i in depths for j in depths if abs(i - j) <= MAX_ASPECT_BITS]
         shapes.sort(key=sum)
         return dict(zip(shapes, np.cumsum([0, *(1 << sum(s) for s in shapes[:-1])]).tolist(), strict=True))
 
@@ -76,17 +76,17 @@ class Lattice:
     @cached_property
     def child(self) -> Int[np.ndarray, "2 boxes 2"]:
         # The lower and upper half of each box along each axis; -1 if the lattice does not have them.
-        found, number = np.full((2, self.num_boxes, 2), -1, np.int32), np.arange(self.num_boxes, dtype=np.int32)
+        child, box = np.full((2, self.num_boxes, 2), -1, np.int32), np.arange(self.num_boxes, dtype=np.int32)
         for shape, axis in product(self.first, range(2)):
-            if halves := self.halves(number, shape, axis):
+            if halves := self.halves(box, shape, axis):
                 begin = self.first[shape]
-                found[axis, begin : begin + (1 << sum(shape))] = np.stack(halves, axis=-1).reshape(-1, 2)
-        return found
+                child[axis, begin : begin + (1 << sum(shape))] = np.stack(halves, axis=-1).reshape(-1, 2)
+        return child
 
     @cached_property
     def samples(self) -> dict[Shape, tuple[Int[np.ndarray, " boxes"], Int[np.ndarray, " some"]]]:
         # For each shape: the index of the first sample of each box, and what to add for up to 64 of its samples.
-        found, row = {}, 1 << self.halvings
+        samples, row = {}, 1 << self.halvings
         for shape in self.first:
             size = np.array([1 << (self.halvings - along) for along in shape])
             count = min(_SOME_SAMPLES, int(size.prod()))
@@ -96,21 +96,27 @@ class Lattice:
                 reversed_bits = bits @ (count >> np.arange(1, count.bit_length()))
                 place = ((np.stack([np.arange(count), reversed_bits]) + 0.5) * (size[:, None] / count)).astype(int)
             box = np.stack(np.divmod(np.arange(1 << sum(shape)), 1 << shape[1])) * size[:, None]
-            found[shape] = box[0] * row + box[1], place[0] * row + place[1]
-        return found
+            samples[shape] = box[0] * row + box[1], place[0] * row + place[1]
+        return samples
 
     def by_shape(self, box: Int[np.ndarray, " some"]) -> Iterator[tuple[Shape, Int[np.ndarray, " alike"], Any, Any]]:
+        """Group boxes by shape: yield a shape, the rows of ``box`` of this shape, and the indices of their samples.
+
+        These indices are the sum of each box's first sample and of offsets that all boxes of a shape share.
+        """
         starts, shapes = np.array(list(self.first.values())), list(self.first)
         of_shape = np.searchsorted(starts, box, side="right") - 1
-        for number in np.unique(of_shape):
-            alike, shape = np.flatnonzero(of_shape == number), shapes[number]
-            first_sample = self.samples[shape][0][box[alike] - starts[number]]
+        for index in np.unique(of_shape):
+            place, shape = np.flatnonzero(of_shape == index), shapes[index]
+            first_sample = self.samples[shape][0][box[place] - starts[index]]
             rows, columns = (np.arange(1 << (self.halvings - along)) for along in shape)
             offsets_of_samples = ((rows[:, None] << self.halvings) + columns).ravel()
-            yield shape, alike, first_sample, offsets_of_samples
+            yield shape, place, first_sample, offsets_of_samples
 
 
 class GoalSamples(NamedTuple):
+    """The samples of a lattice with their distances to one goal."""
+
     table: Float[np.ndarray, "samples 4"]  # two coordinates, distance to the goal, and weight
     source: Int[np.ndarray, " samples"]  # index in `sources` of each path's first turn; -1 without a path
     sources: Sources
@@ -157,33 +163,34 @@ def option_errors(
     # Rows: weighted sums and maxima of errors, and the weight of samples whose distance is ``shortfall`` longer.
     result, at_once = np.zeros((3, len(first))), max(1, _AT_ONCE // len(offset))
     for begin in range(0, len(first), at_once):
-        some = slice(begin, begin + at_once)
-        x, y, distance, weight = np.moveaxis(goal.table[first[some, None] + offset], 2, 0)
-        point = goal.sources.points[source[some]]
+        batch = slice(begin, begin + at_once)
+        x, y, distance, weight = np.moveaxis(goal.table[first[batch, None] + offset], 2, 0)
+        point = goal.sources.points[source[batch]]
         dx, dy = x - point[:, :1], y - point[:, 1:]
-        above = distance - goal.sources.distances[source[some], None] - np.sqrt(dx * dx + dy * dy)
+        above = distance - goal.sources.distances[source[batch], None] - np.sqrt(dx * dx + dy * dy)
         error = np.abs(above)
-        result[0, some], result[1, some] = (error * weight).sum(axis=1), np.max(error * (weight > 0), axis=1)
+        result[0, batch], result[1, batch] = (error * weight).sum(axis=1), np.max(error * (weight > 0), axis=1)
         if shortfall < np.inf:
-            result[2, some] = ((above > shortfall) * weight).sum(axis=1)
+            result[2, batch] = ((above > shortfall) * weight).sum(axis=1)
     return result
 
 
 def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits:
     """Find each box's best cone among the best cones of its halves; errors up to ``negligible`` count as 0."""
     num = lattice.num_boxes
+    # The least and the most index of a source that the samples of each box use: they differ in a mixed box.
     source, least, most = (np.full(num, -1, np.int32) for _ in range(3))
     integral, largest, is_estimated = np.zeros(num), np.zeros(num), np.zeros(num, bool)
     source[-len(goal.source) :] = most[-len(goal.source) :] = goal.source  # the smallest boxes are the last
     least[-len(goal.source) :] = np.where(goal.source < 0, len(goal.sources.points), goal.source)
     for shape in list(lattice.first)[-2::-1]:
         halves = [axis for axis in range(2) if lattice.halves(source, shape, axis)]
-        here = slice(lattice.first[shape], lattice.first[shape] + (1 << sum(shape)))
+        boxes = slice(lattice.first[shape], lattice.first[shape] + (1 << sum(shape)))
         lattice.of_shape(least, shape)[:] = np.minimum(*lattice.halves(least, shape, halves[0]))
         lattice.of_shape(most, shape)[:] = source_here = np.maximum(*lattice.halves(most, shape, halves[0]))
         lattice.of_shape(source, shape)[:] = source_here
-        mixed = np.flatnonzero(least[here] < most[here])
-        tried = [each.ravel()[mixed] for axis in halves for each in lattice.halves(source, shape, axis)]
+        mixed = np.flatnonzero(least[boxes] < most[boxes])
+        tried = [half.ravel()[mixed] for axis in halves for half in lattice.halves(source, shape, axis)]
         tried = np.sort(np.stack(tried, axis=1), axis=1)
         is_new = tried >= 0
         is_new[:, 1:] &= tried[:, 1:] != tried[:, :-1]
@@ -192,13 +199,13 @@ def fit_boxes(lattice: Lattice, goal: GoalSamples, negligible: float) -> BoxFits
         of_option = np.full((2, *tried.shape), np.inf)
         of_option[:, box, column] = option_errors(goal, first[mixed[box]], offset, tried[box, column])[:2]
         best = of_option[0].argmin(axis=1)
-        each, place = np.arange(len(mixed)), mixed + here.start
-        source[place] = tried[each, best]
-        mean, worst = of_option[:, each, best]
+        row, place = np.arange(len(mixed)), mixed + boxes.start
+        source[place] = tried[row, best]
+        mean, worst = of_option[:, row, best]
         counts = worst > negligible
         integral[place] = np.where(counts, mean, 0.0) / (len(offset) << sum(shape))
         largest[place] = np.where(counts, worst, 0.0)
-        is_estimated[here] = len(offset) << sum(shape) < len(goal.source)
+        is_estimated[boxes] = len(offset) << sum(shape) < len(goal.source)
     is_mixed = least < most
     return BoxFits(goal, negligible, source, integral, largest, is_mixed, is_mixed & is_estimated)
 
@@ -218,9 +225,9 @@ def best_tree(lattice: Lattice, costs: Float[np.ndarray, " boxes"], price: float
             here, axis_here = lattice.of_shape(total, shape), lattice.of_shape(choice, shape)
             for axis in range(2):
                 if halves := lattice.halves(total, shape, axis):
-                    both = halves[0] + halves[1]
-                    cheaper = both < here
-                    here[cheaper], axis_here[cheaper] = both[cheaper], axis
+                    split_cost = halves[0] + halves[1]
+                    cheaper = split_cost < here
+                    here[cheaper], axis_here[cheaper] = split_cost[cheaper], axis
     axes, leaves, here = [], [], np.zeros(1, np.int64)
     while len(here):
         axis = choice[here].astype(np.int64)
@@ -241,34 +248,34 @@ def _largest_tree(
     lattice: Lattice, fits: BoxFits, files: ConeFiles, limits: Limits, num_leaves: float
 ) -> SampledTree:
     # Search the price per leaf at which the tree of least cost plus prices fills the limits.
-    least_share = LEAST_SHARE / num_leaves
+    peak_weight = PEAK_WEIGHT / num_leaves
     largest = SampledTree([np.full(1, -1)], np.zeros(1, np.int64))
     limits.require_room(files.num_bytes(fits.source[:1], limits))
-    price, tried = float(np.log(max(fits.integral[0] / num_leaves**2, np.finfo(float).tiny))), []
+    price, attempts = float(np.log(max(fits.integral[0] / num_leaves**2, np.finfo(float).tiny))), []
     for _ in range(_ATTEMPTS):
         while True:
-            tree = best_tree(lattice, fits.integral + least_share * fits.largest, np.exp(price), limits.max_depth)
+            tree = best_tree(lattice, fits.integral + peak_weight * fits.largest, np.exp(price), limits.max_depth)
             estimated = tree.box[fits.is_estimated[tree.box]]
             if not len(estimated):
                 break
             fits.evaluate(lattice, estimated)
         num_bytes = files.num_bytes(fits.source[tree.box], limits) * (_ROOM + 1) / _ROOM
         excess = float(np.log(max(len(tree.box) / limits.max_leaves, num_bytes / limits.max_bytes)))
-        is_final = excess <= 0 and len(tree.box) == len(largest.box) and len(tried) > 1
+        is_final = excess <= 0 and len(tree.box) == len(largest.box) and len(attempts) > 1
         if excess <= 0 and len(tree.box) >= len(largest.box):
             largest = tree
         if is_final or np.log(_FULL) <= excess <= 0:
             break
         # Interpolate between the prices of the best tree that fits and the one that does not, or extrapolate.
-        tried.append((price, excess))
-        within, beyond = ([each for each in tried if (each[1] > 0) == side] for side in (False, True))
+        attempts.append((price, excess))
+        within, beyond = ([attempt for attempt in attempts if (attempt[1] > 0) == side] for side in (False, True))
         if within and beyond:
             (high, below), (low, above) = min(within), max(beyond)
             price = high + np.clip(below / (below - above), 0.1, 0.9) * (low - high)
         else:
             rate = _FIRST_RATE
-            if len(tried) > 1 and tried[-2][1] != excess:
-                rate = float(np.clip((tried[-2][0] - price) / (excess - tried[-2][1]), _LEAST_RATE, _MOST_RATE))
+            if len(attempts) > 1 and attempts[-2][1] != excess:
+                rate = float(np.clip((attempts[-2][0] - price) / (excess - attempts[-2][1]), _LEAST_RATE, _MOST_RATE))
             step = rate * (excess + np.copysign(_BEYOND, excess))
             price += float(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
     return largest
@@ -279,17 +286,17 @@ def _options(lattice: Lattice, fits: BoxFits, box: Int[np.ndarray, " leaves"], s
     goal, options, mixed = fits.goal, [], np.flatnonzero(fits.is_mixed[box])
     count = len(goal.sources.points)
     for shape, place, first, offset in lattice.by_shape(box[mixed]):
-        leaf, own, each = mixed[place], fits.source[box[mixed[place]]], np.arange(len(place))
+        leaf, now, index = mixed[place], fits.source[box[mixed[place]]], np.arange(len(place))
         used = goal.source[first[:, None] + lattice.samples[shape][1]]
-        key, frequency = np.unique((each[:, None] * count + used)[used >= 0], return_counts=True)
+        key, frequency = np.unique((index[:, None] * count + used)[used >= 0], return_counts=True)
         key = key[np.lexsort((-frequency, key // count))]
         key = key[np.arange(len(key)) - np.searchsorted(key // count, key // count) < _MOST_OPTIONS]
-        row, source = np.divmod(np.unique(np.append(key, each * count + own)), count)
+        row, source = np.divmod(np.unique(np.append(key, index * count + now)), count)
         integral, largest, hidden = option_errors(goal, first[row], offset, source, shortfall)
         size = np.maximum(goal.table[first[:, None] + offset, 3].sum(axis=1), np.finfo(float).tiny)[row]
-        mean, share = integral / size, len(offset) << sum(shape)
+        mean, total = integral / size, len(offset) << sum(shape)
         options.append(
-            (leaf[row], source, source == own[row], hidden == 0, mean, hidden / size, largest, integral, size / share)
+            (leaf[row], source, source == now[row], hidden == 0, mean, hidden / size, largest, integral, size / total)
         )
     return LeafOptions(*map(np.concatenate, zip(*options, strict=True)))
 

@@ -41,7 +41,7 @@ class Cone(LeafModel):
 
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, StoredCones]:
         _require_euclidean(sampler.domain)
-        if sampler.memory is None:
+        if sampler.cache is None:
             raise ValueError(
                 "Leaves of kind 'cone' need a distance function in the plane that answers for whole cells, such as "
                 f"VisibilityGraph, got {shortened(sampler.distance_fn)} in {sampler.domain.dim} dimensions. Use "
@@ -52,12 +52,12 @@ class Cone(LeafModel):
                 "Leaves of kind 'cone' must not have weight_fn, should_split or split: they are chosen by proven "
                 "errors of whole cells. Leave these options out, or use leaf='continuous'."
             )
-        domain, visible = sampler.domain, sampler.memory.sources(Cells.root(2))
+        domain, visible = sampler.domain, sampler.cache.sources(Cells.root(2))
         if not len(visible.cell):
             sampler.root()  # raises the error that nothing is reachable
         run = partial(grow, limits=limits)
         tree, stored, boxes = best_cones_of_goal(visible, domain, limits, sampler.pattern, run, sampler.reach)
-        sampler.memory.remember(boxes.cells, boxes.visible)  # which a proof needs
+        sampler.cache.remember(boxes.cells, boxes.visible)  # which a proof needs
         return tree, stored
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredCones) -> None:
@@ -90,6 +90,7 @@ class Cone(LeafModel):
         return 1.01 * UNIT * (beside + 2 * parameters[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
 
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
+        # The distance to the apex plus its offset, with operations of any number type.
         offset, *source = parameters
         differences = [along - of_source for along, of_source in zip(place, source, strict=True)]
         square, *others = (difference * difference for difference in differences)
@@ -121,6 +122,7 @@ def goal_of_leaves(leaf: LeafModel, stored: Any) -> Int[np.ndarray, " leaves"] |
 
 
 def require_goals(goals: Any) -> Any:
+    """Return the stored goals; ``ValueError`` if there are none."""
     if goals is None:
         raise ValueError(
             "The PLR does not store which goal is nearest: only cones of a NearestGoal of VisibilityGraphs do. Give "

@@ -20,11 +20,11 @@ from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import areas, difference_of_cones
 from plr_jax.geometry.reach import Reach
 from plr_jax.plr.best_partition import BoxLevel, PricedTree, PriceSearch
-from plr_jax.plr.cell_memory import distances_in_cells
 from plr_jax.plr.certificate import Proof, bounds_of_pieces
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import CUT_OFF, ConeFiles, StoredCones
 from plr_jax.plr.sampling import Pattern
+from plr_jax.plr.source_cache import distances_in_cells
 from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
 _MOST_TRIED = 4
@@ -63,16 +63,16 @@ class ConeBoxes(Rows):
         parent: Int[np.ndarray, " halves"],
         axis: Int[np.ndarray, " halves"],
         is_upper: Bool[np.ndarray, " halves"],
-        known: UInt64[np.ndarray, " known"],
+        known_keys: UInt64[np.ndarray, " known"],
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, " new"], UInt64[np.ndarray, " halves"]]:
         # Returns the halves that are not known, their hashes, and the hashes of all halves.
         cells = self.cells[parent].halves(axis, is_upper)
         lo, hi = cells.grown_boxes(self.domain)
         key = cells.hashes()
         _, first = np.unique(key, return_index=True)
-        new = np.sort(first[~np.isin(key[first], known)])
-        found = self.visible.parts(parent[new], axis[new], is_upper[new], lo[new], hi[new])
-        return fit_boxes(self.domain, self.negligible, cells[new], found, self.by_side, self.reach), key[new], key
+        new = np.sort(first[~np.isin(key[first], known_keys)])
+        visible = self.visible.parts(parent[new], axis[new], is_upper[new], lo[new], hi[new])
+        return fit_boxes(self.domain, self.negligible, cells[new], visible, self.by_side, self.reach), key[new], key
 
 
 def query_resolution(distances: Float[np.ndarray, " n"]) -> float:
@@ -87,22 +87,22 @@ def fit_boxes(
     visible: CellSources,
     by_side: bool = False,
     reach: Reach | None = None,
-    tried: int = _MOST_TRIED,
+    most_options: int = _MOST_TRIED,
 ) -> ConeBoxes:
     """Choose each box's cone, of a few sources, by the least integral of proven error; see :class:`ConeBoxes`."""
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
     several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
     if len(several):
-        some = visible.of_cells(several)
+        mixed = visible.of_cells(several)
         # Try the sources that the centers of a box's pieces use; sources of the largest pieces come first.
-        count, area = len(visible.sources.points), areas(some.pieces)
-        key, index = np.unique(some.cell * np.int64(count) + some.best, return_inverse=True)
+        count, area = len(visible.sources.points), areas(mixed.pieces)
+        key, index = np.unique(mixed.cell * np.int64(count) + mixed.best, return_inverse=True)
         box, source = np.divmod(key, count)
         order = np.lexsort((source, -np.bincount(index, area, len(key)), box))
         box, source = box[order], source[order]
-        is_tried = np.arange(len(box)) - np.searchsorted(box, box) < tried
+        is_tried = np.arange(len(box)) - np.searchsorted(box, box) < most_options
         box, source = box[is_tried], source[is_tried]
-        largest, of_option = option_errors(some, box, source)
+        largest, of_option = option_errors(mixed, box, source)
         order = np.lexsort((source, largest, of_option, box))
         order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
         best[several], error[several], integral[several] = source[order], largest[order], of_option[order]
@@ -120,11 +120,11 @@ def fit_boxes(
 def sole_sources(visible: CellSources) -> Int[np.ndarray, " boxes"]:
     """Return, for each box, the corner (or goal) to which all shortest paths from the box go straight; else -1."""
     first = visible.first_pair[visible.first_piece]
-    count, own = np.diff(first), np.append(visible.source, -1)[first[:-1]]
-    agrees = visible.by_all & (visible.source == np.repeat(own, count))
+    count, first_source = np.diff(first), np.append(visible.source, -1)[first[:-1]]
+    agrees = visible.by_all & (visible.source == np.repeat(first_source, count))
     num_agreeing = np.diff(np.append(0, np.cumsum(agrees))[first])
     is_sole = (count > 0) & (count == np.diff(visible.first_piece)) & (count == num_agreeing)
-    return np.where(is_sole, own, -1)
+    return np.where(is_sole, first_source, -1)
 
 
 def option_errors(
@@ -168,10 +168,10 @@ class LeafOptions(NamedTuple):
 
 def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, " some"]) -> ConeBoxes:
     # Numbers count the boxes of the first level, then of the second, and so on.
-    first = np.cumsum([0, *(len(level.source) for level in levels)])
+    first = np.cumsum([0, *(len(boxes_of_level.source) for boxes_of_level in levels)])
     depth = np.searchsorted(first, number, side="right") - 1
     used = np.unique(depth) if len(depth) else [0]
-    boxes, *others = (levels[each][number[depth == each] - first[each]] for each in used)
+    boxes, *others = (levels[level][number[depth == level] - first[level]] for level in used)
     boxes = boxes.append(*others) if others else boxes
     return boxes if (np.diff(depth) >= 0).all() else boxes[np.argsort(np.argsort(depth, kind="stable"))]
 

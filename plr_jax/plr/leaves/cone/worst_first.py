@@ -37,6 +37,8 @@ _ATTEMPTS, _FULL = 8, 0.99  # trees to try at last, until one takes this share o
 
 @dataclass(frozen=True, eq=False)
 class _Nodes(Rows):
+    """The nodes of the trees of several goals."""
+
     goal: Int[np.ndarray, " nodes"]
     parent: Int[np.ndarray, " nodes"]  # -1 for the boxes of step 1
     level: Int[np.ndarray, " nodes"]  # number of halvings of the domain
@@ -61,7 +63,7 @@ class _GoalTree:
         self._born = np.where(self.nodes.parent < 0, -1, self._place[parent])
 
     @property
-    def rest(self) -> float:
+    def largest_open_key(self) -> float:
         """The largest key of a node that is not split."""
         return self.nodes.key[self.nodes.axis < 0].max(initial=0.0)
 
@@ -69,29 +71,30 @@ class _GoalTree:
         leaf = np.flatnonzero((self._place >= num_splits) & (self._born < num_splits))
         return leaf[np.argsort(self.nodes.path[leaf])]
 
-    def share(self, num_splits: int) -> float:
-        """Return the share of the limits that the tree takes."""
+    def fill(self, num_splits: int) -> float:
+        """Return the part of the limits that the tree takes."""
         source, most = self.nodes.source[self.leaves(num_splits)], self._limits
         num_bytes = self._files.num_bytes(source, most) if np.isfinite(most.max_bytes) else 0
         return max(len(source) / most.max_leaves, num_bytes / most.max_bytes)
 
-    def most_splits(self, fits: int, share: float, most: float) -> int:
-        """Return the most splits within the limits. The shares of ``fits`` splits and of all splits are known."""
+    def most_splits(self, fits: int, fill: float, most: float) -> int:
+        """Return the most splits within the limits. ``fill`` and ``most`` are those of ``fits`` and of all splits."""
         beyond = self.num_splits
         if most <= 1:
             return beyond
         for _ in range(_ATTEMPTS):
-            if beyond - fits <= 1 or share > _FULL:
+            if beyond - fits <= 1 or fill > _FULL:
                 break
-            aim = np.clip(((1 + _FULL) / 2 - share) / (most - share), 0.1, 0.9)
+            aim = np.clip(((1 + _FULL) / 2 - fill) / (most - fill), 0.1, 0.9)
             middle = min(max(fits + int(aim * (beyond - fits)), fits + 1), beyond - 1)
-            if (of_middle := self.share(middle)) <= 1:
-                fits, share = middle, of_middle
+            if (of_middle := self.fill(middle)) <= 1:
+                fits, fill = middle, of_middle
             else:
                 beyond, most = middle, of_middle
         return fits
 
     def tree(self, num_splits: int, axes_above: list[int]) -> Tree:
+        """Return the tree after ``num_splits`` splits, below levels whose axes are ``axes_above``."""
         axis = np.where(self._place < num_splits, self.nodes.axis, -1)
         order = np.lexsort((self.nodes.path, self.nodes.level))
         order = order[self._born[order] < num_splits]
@@ -105,15 +108,15 @@ class _Search:
 
     def __init__(self, files: ConeFiles, first: float) -> None:
         self.files = files
-        self.threshold, self._fits, self._share = _FIRST_DROP * first, 0, 0.0
+        self.threshold, self._fits, self._fill = _FIRST_DROP * first, 0, 0.0
 
     def num_splits(self, tree: _GoalTree) -> int | None:
         """Return the number of splits of the largest tree within the limits; None if the threshold was lowered."""
-        share = tree.share(tree.num_splits)
-        if share > 1 or not tree.rest:
-            return tree.most_splits(self._fits, self._share, share)
-        self._fits, self._share = tree.num_splits, share
-        self.threshold = min(self.threshold, tree.rest) * min(_GROWTH, _BEYOND / share) ** -_RATE
+        fill = tree.fill(tree.num_splits)
+        if fill > 1 or not tree.largest_open_key:
+            return tree.most_splits(self._fits, self._fill, fill)
+        self._fits, self._fill = tree.num_splits, fill
+        self.threshold = min(self.threshold, tree.largest_open_key) * min(_GROWTH, _BEYOND / fill) ** -_RATE
         return None
 
 
@@ -140,14 +143,14 @@ class WorstFirst:
         while 2 ** len(axes) * _LEAVES_A_BOX <= self.num_leaves and len(axes) < most:
             axes.append(len(axes) % 2)
             cells = cells.split(np.full(len(cells), axes[-1]))
-        goal, box = (each.ravel() for each in np.indices((len(oracles), len(cells))))
+        goal, box = (index.ravel() for index in np.indices((len(oracles), len(cells))))
         shared = oracles[0].shared_cells(*cells.grown_boxes(self.domain))
         visible = oracles[0].cells_of_members(shared, oracles, box, goal)
-        reached = [visible.distance[goal[visible.cell] == each] for each in range(len(oracles))]
+        reached = [visible.distance[goal[visible.cell] == i] for i in range(len(oracles))]
         negligible, count = np.array(list(map(query_resolution, reached))), np.int64(len(oracles[0].sources.points))
 
         def fit(cells: Cells, visible: CellSources) -> ConeBoxes:
-            return fit_boxes(self.domain, 0.0, cells, visible, tried=_MOST_TRIED)
+            return fit_boxes(self.domain, 0.0, cells, visible, most_options=_MOST_TRIED)
 
         def nodes_of(boxes: ConeBoxes, goal: Any, parent: Any, path: Any, most: Any) -> _Nodes:
             key = np.where(boxes.error > negligible[goal], np.minimum(boxes.error, most), 0.0)
@@ -158,8 +161,8 @@ class WorstFirst:
         nodes = nodes_of(rounds[0], goal, 0 * box - 1, box << (MAX_DEPTH + 1 - len(axes)), np.inf)
         files, first = ConeFiles(oracles[0].sources, self.domain), nodes.key.reshape(len(oracles), -1).max(axis=1)
         searches = {
-            each: _Search(files.of_goal(oracles[each].sources), float(first[each]))
-            for each, distances in enumerate(reached)
+            i: _Search(files.of_goal(oracles[i].sources), float(first[i]))
+            for i, distances in enumerate(reached)
             if len(distances)
         }
         trees: list[tuple[Tree, StoredCones] | None] = [None] * len(oracles)
@@ -167,7 +170,7 @@ class WorstFirst:
         while searches:
             # 2. Halve the boxes whose errors exceed the thresholds.
             threshold = np.full(len(oracles), np.inf)
-            threshold[list(searches)] = [each.threshold for each in searches.values()]
+            threshold[list(searches)] = [search.threshold for search in searches.values()]
             while len(some := np.flatnonzero((nodes.axis < 0) & (nodes.key > threshold[nodes.goal]))):
                 for batch in np.split(some, range(_BOXES_AT_ONCE, len(some), _BOXES_AT_ONCE)):
                     halved = boxes_of_levels(rounds, batch)
@@ -181,15 +184,15 @@ class WorstFirst:
                     path = nodes.path[parent] + (is_upper.astype(np.int64) << (MAX_DEPTH - nodes.level[parent]))
                     nodes = nodes.append(nodes_of(rounds[-1], nodes.goal[parent], parent, path, nodes.key[parent]))
             # 3. Compare the trees with the limits, and keep the first splits or lower the thresholds.
-            for each, search in list(searches.items()):
-                tree = _GoalTree(nodes, each, search.files, limits)
+            for i, search in list(searches.items()):
+                tree = _GoalTree(nodes, i, search.files, limits)
                 num_splits = search.num_splits(tree)
                 if num_splits is not None:
-                    del searches[each]
-                    if num_splits or tree.share(0) <= 1:
+                    del searches[i]
+                    if num_splits or tree.fill(0) <= 1:
                         leaf = tree.leaves(num_splits)
-                        trees[each] = tree.tree(num_splits, axes), search.files.stored(tree.nodes.source[leaf])
-                        leaves[each] = tree.number[leaf]
+                        trees[i] = tree.tree(num_splits, axes), search.files.stored(tree.nodes.source[leaf])
+                        leaves[i] = tree.number[leaf]
         return trees, boxes_of_levels(rounds, np.concatenate(leaves)).visible
 
 
@@ -199,14 +202,14 @@ def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, " boxes"]:
     visible, depth, sources = boxes.visible, boxes.cells.depth, boxes.visible.sources
     x, y = np.ascontiguousarray(visible.pieces.transpose(0, 2, 1))
 
-    def ways(x: Any, y: Any, source: Any) -> Any:
+    def path_lengths(x: Any, y: Any, source: Any) -> Any:
         dx, dy = x - sources.points[source, 0], y - sources.points[source, 1]
         return sources.distances[source] + np.sqrt(dx * dx + dy * dy)
 
     distance = np.minimum.reduceat(
-        ways(x[:, visible.piece], y[:, visible.piece], visible.source), visible.first_pair[:-1], axis=1
+        path_lengths(x[:, visible.piece], y[:, visible.piece], visible.source), visible.first_pair[:-1], axis=1
     )
-    error = np.abs(distance - ways(x, y, boxes.source[visible.cell]))
+    error = np.abs(distance - path_lengths(x, y, boxes.source[visible.cell]))
     lo, hi = boxes.cells.boxes(boxes.domain)
     middle, cost = ((lo + hi) / 2)[visible.cell], np.zeros(depth.shape)
     for axis, along in enumerate((x, y)):

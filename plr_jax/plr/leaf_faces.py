@@ -25,22 +25,22 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
     column of ``pairs`` has a node of ``a``, a node of ``b`` and any data that new pairs copy. The result has indices
     of leaves instead of nodes.
     """
-    trees, found = (a, b), [pairs[:, :0]]
+    trees, finished = (a, b), [pairs[:, :0]]
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
     while pairs.shape[1]:
         inner = np.stack([tree.child[nodes] >= 0 for tree, nodes in zip(trees, pairs, strict=False)])
-        found.append(pairs[:, ~inner.any(axis=0)])
+        finished.append(pairs[:, ~inner.any(axis=0)])
         first = inner[0] & (~inner[1] | (depths[0][pairs[0]] <= depths[1][pairs[1]]))
         children = []
-        for side, which in enumerate((first, inner.any(axis=0) & ~first)):
-            parents = pairs[:, which]
+        for side, chosen in enumerate((first, inner.any(axis=0) & ~first)):
+            parents = pairs[:, chosen]
             axis = trees[side].axis[parents[side]]
             for half in range(2):
                 child = parents.copy()
                 child[side] = trees[side].child[parents[side]] + half
                 children.append(child[:, keep(child, side, half, axis)])
         pairs = np.concatenate(children, axis=1)
-    leaves = np.concatenate(found, axis=1)
+    leaves = np.concatenate(finished, axis=1)
     for side, tree in enumerate(trees):
         leaves[side] = tree.leaf_of_node[leaves[side]]
     return leaves
@@ -68,6 +68,7 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> 
     """
     from scipy.sparse import csr_array, diags_array
 
+    # Substitute repeatedly, squaring the matrix, until all rows name free values only.
     step = csr_array(step + diags_array(is_free))
     while step[:, np.flatnonzero(is_free == 0)].nnz:
         step = csr_array(step @ step)
@@ -83,6 +84,10 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
     """
     from scipy.sparse import csr_array
 
+    # Gauss-Jordan elimination. For each equation, sum(row[i] * x[i]) == 0:
+    #   1. replace each solved variable in it by its solution;
+    #   2. solve it for its pivot: x[pivot] = -sum over the others of row[i] / row[pivot] * x[i];
+    #   3. replace the pivot in all earlier solutions that use it, so that solutions name unsolved variables only.
     solved: dict[int, dict[int, float]] = {}  # eliminated variable -> combination of others
     uses: dict[int, set[int]] = {}  # variable -> eliminated variables that use it
     rows.data[np.abs(rows.data) <= ZERO] = 0
@@ -106,9 +111,9 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
             uses.setdefault(index, set()).update(users)
     table = [(group, index, weight) for group, row in solved.items() for index, weight in row.items()]
     group, index, weight = np.array(table).reshape(-1, 3).T
-    kept = np.setdiff1d(np.arange(len(level)), np.array(list(solved), np.int64))
-    coordinates = np.concatenate([group, kept]).astype(int), np.concatenate([index, kept]).astype(int)
-    return csr_array((np.concatenate([weight, np.ones(len(kept))]), coordinates), (len(level), len(level)))
+    free = np.setdiff1d(np.arange(len(level)), np.array(list(solved), np.int64))
+    coordinates = np.concatenate([group, free]).astype(int), np.concatenate([index, free]).astype(int)
+    return csr_array((np.concatenate([weight, np.ones(len(free))]), coordinates), (len(level), len(level)))
 
 
 def _add(row: dict[int, float], factor: float, other: dict[int, float]) -> int:
@@ -142,17 +147,18 @@ def neighbor_of_largest_contact(
     """Return the reachable leaf that shares the largest face, edge or corner with each unreachable leaf, or -1."""
     tree = tree_of(cells)
     place = np.argsort(tree.order)
-    pairs = mine, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
+    pairs = lost, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
     # Of several assignments to one leaf, the last counts: the largest contact and, among equal ones, the first leaf.
     order = np.lexsort((-others, _contacts(cells, cells.depth.max(axis=0), pairs, periodic)))
     donor = np.full(len(cells), -1)
-    donor[mine[order]] = others[order]
+    donor[lost[order]] = others[order]
     return donor[unreachable]
 
 
 def touching_leaves(
     tree: Tree, some: Int[np.ndarray, " some"], others: Int[np.ndarray, " others"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, "2 pairs"]:
+    """Return pairs of a leaf of ``some`` and a leaf of ``others`` that share a face, an edge or a corner."""
     finest = tree.cells.depth.max(axis=0)
     holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
     holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
@@ -201,6 +207,7 @@ class SharedFaces(Rows):
 
 
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
+    """Return all faces that two leaves share, also across periodic seams, by lower, then upper leaf."""
     most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
     # Start at the halves of every split, and at the root with itself across each periodic seam.
     split = np.flatnonzero(tree.child >= 0)
@@ -227,8 +234,8 @@ def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"])
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])
     high = np.minimum(hi[faces.lower], hi[faces.upper])
-    each = np.arange(len(faces))
-    low[each, faces.axis] = high[each, faces.axis] = hi[faces.lower, faces.axis]
+    row = np.arange(len(faces))
+    low[row, faces.axis] = high[row, faces.axis] = hi[faces.lower, faces.axis]
     return low[:, None] + (high - low)[:, None] * w
 
 

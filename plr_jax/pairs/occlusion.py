@@ -25,7 +25,8 @@ _RUN = 4  # neighbor leaves, or runs of them, that are combined into a longer ru
 _STEP = 4
 _SHORT = 4  # walls of an entry that are tested first; few entries have more
 _LONG = np.uint32(2**31)  # added to the first wall of an entry that has more
-_FEW, _SHARE = 2**6, 16  # rows tested against all walls of their entries; share of more rows that are tested at once
+_FEW_ROWS = 2**6  # rows tested against all walls of their entries
+_NUM_BATCHES = 16  # more rows are tested in batches of at least this part of them
 _COST = 4  # time to test a wall read for each point, in tests of a wall shared by all points
 _AT_ONCE = 2**15  # pairs of a list entry and a wall tested together
 _BLOCK = 2**20  # pairs of a corner and a wall handled together
@@ -41,6 +42,7 @@ Flags = Bool[Array, "n"]
 Boxes = tuple[Float[np.ndarray, "leaves 2"], Float[np.ndarray, "leaves 2"]]
 Entries = Int[np.ndarray, "entries"]  # a number for each corner that a leaf lists
 EntryPoints = Float[np.ndarray, "entries 2"]
+Hulls = tuple[EntryPoints, EntryPoints, EntryPoints]  # each is the convex hull of a box (two ends) and a corner
 PairIndices = Int[np.ndarray, "pairs"]
 Corners = Float[np.ndarray, "corners 2"]
 Walls = Float[np.ndarray, "walls 4"]
@@ -66,8 +68,8 @@ class NearWalls:
         shape: tuple[int, int],
     ) -> "NearWalls | None":
         # Return None if testing all walls is as fast.
-        worth = len(walls) // _COST // _STEP * _STEP
-        if (near := near_entries(boxes, leaf, listed, corners, walls, margin, worth)) is None:
+        most_worthwhile = len(walls) // _COST // _STEP * _STEP
+        if (near := near_entries(boxes, leaf, listed, corners, walls, margin, most_worthwhile)) is None:
             return None
         entry, wall = near
         counts = np.bincount(entry, minlength=len(leaf))
@@ -82,16 +84,17 @@ class NearWalls:
         # `place` is the index of the corner in the list of the leaf, which contains the point.
         packed, size = self.first[leaf, place], x.shape[0]
         first, is_long = packed % _LONG, packed >= _LONG
-        if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW:
+        if self.most <= _SHORT or is_symbolic_dim(size) or size <= _FEW_ROWS:
             return self._are_crossed(self.most, first, x, corner)
         hidden = self._are_crossed(_SHORT, first, x, corner)
 
         def test_all_walls(_: Any, *rows: Any) -> Flags:
             return self._are_crossed(self.most, *rows)
 
-        return updated(hidden, is_long & ~hidden, size // _SHARE, test_all_walls, first, x, corner)
+        return updated(hidden, is_long & ~hidden, size // _NUM_BATCHES, test_all_walls, first, x, corner)
 
     def _are_crossed(self, most: int, first: Rows, x: Points, corner: Points) -> Flags:
+        # A line of sight is hidden if it crosses a wall into an obstacle and a wall out of one (see `crossings`).
         along = jnp.arange(most, dtype=jnp.uint32)[None]
         ax, ay, bx, by = (row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
         (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
@@ -132,10 +135,10 @@ def updated(
             lambda old, new: old.at[row].set(new, mode="drop", unique_indices=True), state, update(*rows)
         )
 
-    times = (ends[-1] + np.uint32(size - 1)) // np.uint32(size)
+    num_batches = (ends[-1] + np.uint32(size - 1)) // np.uint32(size)
     if leaves_rest:  # a last part of fewer rows stays as it is, unless it is the only one
-        times = jnp.minimum(times, jnp.maximum(ends[-1] // np.uint32(size), 1))
-    return jax.lax.fori_loop(jnp.uint32(0), times, next_rows, state)
+        num_batches = jnp.minimum(num_batches, jnp.maximum(ends[-1] // np.uint32(size), 1))
+    return jax.lax.fori_loop(jnp.uint32(0), num_batches, next_rows, state)
 
 
 def near_entries(
@@ -149,7 +152,7 @@ def near_entries(
     # Leaves ascend in `leaf`, entries in the result. A few of the walls found are farther away.
     by_corner = np.argsort(listed.astype(np.uint16), kind="stable")  # a radix sort
     first = np.append(0, np.cumsum(np.bincount(listed, minlength=len(corners))))
-    found, count = [np.zeros((2, 0), np.int32)], 0
+    near_pairs, count = [np.zeros((2, 0), np.int32)], 0
     for block in parts(np.full(len(first) - 1, len(walls)), _BLOCK):
         entries = np.sort(by_corner[first[block.start] : first[block.stop]])
         number, at = listed[entries] - block.start, corners[listed[entries]]
@@ -157,8 +160,8 @@ def near_entries(
         if near is None or np.bincount(near[0]).max(initial=0) > most or count + len(near[0]) > _MOST_PAIRS:
             return None
         count += len(near[0])
-        found.append(np.stack([entries[near[0]].astype(np.int32), near[1]]))
-    entry, wall = np.concatenate(found, axis=1)
+        near_pairs.append(np.stack([entries[near[0]].astype(np.int32), near[1]]))
+    entry, wall = np.concatenate(near_pairs, axis=1)
     order = np.argsort(entry, kind="stable")
     return entry[order], wall[order]
 
@@ -166,6 +169,8 @@ def near_entries(
 def _near_entries(
     boxes: Boxes, leaf: Entries, number: Entries, corner: EntryPoints, walls: Walls, margin: float
 ) -> NearPairs | None:
+    # Leaves at neighbor indices are near one another. So first find the walls near runs of four leaves, by recursion;
+    # only these walls are tested for each leaf of a run.
     lo, hi = boxes
     if len(lo) == 1:
         first, candidates = np.array([0, len(walls)]), np.arange(len(walls), dtype=np.int32)
@@ -174,32 +179,28 @@ def _near_entries(
         begin = np.arange(0, len(lo), _RUN)
         of_runs = np.minimum.reduceat(lo, begin), np.maximum.reduceat(hi, begin)
         key = leaf // _RUN * (number.max(initial=0) + 1) + number
-        _, which, above = np.unique(key, return_index=True, return_inverse=True)
-        if (near := _near_entries(of_runs, leaf[which] // _RUN, number[which], corner[which], walls, margin)) is None:
+        _, heads, above = np.unique(key, return_index=True, return_inverse=True)
+        if (near := _near_entries(of_runs, leaf[heads] // _RUN, number[heads], corner[heads], walls, margin)) is None:
             return None
         entry, candidates = near
-        first = np.searchsorted(entry, np.arange(len(which) + 1))
+        first = np.searchsorted(entry, np.arange(len(heads) + 1))
     tests = first[above + 1] - first[above]
     if tests.sum() > _MOST_TESTS:
         return None
     some = np.flatnonzero(tests).astype(np.int32)
-    found = [np.zeros((2, 0), np.int32)]
+    near_pairs = [np.zeros((2, 0), np.int32)]
     for part in parts(tests[some], _AT_ONCE):
         entries = some[part]
         place, row = take_ragged(first, above[entries])
         wall, at = candidates[place], leaf[entries]
         near = _near_pairs((lo[at], hi[at], corner[entries]), row, walls, wall, margin)
-        found.append(np.stack([entries[row[near]], wall[near]]))
-    entry, wall = np.concatenate(found, axis=1)
+        near_pairs.append(np.stack([entries[row[near]], wall[near]]))
+    entry, wall = np.concatenate(near_pairs, axis=1)
     return entry, wall
 
 
 def _near_pairs(
-    hulls: tuple[EntryPoints, EntryPoints, EntryPoints],
-    entry: PairIndices,
-    walls: Walls,
-    wall: PairIndices,
-    margin: float,
+    hulls: Hulls, entry: PairIndices, walls: Walls, wall: PairIndices, margin: float
 ) -> Int[np.ndarray, " near"]:
     # A hull is that of a box and a corner. A wall is near if no axis separates both by more than the margin.
     lo, hi, corner = hulls
@@ -216,7 +217,7 @@ def _near_pairs(
     for side in (beside, -beside):
         least, number = side.min(axis=1), np.arange(len(lo))
         end = least.argmax(axis=0), number
-        along_x, along_y = (each[end] if side is beside else -each[end] for each in (x, y))
+        along_x, along_y = (coordinate[end] if side is beside else -coordinate[end] for coordinate in (x, y))
         reach = margin * (np.abs(along_x) + np.abs(along_y))
         at_corner = along_x * corner[:, 1] - along_y * corner[:, 0]
         lines.append((along_x, along_y, np.minimum(least[end], 0) + at_corner - reach))
@@ -246,7 +247,7 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
     rng = np.random.default_rng(0)
     box = shapely.box(*domain.lo, *domain.hi)
     solid = shapely.buffer(shapely.difference(box, region), -depth, join_style="mitre")
-    found = [np.zeros((0, 2, 2))]
+    inner_chords = [np.zeros((0, 2, 2))]
     for part in shapely.get_parts(solid):
         vertices = np.unique(shapely.get_coordinates(part), axis=0)
         vertices = vertices[rng.permutation(len(vertices))[:_MOST_VERTICES]]
@@ -254,13 +255,14 @@ def occluders_of(region: Any, domain: Box, depth: float, num_walls: int) -> Floa
         length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
         ends = ends[np.argsort(-length, kind="stable")[: _MOST_VERTICES * 8]]
         shapely.prepare(part)
-        found.append(ends[shapely.covers(part, shapely.linestrings(ends))][:_MOST_CHORDS])
-    chords = np.concatenate(found)
+        inner_chords.append(ends[shapely.covers(part, shapely.linestrings(ends))][:_MOST_CHORDS])
+    chords = np.concatenate(inner_chords)
     # 2. Draw random free pairs, and find the chords that their segments cross.
     x, y = domain.lo + rng.random((2, _PAIRS, 2)) * domain.width
     shapely.prepare(region)
     is_free = shapely.intersects_xy(region, *x.T) & shapely.intersects_xy(region, *y.T)
-    p, q, (a, b) = x[is_free].T, y[is_free].T, chords.transpose(1, 2, 0)[..., None]
+    p, q = x[is_free].T, y[is_free].T
+    a, b = chords.transpose(1, 2, 0)[..., None]
 
     def left_of(a: Any, b: Any, p: Any) -> Any:
         (ax, ay), (bx, by), (px, py) = a, b, p

@@ -8,7 +8,7 @@ import shapely
 from robot_helpers import BAR, DISC, PEBBLE, POINT, ROBOTS, WING, random_motions, sampled_distance
 
 from plr_jax import DiscRobot, PointRobot, RectangleRobot, Workspace
-from plr_jax.collision.team import JointMotionTest, TeamTrajectory, circles, motions_apart, within_reach
+from plr_jax.collision.motions import JointMotionTest, TeamTrajectory, circles, motions_apart, within_reach
 from plr_jax.collision.walls import MotionTest
 
 TOLERANCE = 1e-9

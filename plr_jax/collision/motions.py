@@ -40,6 +40,8 @@ Apart: TypeAlias = Bool[np.ndarray, "*batch"]
 
 
 class Circles(NamedTuple):
+    """Circles in the plane, one for each entry of the arrays."""
+
     x: Column
     y: Column
     radius: Column
@@ -63,24 +65,31 @@ class TeamTrajectory:
         self._x[motions, i], self._y[motions, i], self._radius[motions, i] = x, y, radius + self._size[i]
 
     def robots_near(
-        self, i: int, around: Circles, motion: Int[np.ndarray, " n"], excluded: Sequence[int] = ()
+        self, i: int, around: Circles, first_row: Int[np.ndarray, " n"], excluded: Sequence[int] = ()
     ) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " m"]]:
-        """Return pairs ``(k, j)``: robot ``i`` in the ``k``-th circle may meet robot ``j``'s motion ``motion[k]``."""
+        """Find the robots whose motions come so near to circles that robot ``i`` in a circle may meet them.
+
+        While robot ``j`` makes its motion from row ``first_row[k]`` of the path to the next row, the reference point
+        of robot ``i`` is somewhere in circle ``k`` of ``around``. Robots ``excluded`` are left out.
+
+        Returns:
+            The indices ``k`` and ``j`` of all pairs that may meet, both ``(m,)``, ordered by ``k``, then ``j``.
+        """
         x, y, radius = around
         radius, apart, num_robots = radius + self._size[i], [i, *excluded], len(self._size)
-        found, size = [], max(1, _CHUNK // num_robots)
-        for first in range(0, max(1, len(motion)), size):
+        near, size = [], max(1, _CHUNK // num_robots)
+        for first in range(0, max(1, len(first_row)), size):
             rows = slice(first, first + size)
-            squared, along_y, reach = (of[motion[rows]] for of in (self._x, self._y, self._radius))
-            for difference, own in ((squared, x), (along_y, y)):
-                difference -= own[rows, None]
+            squared, along_y, reach = (table[first_row[rows]] for table in (self._x, self._y, self._radius))
+            for difference, center in ((squared, x), (along_y, y)):
+                difference -= center[rows, None]
                 difference *= difference
             squared += along_y
             reach += radius[rows, None]
             reach[:, apart] = 0.0
             reach *= reach
-            found.append(first * num_robots + np.flatnonzero(squared < reach))
-        return np.divmod(np.concatenate(found), num_robots)
+            near.append(first * num_robots + np.flatnonzero(squared < reach))
+        return np.divmod(np.concatenate(near), num_robots)
 
 
 def within_reach(robot_a: Robot, around_a: Circles, robot_b: Robot, around_b: Circles) -> Int[np.ndarray, " m"]:
@@ -100,9 +109,9 @@ def circles_along(q: Float[np.ndarray, "steps k dof"]) -> Circles:
     return _between(*(Circles(*(column[rows] for column in around)) for rows in (slice(-1), slice(1, None))))
 
 
-def _between(one: Circles, other: Circles) -> Circles:
-    radius = np.hypot(other.x - one.x, other.y - one.y) / 2 + np.maximum(one.radius, other.radius)
-    return Circles((one.x + other.x) / 2, (one.y + other.y) / 2, radius)
+def _between(a: Circles, b: Circles) -> Circles:
+    radius = np.hypot(b.x - a.x, b.y - a.y) / 2 + np.maximum(a.radius, b.radius)
+    return Circles((a.x + b.x) / 2, (a.y + b.y) / 2, radius)
 
 
 def _around(q: Float[np.ndarray, "n k dof"]) -> Circles:
@@ -186,15 +195,15 @@ class JointMotionTest:
         return motions_apart(self.robots[i], a0, a1, self.robots[j], b0, b1, self.workspace.tolerance, self.deadline)
 
     def meet(
-        self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, motion: Rows, other: Rows
+        self, i: int, begin: Motions, end: Motions, trajectory: TeamTrajectory, first_row: Rows, j: Rows
     ) -> Bool[np.ndarray, " m"]:
-        """Return whether motions of robot ``i`` hit robots ``other`` in motions ``motion`` of ``trajectory``."""
+        """Return whether motions of robot ``i`` hit robots ``j`` in motions of ``trajectory`` from ``first_row``."""
         # Motion ``k`` of a robot leads from row ``k`` of the trajectory to row ``k + 1``.
-        others_begin, others_end = trajectory.path[motion, other], trajectory.path[motion + 1, other]
+        others_begin, others_end = trajectory.path[first_row, j], trajectory.path[first_row + 1, j]
         if not self.first_equal.any():  # all robots are equal
             return ~self.apart(i, begin, end, 0, others_begin, others_end)
-        result = np.empty(len(motion), dtype=bool)
-        for kind in set(self.first_equal[other].tolist()):
-            alike = np.flatnonzero(self.first_equal[other] == kind)
-            result[alike] = ~self.apart(i, begin[alike], end[alike], kind, others_begin[alike], others_end[alike])
+        result = np.empty(len(first_row), dtype=bool)
+        for kind in set(self.first_equal[j].tolist()):
+            rows = np.flatnonzero(self.first_equal[j] == kind)
+            result[rows] = ~self.apart(i, begin[rows], end[rows], kind, others_begin[rows], others_end[rows])
         return result

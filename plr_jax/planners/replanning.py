@@ -13,7 +13,7 @@ from tqdm import tqdm
 from plr_jax._arrays import as_number, as_numbers, require_function, require_integer, shortened
 from plr_jax._problem import Problem, motion_costs, row_times, settled_pose, straight_costs
 from plr_jax._types import ArrayLike
-from plr_jax.collision.team import motions_apart
+from plr_jax.collision.motions import motions_apart
 from plr_jax.planners._solution import (
     BLOptions,
     Solution,
@@ -116,10 +116,10 @@ def replan(
         status = Status.TIME_LIMIT
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
-    found = timetable.path if status is Status.SOLVED else None
+    path = timetable.path if status is Status.SOLVED else None
     stats = Stats(0, seconds={"replan": time.perf_counter() - began}, found_by="replan")
     lower_bound = max(options.lower_bound or 0.0, straight_line_bound(problem))
-    repaired = make_solution(problem, found, lower_bound, status, stats, problem.starts[None].copy())
+    repaired = make_solution(problem, path, lower_bound, status, stats, problem.starts[None].copy())
     # 4. If there is no path, or only one that costs too much, plan the whole team.
     if status is Status.SOLVED and repaired.cost > (1 + _ROUNDING) * options.cost_factor * lower_bound:
         status = Status.EXHAUSTED
@@ -262,6 +262,7 @@ class _LifelongTeam:
         self._due = math.inf  # row of the next planned arrival
 
     def plan_from_nothing(self) -> Status:
+        """Plan the whole team without regard to its present plan."""
         plan = self.plan or (lambda problem: bl_plan(problem, options=self.options))
         solution = plan(self._current_problem(self.problem.goals))
         self._num_from_nothing, self._num_idle = self._num_from_nothing + 1, 0
@@ -293,6 +294,7 @@ class _LifelongTeam:
         self._due, self._num_idle = math.inf, 0
 
     def replan(self) -> Status:
+        """Plan for the requested goals, as far as they are possible, from the team's present places on."""
         began = time.process_time()
         goals = self._possible_goals()
         if (goals != self.problem.goals).any():
@@ -305,9 +307,10 @@ class _LifelongTeam:
         return status
 
     def result(self, status: Status) -> LifelongRun:
+        """Return the run so far, as a path from the first starts to the present places."""
         path, problem = np.concatenate(self._done), self.problem
         problem = Problem(problem.workspace, problem.robots, path[0], path[-1], problem.rotation_weight)
-        robots, rows = (np.array([each[k] for each in self.served], dtype=np.intp) for k in (0, 1))
+        robots, rows = (np.array([entry[k] for entry in self.served], dtype=np.intp) for k in (0, 1))
         goals = np.array([goal for *_, goal in self.served]).reshape(-1, problem.dof)
         times, seconds = row_times(problem, path), np.array(self._seconds)
         return LifelongRun(problem, path, times, robots, goals, rows, seconds, self._num_from_nothing, status)
@@ -343,11 +346,11 @@ class _LifelongTeam:
         self._due = due
         todo = np.flatnonzero(waits & (timetable.ends <= _WINDOW))
         todo = todo[np.argsort(self._since[todo], kind="stable")].tolist()
-        left = 0 if self._num_idle > _MOST_IDLE else _ATTEMPTS * len(todo)
+        num_left = 0 if self._num_idle > _MOST_IDLE else _ATTEMPTS * len(todo)
         while todo:
-            if not left:
+            if not num_left:
                 return self.plan_from_nothing()
-            i, left = todo.pop(0), left - 1
+            i, num_left = todo.pop(0), num_left - 1
             motion, _ = plan_through_time(timetable, i, self.step, _FEW_STATES)
             if motion is None:
                 # The robot stays in place. Robots that would have passed there are replanned.

@@ -9,8 +9,7 @@ from planner_helpers import MIXED, ROOM
 
 from plr_jax import DiscRobot, Problem, Workspace, scenes, validate
 from plr_jax._problem import motion_costs
-from plr_jax.planners import BLOptions, Solution, Status, bl_plan, lifelong, replan
-from plr_jax.planners import under_way as under_way_module
+from plr_jax.planners import BLOptions, Solution, Status, bl_plan, lifelong, replan, replanning
 
 HALLS = Workspace(((0, 0), (10, 6)), [shapely.box(4, 1, 6, 2.5), shapely.box(4, 3.5, 6, 5)])
 
@@ -87,7 +86,7 @@ def test_standing_robot_does_not_move(monkeypatch):
     assert (found.path[:, 1] == before.starts[1]).all() and found.cost > 8.5
     hall = Workspace(((0, 0), (4, 1)))
     problem = Problem(hall, [DiscRobot(0.4)] * 2, [(0.5, 0.5), (2, 0.5)], [(3.5, 0.5), (2, 0.5)])
-    monkeypatch.setattr(under_way_module, "_MOST_STATES", 500)
+    monkeypatch.setattr(replanning, "_MOST_STATES", 500)
     stuck = replan(problem, replace_path(solution, np.stack([problem.starts, problem.goals])), 0.0, standing=[1])
     assert stuck.path is None and stuck.status is Status.EXHAUSTED
 

@@ -12,7 +12,9 @@ _POINTS_AT_ONCE = 1 << 16  # pairs of a convex piece of free space and a point t
 _PAIRS_AT_ONCE = 1 << 19  # pairs of a point and a source that are evaluated at once
 
 
-class CellMemory:
+class SourceCache:
+    """A cache of the sources of cells, so that halves inherit the sources of their wholes."""
+
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
         self._parts: list[CellSources] = []
@@ -32,7 +34,7 @@ class CellMemory:
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
             # Halve cached cells along the first axis if possible, else along the second.
-            wholes = [Cells(np.maximum(new.depth - each, 0), new.position >> each) for each in np.eye(2, dtype=int)]
+            wholes = [Cells(np.maximum(new.depth - step, 0), new.position >> step) for step in np.eye(2, dtype=int)]
             axis = np.where((new.depth[:, 0] > 0) & self._knows(wholes[0]), 0, 1)
             whole = wholes[0].append(wholes[1])[axis * len(new) + np.arange(len(new))]
             _, first, parent = np.unique(whole.hashes(), return_index=True, return_inverse=True)
@@ -44,6 +46,7 @@ class CellMemory:
         return self._recall(cells)
 
     def sources_of_leaves(self, tree: Tree) -> CellSources:
+        """Return the sources of a tree's leaves; unless all are known, descend from the domain's sources."""
         if not self._knows(tree.leaves).all():
             nodes, visible = np.zeros(1, np.int64), self.sources(Cells.root(2))
             while len(nodes):
@@ -71,14 +74,14 @@ class CellMemory:
 
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
     """Return exact distances to the goal at ``k`` points of each cell; ``inf`` where it cannot be reached."""
-    found = np.full(x.shape[:2], np.inf)
+    distance = np.full(x.shape[:2], np.inf)
     at_once = max(1, _POINTS_AT_ONCE // x.shape[1])
-    held = [np.zeros((2, 0), int)]
+    containing = [np.zeros((2, 0), int)]
     for begin in range(0, len(visible.cell), at_once):
         piece = np.arange(begin, min(begin + at_once, len(visible.cell)))
         row, column = np.nonzero(visible.hold(piece, x[visible.cell[piece]]))
-        held.append(np.stack([piece[row], column]))
-    piece, column = np.concatenate(held, axis=1)
+        containing.append(np.stack([piece[row], column]))
+    piece, column = np.concatenate(containing, axis=1)
     # For each piece that contains a point, find the shortest path by way of a source that the point sees.
     for some in parts(np.diff(visible.first_pair)[piece], _PAIRS_AT_ONCE):
         pair, row = take_ragged(visible.first_pair, piece[some])
@@ -87,8 +90,8 @@ def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) 
         dx, dy = (x[place] - sources.points[source]).T
         length = sources.distances[source] + np.sqrt(dx * dx + dy * dy)
         by_all = visible.by_all[pair]
-        np.minimum.at(found, tuple(each[by_all] for each in place), length[by_all])
-        unsure = np.flatnonzero(~by_all & (length < found[place]))
+        np.minimum.at(distance, tuple(each[by_all] for each in place), length[by_all])
+        unsure = np.flatnonzero(~by_all & (length < distance[place]))
         seen = unsure[visible.see(source[unsure], x[place][unsure])]
-        np.minimum.at(found, tuple(each[seen] for each in place), length[seen])
-    return found
+        np.minimum.at(distance, tuple(each[seen] for each in place), length[seen])
+    return distance

@@ -8,8 +8,8 @@ import shapely
 
 from plr_jax import Box, Workspace, scenes
 from plr_jax._arrays import padded
-from plr_jax.pairs import hiding
-from plr_jax.pairs.hiding import NearWalls, is_across_occluder, near_entries, occluders_of
+from plr_jax.pairs import occlusion
+from plr_jax.pairs.occlusion import NearWalls, is_across_occluder, near_entries, occluders_of
 
 
 def random_case(seed, leaves, corners, walls):
@@ -47,7 +47,7 @@ def test_near_walls_are_found_and_few_others(leaves, corners, walls):
 def test_blocks_of_any_size_find_the_same_walls(monkeypatch, block):
     case = random_case(5, 21, 7, 60)
     together = near_entries(*case, 1e-3, 60)
-    monkeypatch.setattr(hiding, "_BLOCK", block)
+    monkeypatch.setattr(occlusion, "_BLOCK", block)
     np.testing.assert_array_equal(near_entries(*case, 1e-3, 60), together)
     boxes, leaf, listed, points, walls = case
     for none in ((boxes, leaf[:0], listed[:0], points, walls), (boxes, leaf, listed, points, walls[:0])):
@@ -84,7 +84,7 @@ def test_too_many_near_walls_give_none(monkeypatch, limit):
     entry, _ = near_entries(*case, 1e-3, 60)
     most = int(np.bincount(entry).max())
     assert near_entries(*case, 1e-3, most) is not None and near_entries(*case, 1e-3, most - 1) is None
-    monkeypatch.setattr(hiding, limit, len(entry) - 1)
+    monkeypatch.setattr(occlusion, limit, len(entry) - 1)
     assert near_entries(*case, 1e-3, most) is None
 
 
