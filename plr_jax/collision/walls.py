@@ -140,7 +140,9 @@ class MotionTest:
         robot, tolerance = self.robot, self.workspace.tolerance
         index, owner = take_ragged(self._first, cell)
         edges, clear = self.workspace.boundary.segments[self._edge[index]], np.ones(len(cell), dtype=bool)
-        # 1. Compare the radii to the distances from the path of the reference point to the edges.
+        # 1. Compare the radii to the distances from the path of the reference point to the edges. Coordinates u and v
+        #    are along and across an edge, from its first end. The distance is 0 if path and edge cross, else that
+        #    from an end of the path to the edge, or from an end of the edge to the path.
         near, tangent = pieces.take(owner), edges[:, 1] - edges[:, 0]
         length = np.hypot(tangent[:, 0], tangent[:, 1])
         c, s = tangent[:, 0] / length, tangent[:, 1] / length

@@ -171,7 +171,7 @@ class CostToGoField:
             weights = basis(space.degree, at.reshape(-1, dim)).reshape(*at.shape[:2], -1)
             control = np.einsum("nij,nj->ni", weights, self._nodal[c]) @ to_bernstein(space.degree, dim).T
             function, highest = corners[some] @ basis(1, space.lattice).T, control.max(axis=1)
-            bent = np.interp(highest, *self._rescaling) - highest  # largest for the largest value
+            bent = np.interp(highest, *self._rescaling) - highest  # rescaling lowers the highest value the most
             straight = self._below_straight(*(mesh.domain.at(mesh.fractions(c, end[some])) for end in (lo, hi)))
             proven = (control - function).min(axis=1) + bent
             below[some] = np.maximum(proven, (straight - corners[some]).min(axis=1)) - spare
@@ -202,6 +202,8 @@ class CostToGoField:
         if domain.is_periodic:  # costs of motions either way around are not convex
             return np.zeros((len(lo), len(bits)))
         # The tangent of the cost to the nearest goal, and for others the cost from the middle less half a diagonal's.
+        # With a norm, the cost to goal g is |x - g| >= s . (x - g) for the gradient s of the norm at the middle; that
+        # to all other goals is at least the middle's less the norm of half the diagonal.
         distance, nearest = nearest_goals(self.goals, domain, costs.motion_cost, (lo + hi) / 2, 2)
         goal = self.goals[nearest[:, 0]]
         middle, slope = (lo + hi) / 2 - goal, np.zeros_like(lo)

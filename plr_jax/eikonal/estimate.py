@@ -329,7 +329,7 @@ def _open_nodes(space: ConfigurationSpace, box: Box, shape: Shape) -> tuple[Cell
     joined = np.repeat(np.eye(len(corners), dtype=bool)[None], len(wall), axis=0)
     for i, j in np.argwhere(np.abs(corners[:, None] - corners).sum(axis=2) == 2):
         joined[:, i, j] = space.are_free(q[:, i], q[:, j])
-    for _ in range(len(shape)):
+    for _ in range(len(shape)):  # each product doubles the length of paths along sides of the box
         joined = joined @ joined
     is_whole = (joined | ~is_free[:, :, None] | ~is_free[:, None]).all(axis=(1, 2))
     is_open[tuple(wall.T)] = is_whole & is_free.any(axis=1)

@@ -160,6 +160,13 @@ def find_turn_points(
 ) -> TurnPoints:
     """Return the corners at which shortest paths may first turn; ``vertices`` are goals, then corners."""
     # ``distances`` and ``parents`` come from Dijkstra's algorithm with the goals as sources.
+    #
+    #                          . onward, to the goal
+    #                     .
+    #                c------------ wall         A path that turns at corner c comes from the cone between the
+    #           .    |############              backward extension of the path onward and the wall around which
+    #      .   cone  |# obstacle #              it comes. If the extension enters the obstacle, none turns there.
+    #               wall
     vertex = num_goals + np.flatnonzero(np.isfinite(distances[num_goals:]))
     points, (opens, closes) = vertices.points[vertex], vertices.walls[:, vertex]
     onward = vertices.points[parents[vertex]] - points

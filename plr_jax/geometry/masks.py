@@ -124,7 +124,9 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
 
 
 def _stations_of(outlines: PixelRings) -> tuple[_Stations, Bool[np.ndarray, " n"]]:
-    # The second result says whether two outlines, or one twice, meet at a station.
+    # The second result says whether two outlines, or one twice, meet at a station. A ring of k corners, which begins
+    # at its first contact if it has any, has 2 k + 1 stations before middles are dropped: a corner, the middle of its
+    # run, the next corner, ..., and the first corner again.
     size, num_rings = np.diff(outlines.start), len(outlines.start) - 1
     ring, place = ragged_indices(size)
     shift = np.zeros(num_rings, dtype=int)
@@ -162,6 +164,9 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
     # The result is the farthest later station to which a link from each station may go.
     # All corners between must be near the segment: they narrow its directions to a wedge, and the segment must be at
     # least as long as their distances from its start (Sklansky and Gonzalez, Pattern Recognition 12, 1980).
+    # A corner at distance d allows directions up to arcsin(tolerance / d) from its own, or all if d is within the
+    # tolerance. The wedge, from `least` to `most`, is relative to `axis`, the direction of the first corner that
+    # limits it.
     points, farthest = stations.points, np.minimum(np.arange(len(stations.points)) + 1, stations.end)
     begin = np.flatnonzero(stations.end > np.arange(len(points)))
     axis, least, most, length = np.zeros((4, len(begin)))

@@ -326,7 +326,8 @@ class _Mesh:
 
 
 def _inside(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[HalfEdges, HalfEdges, HalfEdges]:
-    # Keep the triangles on the free side of walls, and number their half-edges.
+    # Keep the triangles on the free side of walls, and number their half-edges. `wall` is set only for half-edges on
+    # the free side. So of the parts into which walls divide the triangles, those with such a half-edge are free.
     half_edges = _half_edges(triangles)
     key, opposite = (_keys(ends, num_vertices) for ends in (half_edges, half_edges[:, ::-1]))
     wall, twin = index_of(_keys(edges, num_vertices), key), index_of(key, opposite)

@@ -197,6 +197,7 @@ def _halved(tree: _ListTree, nodes: Int[np.ndarray, " nodes"], domain: Box, limi
 
 
 def _keyed_lists(visible: CellSources, cells: Cells, limits: Limits) -> tuple[Lists, Float[np.ndarray, " cells"]]:
+    # A cell's key is the area of its free space, times the number of listed corners that not all of it may see.
     lists = Lists(cells, *corners_of_cells(visible))
     area = np.bincount(visible.cell, areas(visible.pieces), len(cells))
     doubtful = np.bincount(lists.cell, ~lists.by_all, len(cells))

@@ -292,6 +292,8 @@ def _lengths_at_once(tables: GridTables, p: Cells, q: Cells) -> _Lengths:
 
 
 def _sorted_chunks(work: _Lengths) -> Int32[Array, "chunks size"]:
+    # Indices in ascending order of `work`, chunk by chunk; the last one is repeated to fill its chunk. Each sorted
+    # integer holds the work in its high bits and the index in its low bits.
     key = work.astype(jnp.uint32) << _SORTED_BITS | jnp.arange(len(work), dtype=jnp.uint32)
     order = (jnp.sort(key) & ((1 << _SORTED_BITS) - 1)).astype(jnp.int32)
     size = min(_CHUNK, len(work))
@@ -328,7 +330,8 @@ def _nearest_to_both(tables: GridTables, cells: Cells, others: Cells, seen: Flag
 
 
 def _better_blocks(tables: GridTables, cells: Cells, others: Cells, length: _Lengths) -> _Blocks:
-    # A bit for each block of four corners of a cell: whether a path over it may be shorter than `length`.
+    # A bit for each block of four corners of a cell: whether a path over it may be shorter than `length`, because on
+    # an empty grid it would be.
     first, count = _blocks_of(tables, cells)
     count = jnp.where(length > 0, count, 0)
 
@@ -357,6 +360,7 @@ class _OpenBlocks(NamedTuple):
         return jnp.where(number == 0, self.blocks, all_bits)
 
     def corners(self, tables: GridTables, number: _Scalar, bits: _Blocks) -> _Corners:
+        # The lowest set bit of each cell's word: as many zeros are below it as ~x & (x - 1) has ones.
         place = lax.population_count(~bits & (bits - 1)).astype(jnp.int32) + number * _WORD
         first, _ = _blocks_of(tables, self.cells)
         return looked_up(tables.blocks, jnp.where(bits != 0, first + place, 0)).astype(jnp.int32)

@@ -95,6 +95,7 @@ class NearWalls:
 
     def _are_crossed(self, most: int, first: Rows, x: Points, corner: Points) -> Flags:
         # A line of sight is hidden if it crosses a wall into an obstacle and a wall out of one (see `crossings`).
+        # `crossed` is -1 for a wall crossed into an obstacle, 1 for one crossed out of an obstacle, else 0.
         along = jnp.arange(most, dtype=jnp.uint32)[None]
         ax, ay, bx, by = (row.at[first[:, None] + along].get(mode="promise_in_bounds") for row in self.ends)
         (px, py), (qx, qy) = x.T[:, :, None], corner.T[:, :, None]
@@ -114,6 +115,7 @@ def updated(
     ``update`` maps rows of ``state`` and of the ``columns`` to new rows of ``state``. With ``leaves_rest``, the last
     batch is left out if it has fewer than ``size`` rows and is not the only batch.
     """
+    # Bit b of word w tells whether row b * len(words) + w is open.
     bits = jnp.pad(is_open, (0, -len(is_open) % 32)).reshape(32, -1).astype(jnp.uint32)
     words = reduce(jnp.bitwise_or, (row << np.uint32(bit) for bit, row in enumerate(bits)))
     ends = jnp.cumsum(jax.lax.population_count(words))  # number of open rows up to each word

@@ -193,6 +193,8 @@ def _after_round(
     last = _least(jnp.where(onward == rest[:, None], columns, columns.size - 1))
     legs = ((leaf_x, leaf_y), (first, last), (x, y), (via_x, _corner_of(tables, leaf_y, last)))
     hidden_x, hidden_y = jnp.split(_is_leg_hidden(tables, *map(jnp.concatenate, legs)), 2)
+    # Go on to the next first corner, unless only the last corner is hidden: then the next round tries another last
+    # corner.
     length = jnp.where(hidden_x | hidden_y, jnp.inf, _norm(x - via_x) + rest)
     better = length < search.length
     word = np.arange(search.hidden_y.shape[1], dtype=np.uint32)[None] == (last >> 5)[:, None]

@@ -66,6 +66,8 @@ class Outline:
     @cached_property
     def following_past_contacts(self) -> Int[np.ndarray, " points"]:
         # The next point around the same obstacle. Obstacles that touch where no path may pass count as two.
+        # Around a contact, counterclockwise: a wall that leaves, free space, the wall of its ring that arrives, an
+        # obstacle, the next wall that leaves. So a wall that arrives leads on, around its obstacle, to this next one.
         following, at = self.following.copy(), np.flatnonzero(self.is_contact & self._has_length)
         before = np.argsort(following)[at]
         onward = (self.points[following] - self.points)[at].astype(float)
@@ -116,6 +118,7 @@ class Outline:
                     raise ValueError(f"the {len(lines):,} walls of its outline cross one another too often")
         walls: Any = shapely.union_all(lines)
         polygons: Any = shapely.get_parts(shapely.polygonize(shapely.get_parts(walls)))
+        # A polygon between walls is free if an odd number of walls crosses the ray to the left from a point in it.
         px, py = shapely.get_coordinates(shapely.point_on_surface(polygons)).T[:, :, None]
         (ax, ay), (bx, by) = ends.transpose(1, 2, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -169,6 +172,7 @@ class Outline:
         following = self.following if distance <= 0 else self.following_past_contacts
         onward = self.positions[following] - self.positions
         before, normal = map(_normal_of, self._beside(following))
+        # m = (n0 + n1) / (1 + n0 . n1) has m . n0 = m . n1 = 1: both walls, of unit normals n0 and n1, move by 1.
         mitre = (normal + before) / np.maximum(1 + (normal * before).sum(axis=1), 1e-12)[:, None]
         length = np.linalg.norm(mitre, axis=1, keepdims=True)
         if distance <= 0:
@@ -317,7 +321,8 @@ class PairsFileData:
         corner = np.flatnonzero(body.read_set(len(outline.points)))
         if (count := len(corner)) > MOST_CORNERS:
             raise ValueError(f"it may have at most {MOST_CORNERS} corners, got {count}")
-        # 2. Decode pair numbers into pairs of corners.
+        # 2. Decode pair numbers into pairs of corners: i < j has the number j (j - 1) / 2 + i. Its root gives j up to
+        #    rounding, which the next two lines correct.
         if others:
             if not body.at_end():
                 raise ValueError("it holds more data than its outline needs")
@@ -357,7 +362,8 @@ def _read_rounding(body: BitReader) -> float:
 def _read_lists(
     body: BitReader, tree: Tree, count: int, most: int
 ) -> tuple[Int[np.ndarray, " entries"], Int[np.ndarray, " entries"]]:
-    # Return the leaf and the corner of each entry of a list.
+    # Return the leaf and the corner of each entry of a list. Level by level, each half of a split node takes over its
+    # parent's list, less the entries that the file says it drops.
     corner, listed_so_far = np.flatnonzero(~body.read_set(count)), 0
     nodes, node, parts = np.zeros(1, np.int64), np.zeros(len(corner), np.int64), []
     for split in tree.splits:

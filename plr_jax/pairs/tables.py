@@ -146,7 +146,10 @@ def _bounds_to_leaves(
     step: Float[np.ndarray, ""],
 ) -> UInt32[np.ndarray, "rows size"]:
     # A distance from a corner is convex, so above its tangent plane at the middle of a leaf's box. Take the plane of
-    # the corner with the shortest path to the middle, lowered below the planes of all listed corners in the box.
+    # the corner with the shortest path to the middle, lowered below the planes of all listed corners in the box:
+    # d_k + |m - k| + s_k . (x - m) is the plane of the path over listed corner k, d_k from the corner, with the unit
+    # vector s_k from k to the middle m. In a box of half widths h, a plane of slopes s is below it if its value at m
+    # is at most d_k + |m - k| - sum(|s_k - s| * h).
     onward = np.full((len(listed), len(distances)), NO_WAY, np.uint32)
     counts = np.isfinite(corners[:, 0])[listed].sum(axis=1)
     for count in np.unique(counts[counts > 0]):

@@ -70,6 +70,8 @@ class TeamMoves:
             position[kind.members] = places[-1][:, :2]
             free.append(np.isfinite(cost))
         for a, b, i, j in self._near(position):
+            # For robots of one kind, whole cells apart and with the usual motions of the lattice, only the number of
+            # cells between them decides which motions collide: look these up.
             if a == b and len(i) > _FEW_PAIRS and self.kinds[a].robot.dof == 2:
                 kind, away = self.kinds[a], position[j] - position[i]
                 misalignment = np.abs(ends[a] - places[a][:, None] - kind.offset).max(
@@ -95,6 +97,8 @@ class TeamMoves:
     def _add_between_cells(
         self, k: int, i: Robots, j: Robots, cells: Int[np.ndarray, "m 2"], neighbors: Neighbors
     ) -> None:
+        # By the cells from robot to other, `known_bits` has for each primitive of the robot those of the other that
+        # collide. The opposite key has them for each primitive of the other.
         known_bits, kind = self._between_cells[k], self.kinds[k]
         keys, back = (list(map(tuple, offsets.tolist())) for offsets in (cells, -cells))
         if new := list({*keys, *back} - known_bits.keys()):

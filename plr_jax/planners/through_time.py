@@ -88,6 +88,7 @@ class Timetable:
         row = np.arange(self._last + 1 + (int(self.patience) + 1 if self.patience < math.inf else 0))
         is_taken, at = np.zeros(len(row), dtype=bool), np.repeat(q[None], len(row), axis=0)
         is_taken[self._meetings(i, at, at, row)[0]] = True
+        # For each row, the next one in which `q` is taken; then the first row with enough rows before that.
         until = np.minimum.accumulate(np.where(is_taken, row, np.inf)[::-1])[::-1]
         return np.minimum.accumulate(np.where(until - row >= self.patience, row, np.inf)[::-1])[::-1]
 
@@ -135,6 +136,7 @@ def plan_through_time(timetable: Timetable, i: int, step: float, max_states: int
     duration[:, 0] = _WAIT
     free = timetable.next_free_rows(i, q[lattice.goal])
 
+    # The A* value of a state: the first row in which the robot, alone from now on, can come to the goal to stay.
     def soonest(node: Int[np.ndarray, "*n"], row: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         arrival = row + to_go[node]
         return np.maximum(arrival, free[np.minimum(arrival, len(free) - 1).astype(int)])

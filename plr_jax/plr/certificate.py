@@ -195,6 +195,7 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], vo
     of_class = np.stack([of_ranges(of_rank, np.maximum) for of_rank in highest])
     width = of_ranges(np.bincount(rank_of, volume), np.add) * bound_of_code[of_class].sum(axis=0)
     members = of_ranges(np.bincount(rank_of).astype(float), np.add)
+    # A set of m of n leaves takes about m log2(n / m) bits.
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
     width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
 

@@ -84,8 +84,9 @@ class BitWriter:
     def write_coded(self, values: Int[np.ndarray, " n"]) -> "BitWriter":
         """Append Exp-Golomb codes of integers >= 0; an empty array appends nothing.
 
-        First comes an order ``k`` that all values share, in 5 bits. Each value then has ``k + e`` bits: first the
-        counts ``e`` of extra bits are written in unary (``e`` zeros and a one), then the bits of all values.
+        First comes an order ``k`` that all values share, in 5 bits. A value ``v`` then has ``k + e`` bits, those of
+        ``v + 2**k`` below its leading one. First the counts ``e`` of extra bits are written in unary (``e`` zeros and
+        a one), then the bits of all values.
         """
         if not len(values):
             return self
@@ -200,6 +201,7 @@ def floats_of_bits(bits: Int[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
 
 
 def _extra_bits(values: Int[np.ndarray, " n"], order: int) -> Int[np.ndarray, " n"]:
+    # floor(log2(v + 2**order)) - order
     return (np.frexp((values + (1 << order)).astype(float))[1] - 1 - order).astype(np.int64)
 
 

@@ -174,7 +174,8 @@ def tree_of_axes(axes: list[Int[np.ndarray, " _"]], dim: int) -> Tree:
 
 
 def leaf_order(axes: list[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " leaves"]:
-    # From left to right; leaves are numbered level by level as in ``axes``.
+    # From left to right; leaves are numbered level by level as in ``axes``. A leaf's path from the root, one bit for
+    # each split from the highest bit down, 1 for the upper half, sorts them.
     paths, path = [], np.zeros(1, np.int64)
     for depth, axis in enumerate(axes):
         paths.append(path[axis < 0])
