@@ -90,9 +90,9 @@ def plr_contenders(method: str, plr: PLR, folder: Path) -> Iterator[Contender]:
     """A PLR in C, whose calls from C cost nothing more in small batches, in NumPy and in JAX."""
     sizes = section_bytes(object_for_size(plr, folder))
     yield Contender(method, "C", sum(sizes.values()), compiled_header(plr, folder), BATCHES[1:])
-    numpy_bytes, function = held(plr.numpy)
+    numpy_bytes, function = held(partial(NumpyPLR, plr.to_bytes()))
     yield Contender(method, "NumPy", numpy_bytes, function)
-    yield Contender(method, "JAX", plr.resident_bytes, plr)
+    yield Contender(method, "JAX", plr.resident_bytes, jax.jit(plr))
 
 
 Joined = tuple[Float[np.ndarray, "2"], Int[np.ndarray, " edges"], Float[np.ndarray, " edges"]]

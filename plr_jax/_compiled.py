@@ -53,8 +53,8 @@ def num_cores() -> int:
 
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
-    """Return whether no array is traced, and all arrays and results of JAX are in the memory of one CPU."""
-    if any(is_traced(each) for each in arrays):
+    """Return whether no array is traced or committed to a device, and all are in the memory of one CPU."""
+    if any(is_traced(each) or getattr(each, "committed", False) for each in arrays):
         return False
     devices = {device for each in arrays if isinstance(each, jax.Array) for device in each.devices()}
     return len(devices) <= 1 and all(device.platform == "cpu" for device in devices or jax.devices())

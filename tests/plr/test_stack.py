@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_of_numbers, walled
 
 from plr_jax import PLR, Box, Euclidean, VisibilityGraph, construct, scenes, stack
-from plr_jax.plr._plr import leaf_of
 from plr_jax.plr._stack import build_trie, trie_levels
 from plr_jax.plr.query import find_row
 from plr_jax.plr.tree import Cells
@@ -58,7 +57,7 @@ def test_stack_under_jit_vmap_and_grad(mixed):
     assert inside.sum() > 30 and not slope[~inside].any()
     for i, plr in enumerate(plrs):
         here = inside & (index == i)
-        at, leaf = x[here].astype(float), leaf_of(plr, x[here])
+        at, leaf = x[here].astype(float), plr.numpy().leaf(x[here])
         for axis, step in enumerate(1e-5 * np.eye(2)):
             above, below = (plr.values_in_leaves(leaf, at + sign * step) for sign in (1, -1))
             np.testing.assert_allclose(slope[here, axis], (above - below) / 2e-5, atol=2e-4)
