@@ -18,7 +18,7 @@ def overview(
     jit: dict[str, Any],
     race: dict[str, Any],
 ) -> str:
-    """Return one row for each comparison with other tools, with a link to a section or a results file that has the details."""
+    """Return one row for each comparison with other tools, with a link to its section or results file."""
     cones, error, other = cones_and_best_rival(benchmark["accuracy"], _MAP, _BYTES)
     nanoseconds = {name: each["1000000"][0] for name, each in benchmark["query"]["plane"]["nanoseconds"].items()}
     faster = nanoseconds["grid, JAX"] / nanoseconds["PLR, planes"]
