@@ -1,9 +1,9 @@
-"""What experiments measure in the same way: seconds of all cores, errors beside a truth, the memory of a process."""
+"""Measurements that experiments share: CPU seconds, errors, peak memory of a process."""
 
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -11,20 +11,23 @@ T = TypeVar("T")
 
 
 def timed(call: Callable[[], T]) -> tuple[float, T]:
-    """Seconds of all cores that a call takes, and what it returns."""
+    """Return the CPU seconds of a call, summed over threads, and its result."""
     began = time.process_time()
     result = call()
     return time.process_time() - began, result
 
 
 def relative_error(found: np.ndarray, truth: np.ndarray) -> float:
-    """The mean error over the mean truth, where both are finite."""
+    """Return the mean error divided by the mean truth, both over the points where truth and answer are finite."""
     known = np.isfinite(truth) & np.isfinite(found)
     return float(np.abs(found - truth)[known].mean() / truth[known].mean())
 
 
 def relative_errors(found: np.ndarray, truth: np.ndarray) -> dict[str, float | None]:
-    """Mean and largest error over the mean truth, and the share of points that get no answer."""
+    """Return mean and largest error, and the share of points without a finite answer.
+
+    The truth is finite at all points; errors are divided by its mean over all of them.
+    """
     error = np.abs(found - truth) / truth.mean()
     known = np.isfinite(error)
     return {
@@ -34,7 +37,12 @@ def relative_errors(found: np.ndarray, truth: np.ndarray) -> dict[str, float | N
     }
 
 
+def columns(rows: list[dict[str, Any]]) -> dict[str, list[Any]]:
+    """Return for each key the list of its values in ``rows``, which all have the same keys."""
+    return {key: [row[key] for row in rows] for key in rows[0]}
+
+
 def peak_megabytes() -> float:
-    """The most memory that this process had; ``getrusage`` counts what the one that started it had."""
+    """Return this process's peak memory. Linux only: ``getrusage`` would include the peak of the parent process."""
     status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text("ascii").splitlines())
     return int(status["VmHWM"].split()[0]) * 1024 / 1e6

@@ -20,43 +20,42 @@ from experiments._tables import as_text
 RESULTS = Path(__file__).parent / "results"
 WHOLE = "whole"  # name of the part of an experiment that has no sections
 
-_PACKAGES = (
-    *("plr-jax", "jax", "numpy", "scipy", "shapely", "networkx", "optax", "matplotlib"),
-    *("lightgbm", "numba", "ompl", "python-motion-planning", "scikit-fmm", "jupedsim"),
-)
+_PACKAGES = ("plr-jax", "jax", "numpy", "scipy", "shapely", "networkx", "optax", "matplotlib")
+_PACKAGES_OF_RIVALS = ("lightgbm", "numba", "ompl", "python-motion-planning", "scikit-fmm", "jupedsim")
 
 Compute = Callable[[int, bool], dict[str, Any]]
 Draw = Callable[[dict[str, Any], Path], list[Path]]
+
+
+def no_pictures(results: dict[str, Any], output: Path) -> list[Path]:
+    return []
 
 
 class Section(NamedTuple):
     """A part of an experiment with its own measurement and, for some, pictures."""
 
     measure: Compute
-    draw: Draw = lambda results, output: []
+    draw: Draw = no_pictures
 
 
-def run(
-    name: str,
-    purpose: str | None,
-    measured: Compute | Mapping[str, Section],
-    draw: Draw = lambda results, output: [],
-) -> None:
+def run(name: str, purpose: str | None, measured: Compute | Mapping[str, Section], draw: Draw = no_pictures) -> None:
     """Run one experiment from the command line: measure, write ``<name>.json``, draw from that file alone.
 
     Args:
         name: Name of the script, and of its results file.
         purpose: What ``--help`` says.
-        measured: ``measure(seed, smoke)`` returns results fit for JSON; or named sections that do so. Each section is
-            written as soon as it is measured; ``--only`` selects some.
-        draw: Takes the results as read back and the output folder; returns the pictures it wrote. Not of sections.
+        measured: Function ``measure(seed, smoke)`` that returns results fit for JSON, or named sections with such
+            functions. Each section is written as soon as it is measured; ``--only`` selects some.
+        draw: Takes the results as read back and the output folder; returns the pictures it wrote. Sections have
+            their own.
     """
     is_divided = isinstance(measured, Mapping)
     sections = measured if is_divided else {WHOLE: Section(measured, draw)}
-    arguments = _arguments(name, purpose, list(sections) if is_divided else [])
+    arguments = _arguments(name, purpose, list(sections))
     output = arguments.output or (Path(tempfile.mkdtemp(prefix="plr_jax_")) if arguments.smoke else RESULTS)
     commit, today = commit_of_code(), date.today().isoformat()
-    for part in [] if arguments.draw else arguments.only or sections:
+    parts = () if arguments.draw else arguments.only or sections
+    for part in parts:
         print(f"== {part}", flush=True)
         began = time.perf_counter()
         found = sections[part].measure(arguments.seed, arguments.smoke)
@@ -65,13 +64,11 @@ def run(
         old = read(output, name) if is_kept else {"measured": {}, "results": {}}
         setting = {"smoke": arguments.smoke, "seed": arguments.seed}
         if is_kept and any(old[key] != value for key, value in setting.items()):
-            raise SystemExit(
-                f"Other sections were measured with another --seed or --smoke: see {output}/{name}.json."
-            )
-        parts = {**old["results"], part: found}
+            raise SystemExit(f"Other sections have another --seed or --smoke: see {output}/{name}.json.")
+        results = {**old["results"], part: found}
         record = {"experiment": name, **setting, **_environment()}
         record["measured"] = {**old["measured"], part: about}
-        record["results"] = {each: parts[each] for each in sections if each in parts} if is_divided else found
+        record["results"] = {each: results[each] for each in sections if each in results} if is_divided else found
         print(f"wrote {write(output, name, record)}")
     results = read(output, name)["results"]
     print(as_text(results, name))
@@ -85,22 +82,20 @@ def _arguments(name: str, purpose: str | None, sections: list[str]) -> argparse.
     parser.add_argument("--smoke", action="store_true", help="smallest setting: does it run at all?")
     parser.add_argument("--seed", type=int, default=0, help="seed of everything random (default: 0)")
     parser.add_argument("--draw", action="store_true", help="measure nothing; draw from the results file")
-    parser.add_argument(
-        "--output", type=Path, help="folder of the results (default: experiments/results; a new one for --smoke)"
-    )
+    parser.add_argument("--output", type=Path, help="results folder (default: experiments/results; new for --smoke)")
     parser.add_argument("--only", nargs="+", choices=sections, help="measure only these sections again")
     return parser.parse_args()
 
 
 def commit_of_code() -> str:
-    """The commit checked out, with a plus if tracked code differs from it; ``"unknown"`` outside a clone."""
+    """Return the commit checked out, with a plus if tracked code differs from it; ``"unknown"`` outside a clone."""
 
     def git(*words: str) -> subprocess.CompletedProcess:
         return subprocess.run(["git", *words], cwd=RESULTS, capture_output=True, text=True, check=False)
 
     commit = git("rev-parse", "--short=8", "HEAD")
     changed = git("diff", "--quiet", "HEAD", "--", ":(top)plr_jax", ":(top,glob)experiments/**/*.py").returncode
-    return f"{commit.stdout.strip()}{'+' * changed}" if commit.returncode == 0 else "unknown"
+    return commit.stdout.strip() + ("+" if changed else "") if commit.returncode == 0 else "unknown"
 
 
 def _environment() -> dict[str, Any]:
@@ -113,8 +108,9 @@ def _environment() -> dict[str, Any]:
         except PackageNotFoundError:
             return "not installed"
 
+    versions = {package: version_of(package) for package in _PACKAGES + _PACKAGES_OF_RIVALS}
     return {
-        "versions": {"python": platform.python_version(), **{package: version_of(package) for package in _PACKAGES}},
+        "versions": {"python": platform.python_version(), **versions},
         "system": f"{platform.system()} {platform.machine()}",
         "device": jax.devices()[0].device_kind,
         "cores": os.cpu_count(),
@@ -123,7 +119,7 @@ def _environment() -> dict[str, Any]:
 
 
 def write(output: Path, name: str, record: dict[str, Any]) -> Path:
-    """Write ``<name>.json`` into a folder, made where missing."""
+    """Write ``<name>.json`` into a folder, which is made if it is missing."""
     output.mkdir(parents=True, exist_ok=True)
     path = output / f"{name}.json"
     path.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n", encoding="utf-8")
@@ -131,5 +127,5 @@ def write(output: Path, name: str, record: dict[str, Any]) -> Path:
 
 
 def read(output: Path, name: str) -> dict[str, Any]:
-    """The record that :func:`write` wrote."""
+    """Return the record that :func:`write` wrote."""
     return json.loads((output / f"{name}.json").read_text(encoding="utf-8"))

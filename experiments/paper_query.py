@@ -1,9 +1,9 @@
 """Query time, the paper's main claim: PLRs beside search in the roadmap that they summarise, on the maze.
 
 A roadmap joins a point to the nearest vertex that it sees, or to all visible vertices within the PRM* radius. Then A*
-of NetworkX, guided by the straight line, or Dijkstra's algorithm of SciPy finds the way. SciPy searches from the
-goal, which costs as much as from the point. A tree is one such search for all points: a query only looks up vertices
-and tests walls. Pairs that see each other are answered by the straight line. The visibility graph is exact.
+of NetworkX, guided by the straight line, or Dijkstra's algorithm of SciPy finds the way. SciPy's search starts at the
+goal, which takes as long as a search from the point. A *tree* stores one such search, so that a query only looks up a
+vertex and tests walls. Pairs that see each other are answered by the straight line. The visibility graph is exact.
 """
 
 import math
@@ -24,19 +24,25 @@ from experiments._c_headers import compiled_header, object_for_size, section_byt
 from experiments._nearest_vertex import NearestVertex
 from experiments._runner import run
 from experiments.table1 import POINT_SEED
-from plr_jax import PLR, Roadmap, VisibilityGraph, construct, construct_pairs, scenes
+from plr_jax import PLR, NumpyPLR, Roadmap, VisibilityGraph, construct, construct_pairs, scenes
 from plr_jax.geometry.graph import dijkstra
 
 PROBLEM = scenes.maze()
 WORKSPACE, GOAL = PROBLEM.workspace, PROBLEM.goals[0]
 NUM_VERTICES = 1_000, 10_000, 100_000
 SUMMARISED = 10_000  # vertices of the roadmap that the planes summarise, as in the paper
-PLANES_BYTES, CONES_BYTES, PAIRS_BYTES = 2_048, 1_024, 4_096
+PLANES_BYTES = 2_048
+CONES_BYTES = 1_024
+PAIRS_BYTES = 4_096
 BATCHES = 1, 1_000, 1_000_000
 MOST_IN_A_TABLE = 1_000  # vertices whose distances from one another are stored
 NUM_POINTS = 100_000
-_FEWEST, _MOST, _SECONDS = 20, 200, 0.5  # calls of each contender and batch
+# A contender is timed until its calls of one batch took _ENOUGH_SECONDS, or until there are _MOST_CALLS of them.
+_LEAST_CALLS = 20  # of one query
+_MOST_CALLS = 200
+_ENOUGH_SECONDS = 0.5
 NUM_SEARCHED = 50  # pairs whose errors are measured by searches
+GOAL_VERTEX = 0  # of a Roadmap
 
 Points = Float[np.ndarray, "n columns"]
 Answer = Callable[[Points], Any]
@@ -51,7 +57,7 @@ class Contender(NamedTuple):
         num_bytes: Memory that queries need. For C: code and tables.
         answer: Function from float64 points ``(n, 2)`` or pairs of points ``(n, 4)`` to distances ``(n,)``.
         batches: Numbers of queries in a call.
-        equal: Function with the same answers for many points, if ``answer`` takes a single one.
+        vectorized: Function with the same answers for many points at once, if ``answer`` takes only one point.
         num_points: Most points or pairs whose errors are measured.
     """
 
@@ -60,12 +66,12 @@ class Contender(NamedTuple):
     num_bytes: int
     answer: Answer
     batches: tuple[int, ...] = BATCHES
-    equal: Answer | None = None
+    vectorized: Answer | None = None
     num_points: int = NUM_POINTS
 
 
 def summaries(num_vertices: int, seed: int, folder: Path) -> Iterator[Contender]:
-    """PLRs of a roadmap and of the exact distance."""
+    """Yield PLRs of a roadmap and of the exact distance, each as three contenders."""
     roadmap, exact = Roadmap.from_workspace(WORKSPACE, GOAL, num_vertices, seed=seed), prepared_graph()
     planes = construct(roadmap, WORKSPACE.bounds, max_bytes=PLANES_BYTES, seed=seed)
     cones = construct(exact, WORKSPACE.bounds, leaf="cone", max_bytes=CONES_BYTES, seed=seed)
@@ -74,33 +80,34 @@ def summaries(num_vertices: int, seed: int, folder: Path) -> Iterator[Contender]
 
 
 def prepared_graph() -> VisibilityGraph:
-    """The visibility graph after a first query, which prepares its tables."""
+    """Return the visibility graph after one pair query and one goal query, so that its tables exist."""
     exact = VisibilityGraph(WORKSPACE, GOAL)
     exact.between(GOAL[None], PROBLEM.starts[:1])
     exact(PROBLEM.starts[:1])
     return exact
 
 
-def of_columns(pairs: Callable[[Points, Points], Any]) -> Answer:
-    """A function of two points as a function of rows of four numbers."""
+def on_rows(pairs: Callable[[Points, Points], Any]) -> Answer:
+    """Wrap ``pairs(a, b)`` so that it takes rows ``(ax, ay, bx, by)``."""
     return lambda x: pairs(x[:, :2], x[:, 2:])
 
 
 def plr_contenders(method: str, plr: PLR, folder: Path) -> Iterator[Contender]:
-    """A PLR in C, whose calls from C cost nothing more in small batches, in NumPy and in JAX."""
+    """Yield a PLR in C, NumPy and JAX. C has no batch of one: calling it from Python would dominate the time."""
     sizes = section_bytes(object_for_size(plr, folder))
     yield Contender(method, "C", sum(sizes.values()), compiled_header(plr, folder), BATCHES[1:])
-    numpy_bytes, function = held(partial(NumpyPLR, plr.to_bytes()))
+    numpy_bytes, function = measure_memory(partial(NumpyPLR, plr.to_bytes()))
     yield Contender(method, "NumPy", numpy_bytes, function)
     yield Contender(method, "JAX", plr.resident_bytes, jax.jit(plr))
 
 
+# A point, vertices of a roadmap that edges join to it, and the lengths of these edges.
 Joined = tuple[Float[np.ndarray, "2"], Int[np.ndarray, " edges"], Float[np.ndarray, " edges"]]
-"""A point, and vertices of a roadmap that edges join to it, with the lengths of these edges."""
+Join = Callable[[NearestVertex, Float[np.ndarray, "1 2"]], Joined]
 
 
 class AStar:
-    """A* in a roadmap, of whose queries both ends are vertices while the search lasts."""
+    """A* in a roadmap. Each search adds its two ends as vertices, and removes them once it has found a path."""
 
     def __init__(self, roadmap: Roadmap):
         self.graph = roadmap.graph.to_networkx()
@@ -124,7 +131,7 @@ def join_nearest(nearest: NearestVertex, x: Float[np.ndarray, "1 2"]) -> Joined:
 
 
 def join_visible(nearest: NearestVertex, x: Float[np.ndarray, "1 2"]) -> Joined:
-    """Join a point to all vertices that it sees within the radius; if there is none, the radius doubles."""
+    """Join a point to all vertices that it sees within the radius, which doubles until there are some."""
     roadmap, radius, seen = nearest.roadmap, nearest.roadmap.radius, np.empty(0, int)
     while not len(seen):
         near = np.array(nearest.tree.query_ball_point(x[0], radius), int)
@@ -134,29 +141,29 @@ def join_visible(nearest: NearestVertex, x: Float[np.ndarray, "1 2"]) -> Joined:
 
 
 def roadmap_contenders(nearest: NearestVertex, a_star: AStar, graph_bytes: int) -> Iterator[Contender]:
-    """Searches for each query, and lookups in a tree, by the nearest and by the best visible vertex."""
+    """Yield A*, Dijkstra and tree lookups, joined by the nearest or the best visible vertex."""
     roadmap = nearest.roadmap
     vertices, adjacency = roadmap.graph.vertices, roadmap.graph.adjacency
     csr_bytes = sum(part.nbytes for part in (vertices, adjacency.data, adjacency.indices, adjacency.indptr))
-    goal = roadmap.goal, np.zeros(1, int), np.zeros(1)
-    for vertex, join, tree in (("nearest", join_nearest, nearest), ("best visible", join_visible, roadmap)):
-        method = f"PRM*, {len(vertices) - 1:,} vertices, {vertex}"
+    goal = roadmap.goal, np.array([GOAL_VERTEX]), np.zeros(1)
+    for label, join, lookup in (("nearest", join_nearest, nearest), ("best visible", join_visible, roadmap)):
+        method = f"PRM*, {len(vertices) - 1:,} vertices, {label}"
 
-        def by_a_star(x: Points, join: Any = join) -> Float[np.ndarray, "1"]:
+        def by_a_star(x: Points, join: Join = join) -> Float[np.ndarray, "1"]:
             return np.array([a_star(join(nearest, x), goal)])
 
-        def by_dijkstra(x: Points, join: Any = join) -> Float[np.ndarray, "1"]:
+        def by_dijkstra(x: Points, join: Join = join) -> Float[np.ndarray, "1"]:
             _, joined, lengths = join(nearest, x)
-            distances, _ = dijkstra(roadmap.graph, 0)
+            distances, _ = dijkstra(roadmap.graph, GOAL_VERTEX)
             return np.array([(lengths + distances[joined]).min()])
 
-        yield Contender(method, "A\\*, NetworkX", graph_bytes, by_a_star, (1,), tree)
-        yield Contender(method, "Dijkstra, SciPy", csr_bytes, by_dijkstra, (1,), tree)
-        yield Contender(method, "tree, SciPy", vertices.nbytes + roadmap.distances.nbytes, tree)
+        yield Contender(method, "A\\*, NetworkX", graph_bytes, by_a_star, (1,), lookup)
+        yield Contender(method, "Dijkstra, SciPy", csr_bytes, by_dijkstra, (1,), lookup)
+        yield Contender(method, "tree, SciPy", vertices.nbytes + roadmap.distances.nbytes, lookup)
 
 
 def pair_contenders(nearest: NearestVertex, a_star: AStar, graph_bytes: int) -> Iterator[Contender]:
-    """A search for each pair, and a table of all pairs of vertices if they are few."""
+    """Yield A* for each pair, and a table of all pairs of vertices if they are few."""
     graph, sees = nearest.roadmap.graph, nearest.roadmap.is_visible
     method = f"PRM*, {len(graph.vertices) - 1:,} vertices, nearest"
 
@@ -181,8 +188,8 @@ def pair_contenders(nearest: NearestVertex, a_star: AStar, graph_bytes: int) -> 
         yield Contender(method, "table, SciPy", graph.vertices.nbytes + table.nbytes, by_table)
 
 
-def held(make: Callable[[], Any]) -> tuple[int, Any]:
-    """Return the bytes that Python and NumPy allocate for an object and still hold, and the object."""
+def measure_memory(make: Callable[[], Any]) -> tuple[int, Any]:
+    """Make an object. Return the bytes that Python and NumPy allocate for it and still hold, and the object."""
     tracemalloc.start()
     made = make()
     num_bytes = tracemalloc.get_traced_memory()[0]
@@ -191,18 +198,21 @@ def held(make: Callable[[], Any]) -> tuple[int, Any]:
 
 
 def errors(contender: Contender, truth: Answer, x: Points) -> dict[str, float]:
-    """Return the mean and the largest error."""
+    """Return a contender's mean and largest error at the first of the points or pairs ``x``."""
     x = x[: contender.num_points]
-    error = np.abs(np.asarray((contender.equal or contender.answer)(x)) - truth(x))
+    error = np.abs(np.asarray((contender.vectorized or contender.answer)(x)) - truth(x))
     return {"mean": float(error.mean()), "max": float(error.max())}
 
 
 def microseconds(answer: Answer, x: Points, batch: int) -> float:
-    """Return the median time of a query in calls of so many queries, after one call that may compile."""
+    """Return the median microseconds per query, in calls of ``batch`` queries.
+
+    The first call, which may compile, is not timed.
+    """
     jax.block_until_ready(answer(x[:batch]))
     seconds: list[float] = []
-    fewest = _FEWEST if batch == 1 else 1
-    while len(seconds) < fewest or (len(seconds) < _MOST and sum(seconds) < _SECONDS):
+    least = _LEAST_CALLS if batch == 1 else 1
+    while len(seconds) < least or (len(seconds) < _MOST_CALLS and sum(seconds) < _ENOUGH_SECONDS):
         begin = batch * len(seconds) % len(x)
         some = x[begin : begin + batch]
         began = time.perf_counter()
@@ -211,8 +221,8 @@ def microseconds(answer: Answer, x: Points, batch: int) -> float:
     return 1e6 * float(np.median(seconds)) / batch
 
 
-def measured(contender: Contender, truth: Answer, x: Points, batches: tuple[int, ...]) -> dict[str, Any]:
-    """Return a row: bytes, errors, microseconds of a query by batch."""
+def row_of(contender: Contender, truth: Answer, x: Points, batches: tuple[int, ...]) -> dict[str, Any]:
+    """Return a row of the results: bytes, errors, and microseconds per query for each batch."""
     times = {str(n): microseconds(contender.answer, x, n) for n in batches if n in contender.batches}
     row = {"method": contender.method, "query": contender.query, "bytes": contender.num_bytes}
     row |= {**errors(contender, truth, x), "microseconds": times}
@@ -221,29 +231,32 @@ def measured(contender: Contender, truth: Answer, x: Points, batches: tuple[int,
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
-    num_vertices, summarised, batches = ((200,), 200, (1, 1_000)) if smoke else (NUM_VERTICES, SUMMARISED, BATCHES)
+    num_vertices = (200,) if smoke else NUM_VERTICES
+    summarised = 200 if smoke else SUMMARISED
+    batches = (1, 1_000) if smoke else BATCHES
     x = WORKSPACE.sample_free(batches[-1], POINT_SEED)
     pairs = np.concatenate([x, WORKSPACE.sample_free(batches[-1], POINT_SEED + 1)], axis=1)
-    exact_bytes, exact = held(prepared_graph)
+    exact_bytes, exact = measure_memory(prepared_graph)
 
-    to_goal = partial(measured, truth=exact, x=x, batches=batches)
-    of_pairs = partial(measured, truth=of_columns(exact.between), x=pairs, batches=batches)
+    goal_row = partial(row_of, truth=exact, x=x, batches=batches)
+    pair_row = partial(row_of, truth=on_rows(exact.between), x=pairs, batches=batches)
     all_pairs = construct_pairs(WORKSPACE, max_bytes=PAIRS_BYTES)
     pair_plr = [
-        Contender("pairs", "NumPy", *held(lambda: of_columns(all_pairs.numpy()))),
-        Contender("pairs", "JAX", all_pairs.resident_bytes, of_columns(all_pairs)),
-        Contender("visibility graph", "NumPy", exact_bytes, of_columns(exact.between)),
+        Contender("pairs", "NumPy", *measure_memory(lambda: on_rows(all_pairs.numpy()))),
+        Contender("pairs", "JAX", all_pairs.resident_bytes, on_rows(all_pairs)),
+        Contender("visibility graph", "NumPy", exact_bytes, on_rows(exact.between)),
     ]
     with tempfile.TemporaryDirectory() as folder:
-        goal_rows = [to_goal(each) for each in summaries(summarised, seed, Path(folder))]
-    goal_rows.append(to_goal(Contender("visibility graph", "NumPy", exact_bytes, exact)))
-    pair_rows = list(map(of_pairs, pair_plr))
+        goal_rows = [goal_row(each) for each in summaries(summarised, seed, Path(folder))]
+    goal_rows.append(goal_row(Contender("visibility graph", "NumPy", exact_bytes, exact)))
+    pair_rows = list(map(pair_row, pair_plr))
     for number in num_vertices:
         nearest = NearestVertex(Roadmap.from_workspace(WORKSPACE, GOAL, number, seed=seed))
-        graph_bytes, a_star = held(lambda nearest=nearest: AStar(nearest.roadmap))
-        goal_rows += map(to_goal, roadmap_contenders(nearest, a_star, graph_bytes))
-        pair_rows += map(of_pairs, pair_contenders(nearest, a_star, graph_bytes))
-    return {"batches": batches, "points": NUM_POINTS, "searched": NUM_SEARCHED, "goal": goal_rows, "pairs": pair_rows}
+        graph_bytes, a_star = measure_memory(lambda nearest=nearest: AStar(nearest.roadmap))
+        goal_rows += map(goal_row, roadmap_contenders(nearest, a_star, graph_bytes))
+        pair_rows += map(pair_row, pair_contenders(nearest, a_star, graph_bytes))
+    points = min(NUM_POINTS, len(x))
+    return {"batches": batches, "points": points, "searched": NUM_SEARCHED, "goal": goal_rows, "pairs": pair_rows}
 
 
 if __name__ == "__main__":

@@ -5,13 +5,13 @@ one trial that ends when its path costs no more, or at a limit: 2 s, or twice ou
 for the joint space, and for each robot in turn among those planned before (prioritized; discs only). If a planner
 finds no path in the first variants of a scene, it is left out of the others.
 
-Our seconds are those of one call, shortening included. The map is known: the team was planned from its goals to its
-starts before. On a new map, our seconds begin before the ``Workspace`` is made. OMPL's begin when its process has
-started and compiled; OMPL prepares nothing for a map. Its tests of motions, and BIT*'s costs, are calls of Python.
-The seconds "without Python" leave out the share of the trial's time that C++ would save.
+Our seconds are those of one call, shortening included. On a known map, the reversed problem was planned before, so
+the map's tables exist. On a new map, our seconds begin before the ``Workspace`` is made. OMPL's begin when its
+process has started and compiled; OMPL prepares nothing for a map. OMPL calls Python for motion tests and for BIT*'s
+costs. The seconds "without Python" leave out the share of the trial's time that C++ would save.
 
-Every path counted is put through ``validate``, our first ones included. Three marks are compared: the first path; one
-that costs at most 5 % more than ours in the end; and one that costs no more.
+Every path counted is put through ``validate``, our first ones included. Three marks are compared: the first path; the
+first path that costs at most 5 % more than our last path; and the first that costs no more than our last path.
 """
 
 import itertools
@@ -39,7 +39,9 @@ CROWDS: dict[str, Callable[[int], Problem]] = {
 }
 NUM_STARTS = 20
 NUM_FIRST = 3  # variants in which all planners run, and which are drawn
-LEAST_LIMIT, LIMIT_FACTOR = 2.0, 2.0  # seconds of a trial at least, and in our seconds
+# A trial of OMPL ends after LIMIT_FACTOR times our seconds, but not before LEAST_LIMIT.
+LEAST_LIMIT = 2.0  # seconds
+LIMIT_FACTOR = 2.0
 
 OURS = "bl_plan"
 MARKS = {"first_path": np.inf, "cost_5_percent_more": 1.05, "same_cost": 1.0}  # costs, over our cost
@@ -52,18 +54,20 @@ _STYLES = {
     PRIORITIZED: ("#E69F00", "one robot after the other", 1.1),
 }
 _COLUMNS = 4
-_LEAST_EXCESS = 0.002  # where the panels begin
-_ROUNDING = 1e-5  # of costs in a history
+_LEAST_EXCESS = 0.002  # smallest excess cost that is drawn
+_ROUNDING = 1e-5  # histories store costs to five decimals
 
 
 def compute(seed: int, smoke: bool) -> dict[str, Any]:
     names = ["single door"] if smoke else [*SCENES, *CROWDS]
     seeds = [seed] if smoke else list(range(seed, seed + NUM_STARTS))
-    least, trials = 0.5 if smoke else LEAST_LIMIT, []
+    least = 0.5 if smoke else LEAST_LIMIT
+    trials = []
     for name in tqdm(names, desc="race", delay=3, disable=None):
-        first = [race(name, start, PLANNERS, least) for start in seeds[:NUM_FIRST]]
-        able = tuple(each for each in PLANNERS if any(entry["ompl"][each]["history_cost"] for entry in first))
-        trials.append([*first, *(race(name, start, able, least) for start in seeds[NUM_FIRST:])])
+        probes = [race(name, start, PLANNERS, least) for start in seeds[:NUM_FIRST]]
+        # Solvers found a path in some probe.
+        solvers = tuple(each for each in PLANNERS if any(entry["ompl"][each]["history_cost"] for entry in probes))
+        trials.append([*probes, *(race(name, start, solvers, least) for start in seeds[NUM_FIRST:])])
     return {
         "seeds": seeds,
         "limit": {"least": least, "factor": LIMIT_FACTOR},
@@ -88,11 +92,11 @@ def race(name: str, seed: int, planners: tuple[str, ...], least: float) -> dict[
 
 
 def ours_of(problem: Problem) -> dict[str, Any]:
-    """Our first path, shortened, on a known map and on a new one."""
-    plan(reversed_team(problem), None, BLOptions(time_limit=1.0))
+    """Plan with ``bl_plan`` on a known and on a new map; return seconds to each mark, cost and history."""
+    plan(reversed_team(problem), None, BLOptions(time_limit=1.0))  # makes the map's tables
     solution, seconds, valid = plan_and_check(problem, None, BLOptions())
     if not solution.solved:
-        raise RuntimeError(f"We did not set a cost for the others to reach: {solution.status}.")
+        raise RuntimeError(f"bl_plan found no path, so OMPL has no target cost: {solution.status}.")
     began, old = perf_counter(), problem.workspace
     workspace = Workspace(old.bounds, old.obstacles, squeeze=old.squeeze)
     team = Problem(workspace, problem.robots, problem.starts, problem.goals, problem.rotation_weight)
@@ -109,15 +113,15 @@ def ours_of(problem: Problem) -> dict[str, Any]:
 
 
 def seconds_to_marks(solution: Solution, seconds: float, prepared: float = 0.0) -> dict[str, float]:
-    """Return our seconds to each of the marks, of which the last ends with the call."""
+    """Return our seconds to each mark. The last mark is the end of the call."""
     within = [factor * solution.cost for factor in MARKS.values()]
     reached = [next(found for found, cost in solution.stats.history if cost <= most) for most in within[:-1]]
     return {mark: round(prepared + found, 5) for mark, found in zip(MARKS, [*reached, seconds], strict=True)}
 
 
 def trial(problem: Problem, planner: str, seed: int, limit: float, target: float) -> dict[str, Any]:
-    """One trial of one of OMPL's planners."""
-    if planner == PRIORITIZED and problem.dof == 3:
+    """Run one of OMPL's planners on a problem until its path costs at most ``target``, or until the limit."""
+    if planner == PRIORITIZED and problem.dof == 3:  # the prioritized planner takes only points and discs
         return {"valid": None, "tests": 0, "python_share": 0.0, "history_seconds": [], "history_cost": []}
     solution = ompl_plan(problem, planner, seed=seed, time_limit=limit, cost_target=target)
     stats = solution.stats
@@ -143,10 +147,13 @@ def reached_at(attempt: dict[str, Any], cost: float) -> float:
     return attempt["history_seconds"][reached[0]] if len(reached) else np.inf
 
 
-def best_of(entry: dict[str, Any], factor: float, without_python: float = 0.0) -> tuple[str, float]:
-    """Return OMPL's first planner to a path of so many times our cost, and its seconds, or those without Python."""
+def best_of(entry: dict[str, Any], factor: float, is_native: bool = False) -> tuple[str, float]:
+    """Return the OMPL planner that first reaches ``factor`` times our cost, and its seconds.
+
+    ``is_native`` counts seconds without Python.
+    """
     seconds = {
-        planner: reached_at(attempt, factor * entry["ours"]["cost"]) * (1 - without_python * attempt["python_share"])
+        planner: reached_at(attempt, factor * entry["ours"]["cost"]) * (1 - is_native * attempt["python_share"])
         for planner, attempt in entry["ompl"].items()
     }
     winner = min(seconds, key=seconds.__getitem__)
@@ -154,15 +161,15 @@ def best_of(entry: dict[str, Any], factor: float, without_python: float = 0.0) -
 
 
 def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
-    """Our medians over the variants of one scene, for each mark, and in how many variants we came first.
+    """Return, for one scene and each mark, our median seconds, OMPL's best seconds, and how often we were sooner.
 
-    In each variant, the best of OMPL's planners counts.
+    OMPL's best seconds are a list over the variants, each of the planner that was first.
     """
     result: dict[str, Any] = {"scene": entries[0]["scene"], "variants": len(entries)}
     for mark, factor in MARKS.items():
-        first = [best_of(entry, factor) for entry in entries]
-        best = np.array([seconds for _, seconds in first])
-        native = np.array([best_of(entry, factor, 1.0)[1] for entry in entries])
+        winners = [best_of(entry, factor) for entry in entries]
+        best = np.array([seconds for _, seconds in winners])
+        native = np.array([best_of(entry, factor, is_native=True)[1] for entry in entries])
         known, new = (np.array([entry["ours"][each][mark] for entry in entries]) for each in ("known_map", "new_map"))
         result[mark] = {
             "ours": float(np.median(known)),
@@ -172,15 +179,15 @@ def summary(entries: list[dict[str, Any]]) -> dict[str, Any]:
             "sooner": int((known < best).sum()),
             "sooner_on_new_map": int((new < best).sum()),
             "sooner_than_without_python": int((known < native).sum()),
-            "winners": Counter(winner for winner, seconds in first if seconds < np.inf),
+            "winners": Counter(winner for winner, seconds in winners if seconds < np.inf),
         }
     return result
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
     """Draw cost over time in the first variants, one panel a scene, one line a planner and variant."""
-    first = [entry for entry in results["trials"] if entry["seed"] in results["seeds"][:NUM_FIRST]]
-    names = list(dict.fromkeys(entry["scene"] for entry in first))
+    drawn = [entry for entry in results["trials"] if entry["seed"] in results["seeds"][:NUM_FIRST]]
+    names = list(dict.fromkeys(entry["scene"] for entry in drawn))
     columns = min(_COLUMNS, len(names))
     rows = -(-len(names) // columns)
     figure = Figure(figsize=(2.75 * columns + 0.4, 2.3 * rows + 0.9), layout="constrained", facecolor="white")
@@ -188,7 +195,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
     for ax, name in itertools.zip_longest(axes.flat, names):
         ax.set(xscale="log", yscale="log", ylim=(_LEAST_EXCESS, 4.0), title=name, visible=name is not None)
         ax.grid(True, color="#e4e4e4", lw=0.6)
-    for entry, (planner, (color, _, width)) in itertools.product(first, _STYLES.items()):
+    for entry, (planner, (color, _, width)) in itertools.product(drawn, _STYLES.items()):
         attempt = entry["ours"] if planner == OURS else entry["ompl"][planner]
         if costs := attempt["history_cost"]:
             seconds = attempt["history_seconds"]

@@ -15,6 +15,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from experiments._measures import columns
 from experiments._planning import (
     BL_ALONE,
     HEURISTICS,
@@ -32,12 +33,12 @@ from experiments._runner import run
 from experiments.baselines.ompl import ompl_plan
 from plr_jax import BLOptions, Problem, Solution, scenes
 
-NUM_STARTS, NUM_STARTS_UNDER_HEURISTICS = 20, 5
+NUM_STARTS = 20  # of bl_plan, "lattice"
+NUM_STARTS_UNDER_HEURISTICS = 5
 TIME_LIMIT = 60.0  # seconds
-# Without a heuristic, or by RRT*, most teams are out of reach: few variants show it.
-NUM_STARTS_FEW = 3
+NUM_STARTS_FEW = 3  # without a heuristic and by RRT*, which solve few teams: few variants show it
 TIME_LIMIT_NONE = 20.0  # without a heuristic
-_WARM_UP = 1.0
+_WARM_UP = 1.0  # seconds of each run before those of a scene
 LATTICE, RRT_STAR = "lattice", "RRT*"  # rows that are not of BL under a heuristic
 
 # Seconds and samples; None where the paper has none.
@@ -70,38 +71,32 @@ def measure_scene(name: str, settings: dict[str, Any]) -> list[dict[str, Any]]:
     """Return a row for each heuristic; its lists run over the seeds."""
     runs: dict[str, list[dict[str, Any]]] = {heuristic: [] for heuristic in (LATTICE, *HEURISTICS, RRT_STAR)}
     scene, seeds, plr_bytes = SCENES[name](), settings["seeds"], settings["plr_bytes"]
-    limits = {
-        **dict.fromkeys(runs, TIME_LIMIT),
-        NONE: settings["seconds_none"],
-        RRT_STAR: settings["seconds_rrt_star"],
-    }
+    limits = dict.fromkeys(runs, TIME_LIMIT)
+    limits |= {NONE: settings["seconds_none"], RRT_STAR: settings["seconds_rrt_star"]}
+    num_runs = dict.fromkeys(runs, settings["starts_under_heuristics"])
+    num_runs |= {LATTICE: len(seeds), NONE: settings["starts_few"], RRT_STAR: settings["starts_few"]}
     known = scenes.perturbed(scene, 1000 + seeds[0])
     for heuristic in (LATTICE, *HEURISTICS):
         run_of(known, heuristic, plr_bytes, _WARM_UP)
     for i, seed in enumerate(tqdm(seeds, desc=name, delay=3, disable=None)):
         problem = scenes.perturbed(scene, seed)
         bound = lower_bound(problem)
-        for heuristic in (LATTICE, *HEURISTICS) if i < settings["starts_under_heuristics"] else (LATTICE,):
-            if heuristic != NONE or i < settings["starts_few"]:
+        for heuristic in (LATTICE, *HEURISTICS):
+            if i < num_runs[heuristic]:
                 solution, seconds = run_of(problem, heuristic, plr_bytes, limits[heuristic])
                 found = {"seed": seed, "seconds": round(seconds, 5), **outcome(problem, solution, bound)}
                 runs[heuristic].append(found)
-        if i < settings["starts_few"]:
+        if i < num_runs[RRT_STAR]:
             target = runs[POINT_PLR][-1]["first_path_cost"]
             runs[RRT_STAR].append({"seed": seed, **rrt_star(problem, bound, seed, limits[RRT_STAR], target)})
     return [
-        {
-            "scene": name,
-            "heuristic": heuristic,
-            "time_limit": limits[heuristic],
-            **{key: [entry[key] for entry in entries] for key in entries[0]},
-        }
+        {"scene": name, "heuristic": heuristic, "time_limit": limits[heuristic], **columns(entries)}
         for heuristic, entries in runs.items()
     ]
 
 
 def run_of(problem: Problem, heuristic: str, plr_bytes: int, limit: float) -> tuple[Solution, float]:
-    """Plan by BL alone under a heuristic, or by ``bl_plan`` with its default options."""
+    """Plan by BL alone under a heuristic, or by ``bl_plan`` with its default options; return solution and seconds."""
     if heuristic == LATTICE:
         return plan(problem, None, BLOptions(time_limit=limit))
     return plan(problem, build(problem, heuristic, plr_bytes), BLOptions(searchers=BL_ALONE, time_limit=limit))

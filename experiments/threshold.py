@@ -1,8 +1,8 @@
 """The paper's threshold rule beside best-first growth.
 
 The paper splits cells, with axes in turn, while the error at a center exceeds a threshold. The same rule under
-a byte budget splits cells of larger errors first, and stores as few bits a coefficient as the budget asks for. Two
-more rules split along the best axis, by the error at the center and by the largest error (the default).
+a byte budget splits cells of larger errors first, and rounds coefficients as the budget requires. Two more rules
+split along the best axis, by the error at the center and by the largest error (the default).
 """
 
 from typing import Any
@@ -18,19 +18,19 @@ from plr_jax import BuildOptions, VisibilityGraph, construct, metrics
 from plr_jax.plr import center_error, cyclic_axis
 
 MAPS = "maze", "thin_maze", "floor_plan"
-THRESHOLDS = 0.01, 0.001  # shares of the mean distance
+THRESHOLDS = 0.01, 0.001  # in units of the mean distance
 NUM_POINTS = 500_000
-IN_TURN = BuildOptions(should_split=center_error, split=cyclic_axis)
-THRESHOLD = "error at the center above the threshold, axes in turn"
+CENTER_CYCLIC = BuildOptions(should_split=center_error, split=cyclic_axis)
+THRESHOLD_RULE = "error at the center above the threshold, axes in turn"
 BEST_FIRST = {
-    "error at the center, axes in turn": IN_TURN,
+    "error at the center, axes in turn": CENTER_CYCLIC,
     "error at the center, best axis": BuildOptions(should_split=center_error),
     "largest error, best axis": BuildOptions(),
 }
 
 
 def measure(name: str, threshold: float, seed: int, num_points: int) -> list[dict[str, Any]]:
-    """Return the rows of one map: the threshold rule, then best-first growth to the bytes of its file."""
+    """Return the rows of one map: the threshold rule, then best-first growth to the bytes of the first row's file."""
     workspace, goal = load_map(name)  # type: ignore[reportGeneralTypeIssues]
     exact = VisibilityGraph(workspace, goal)
     x = workspace.sample_free(num_points, POINT_SEED)
@@ -38,19 +38,19 @@ def measure(name: str, threshold: float, seed: int, num_points: int) -> list[dic
     rows: list[dict[str, Any]] = []
 
     def add(rule: str, **limits: Any) -> None:
-        calls = 0
+        num_queries = 0
 
         def counted(q: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
-            nonlocal calls
-            calls += len(q)
+            nonlocal num_queries
+            num_queries += len(q)
             return exact(q)
 
         seconds, plr = timed(lambda: construct(counted, workspace.bounds, seed=seed, **limits))
         report = metrics.error_map(plr, lambda _: truth, x)
         row = {"map": name, "threshold": threshold, "rule": rule, "bytes": plr.num_bytes, "leaves": plr.num_leaves}
-        rows.append(row | {"max": report.max, "mean": report.mean, "calls": calls, "seconds": seconds})
+        rows.append(row | {"max": report.max, "mean": report.mean, "calls": num_queries, "seconds": seconds})
 
-    add(THRESHOLD, tolerance=threshold * float(truth.mean()), options=IN_TURN)
+    add(THRESHOLD_RULE, tolerance=threshold * float(truth.mean()), options=CENTER_CYCLIC)
     for rule, options in BEST_FIRST.items():
         add(rule, max_bytes=rows[0]["bytes"], options=options)
     return rows

@@ -1,4 +1,4 @@
-"""Error at equal bytes: PLRs beside all else that can hold a distance function, map by map.
+"""Error at equal bytes: PLRs and other methods that can hold a distance function, map by map.
 
 Errors are over random free points, and over those near walls, with a clearance below 1 % of the map's smaller side.
 What each method is given:
@@ -24,7 +24,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,7 +48,7 @@ from experiments.benchmarks._rivals import (
 from plr_jax import VisibilityGraph, Workspace, construct
 
 
-def label_ends(ax: Axes, ends: list[tuple[str, float, float, str]], spacing: float) -> None:
+def _label_ends(ax: Axes, ends: list[tuple[str, float, float, str]], spacing: float) -> None:
     """Name every line of logarithmic axes where it ends, with labels moved apart that would overlap.
 
     Args:
@@ -60,16 +60,9 @@ def label_ends(ax: Axes, ends: list[tuple[str, float, float, str]], spacing: flo
     height = -np.inf
     for label, x, y, color in sorted(ends, key=lambda end: end[2]):
         height = max((np.log(y) - lo) / (hi - lo), height + spacing)
-        ax.annotate(
-            label,
-            (x, y),
-            (1.06, height),
-            textcoords="axes fraction",
-            color=color,
-            va="center",
-            fontsize=9,
-            arrowprops={"arrowstyle": "-", "color": color, "lw": 0.5, "shrinkA": 1, "shrinkB": 3},
-        )
+        arrow = {"arrowstyle": "-", "color": color, "lw": 0.5, "shrinkA": 1, "shrinkB": 3}
+        style: dict[str, Any] = {"textcoords": "axes fraction", "va": "center", "fontsize": 9, "arrowprops": arrow}
+        ax.annotate(label, (x, y), (1.06, height), color=color, **style)
 
 
 # Mean error against bytes, one panel a map.
@@ -87,7 +80,7 @@ _LABEL_HEIGHT = 0.06
 
 
 def draw(results: dict[str, Any], output: Path) -> list[Path]:
-    """A panel a map, the lines labeled at the right of the last."""
+    """Draw a panel for each map; the lines are labeled at the right of the last panel."""
     maps = results["maps"]
     figure = Figure(figsize=(2.7 * len(maps) + 2.0, 4.2), layout="constrained", facecolor="white")
     panels = figure.subplots(1, len(maps), squeeze=False)[0]
@@ -96,7 +89,7 @@ def draw(results: dict[str, Any], output: Path) -> list[Path]:
         ax.set_title(name.replace("_", " "), fontsize=11)
         ax.set_xlabel("bytes")
     panels[0].set_ylabel("mean error (workspace units)")
-    label_ends(panels[-1], _ends(list(maps.values())[-1]), _LABEL_HEIGHT)
+    _label_ends(panels[-1], _ends(list(maps.values())[-1]), _LABEL_HEIGHT)
     path = output / "benchmark_accuracy.png"
     figure.savefig(path, dpi=150)
     return [path]
@@ -115,7 +108,7 @@ def _draw_map(ax: Axes, rows: list[dict[str, Any]]) -> None:
 
 
 def _ends(rows: list[dict[str, Any]]) -> list[tuple[str, float, float, str]]:
-    """Label, end and color of each line."""
+    """Return label, end and color of each line."""
     last = {row["contender"]: row for row in rows if row["contender"] in _STYLES and row["free"]["mean"]}
     return [(name, row["bytes"], row["free"]["mean"], _STYLES[name][0]) for name, row in last.items()]
 
@@ -145,57 +138,61 @@ class Oracle:
         return distance
 
 
+class Setting(NamedTuple):
+    budgets: tuple[int, ...]  # bytes
+    num_points: int  # drawn to measure errors
+    most_samples: int  # for rivals that learn from samples
+    num_steps: int  # of training the network
+    seed: int
+
+
 def measure(seed: int, smoke: bool) -> dict[str, Any]:
-    maps, budgets = (_MAPS[:1], (1_024,)) if smoke else (_MAPS, _BUDGETS)
-    num_points, most_samples, num_steps = (2_000, 2_000, 20) if smoke else (200_000, _MOST_SAMPLES, NUM_STEPS)
-    results: dict[str, Any] = {"points": num_points, "maps": {}, "skipped": {}}
-    for name in maps:
+    full = Setting(_BUDGETS, 200_000, _MOST_SAMPLES, NUM_STEPS, seed)
+    setting = Setting((1_024,), 2_000, 2_000, 20, seed) if smoke else full
+    results: dict[str, Any] = {"points": setting.num_points, "maps": {}, "skipped": {}}
+    for name in _MAPS[:1] if smoke else _MAPS:
         loaded = load_map(name)
         if loaded is None:
             results["skipped"][name] = "PLR_JAX_DATA names no folder with this map"
             continue
-        rows, skipped = _measure_map(*loaded, name, budgets, num_points, most_samples, num_steps, seed)
+        rows, skipped = _measure_map(*loaded, name, setting)
         results["maps"][name] = rows
         results["skipped"].update(skipped)
     return results
 
 
 def _measure_map(
-    workspace: Workspace,
-    goal: Float[np.ndarray, "2"],
-    name: str,
-    budgets: tuple[int, ...],
-    num_points: int,
-    most_samples: int,
-    num_steps: int,
-    seed: int,
+    workspace: Workspace, goal: Float[np.ndarray, "2"], name: str, setting: Setting
 ) -> tuple[list[dict[str, Any]], dict[str, str]]:
-    """Rows of all contenders at every budget, and those that were skipped."""
-    exact = VisibilityGraph(workspace, goal)
-    x, distance = reachable_points(workspace, exact, num_points, POINT_SEED + seed)
+    """Return rows of all contenders at every budget, and why others were skipped."""
+    exact, seed = VisibilityGraph(workspace, goal), setting.seed
+    x, distance = reachable_points(workspace, exact, setting.num_points, POINT_SEED + seed)
     near = workspace.clearance(x) < _NEAR * workspace.bounds.width.min()
-    samples = reachable_points(workspace, exact, most_samples, TRAINING_SEED + seed)
+    samples = reachable_points(workspace, exact, setting.most_samples, TRAINING_SEED + seed)
     rows, skipped = [], {}
-    for budget in tqdm(budgets, desc=name, disable=None):
+    for budget in tqdm(setting.budgets, desc=name, disable=None):
         oracle = Oracle(exact)
         ours = {
-            name: _timed(partial(make_plr, leaf, oracle, workspace, budget, seed), oracle, 0)()
-            for name, leaf in _PLRS.items()
+            contender: _with_counts(partial(make_plr, leaf, oracle, workspace, budget, seed), oracle, 0)()
+            for contender, leaf in _PLRS.items()
         }
-        x_train, at_train = (part[: ours["PLR, planes"][1]] for part in samples)
-        makers = _makers(workspace, goal, oracle, budget, x_train, at_train, num_steps, seed)
-        given = {rival: len(x_train) if rival in _GIVEN_SAMPLES else 0 for rival in makers}
-        rivals, reasons = make_all({rival: _timed(make, oracle, given[rival]) for rival, make in makers.items()})
+        _, num_asked, _ = ours["PLR, planes"]
+        x_train, at_train = (part[:num_asked] for part in samples)
+        makers = _makers(workspace, goal, oracle, budget, x_train, at_train, setting.num_steps, seed)
+        num_given = {rival: len(x_train) if rival in _GIVEN_SAMPLES else 0 for rival in makers}
+        counted = {rival: _with_counts(make, oracle, num_given[rival]) for rival, make in makers.items()}
+        rivals, reasons = make_all(counted)
         skipped.update(reasons)
         for contender, (rival, num_samples, seconds) in {**ours, **rivals}.items():
-            about = {"contender": contender, "budget": budget, "bytes": rival.num_bytes}
             error = np.abs(rival.on_host(x) - distance)
-            both = {"free": summary(error), "near_walls": summary(error[near])}
-            rows.append({**about, "samples": num_samples, "build_seconds": seconds, **both})
+            row: dict[str, Any] = {"contender": contender, "budget": budget, "bytes": rival.num_bytes}
+            row |= {"samples": num_samples, "build_seconds": seconds}
+            row |= {"free": summary(error), "near_walls": summary(error[near])}
             if contender in _PLRS:
+                row["resident_bytes"] = rival.answer.resident_bytes
                 grid = scipy_grid(filled_grid(workspace, exact, rival.answer.resident_bytes))
-                of_grid = summary(np.abs(grid.on_host(x) - distance))
-                rows[-1] |= {"resident_bytes": rival.answer.resident_bytes, "grid_in_memory": of_grid}
+                row["grid_in_memory"] = summary(np.abs(grid.on_host(x) - distance))
+            rows.append(row)
     return rows, skipped
 
 
@@ -208,7 +205,7 @@ def make_plr(leaf: str, oracle: Oracle, workspace: Workspace, budget: int, seed:
 def reachable_points(
     workspace: Workspace, exact: VisibilityGraph, n: int, seed: int
 ) -> tuple[Float[np.ndarray, "points 2"], Float[np.ndarray, " points"]]:
-    """Random free points from which the goal can be reached, and their distances."""
+    """Return random free points from which the goal can be reached, and their distances."""
     x = workspace.sample_free(n, seed)
     distance = exact(x)
     reachable = np.isfinite(distance)
@@ -225,30 +222,33 @@ def _makers(
     num_steps: int,
     seed: int,
 ) -> dict[str, Callable[[], Rival]]:
-    made = {
+    makers = {
         "coded grid": lambda: scipy_grid(coded_grid(workspace, oracle, budget, x, distance)),
         "LightGBM linear trees": lambda: best_linear_trees(x, distance, budget, seed),
         "network, 16-bit": lambda: train_network(x, distance, budget, num_steps, seed, jnp.float16),
         "scikit-fmm": lambda: scipy_grid(travel_time_grid(workspace, goal, budget)),
     }
     if budget > _MOST_NETWORK_BYTES:
-        del made["network, 16-bit"]
-    return made
+        del makers["network, 16-bit"]
+    return makers
 
 
-def _timed(make: Callable[[], Rival], oracle: Oracle, given: int) -> Callable[[], tuple[Rival, int, float]]:
-    """A maker that also tells how many values of the oracle went in, and its seconds without the oracle's."""
+def _with_counts(make: Callable[[], Rival], oracle: Oracle, num_given: int) -> Callable[[], tuple[Rival, int, float]]:
+    """Wrap a maker so that it also returns its number of oracle values and its seconds without the oracle.
 
-    def timed() -> tuple[Rival, int, float]:
+    The number includes ``num_given`` values that the maker was given.
+    """
+
+    def counted() -> tuple[Rival, int, float]:
         oracle.points, oracle.seconds, begun = 0, 0.0, time.perf_counter()
         rival = make()
-        return rival, given + oracle.points, time.perf_counter() - begun - oracle.seconds
+        return rival, num_given + oracle.points, time.perf_counter() - begun - oracle.seconds
 
-    return timed
+    return counted
 
 
 def summary(error: Float[np.ndarray, " n"]) -> dict[str, float | int | None]:
-    """Errors over the points that are answered, and how many are not (an answer that is NaN or infinite)."""
+    """Return errors over the points that are answered, and how many are not (an answer that is NaN or infinite)."""
     answered = error[np.isfinite(error)]
     counts = {"points": len(error), "unanswered": len(error) - len(answered)}
     if len(answered) == 0:

@@ -1,6 +1,5 @@
 """Every experiment runs at its smallest setting; committed results are those of this code."""
 
-import json
 import os
 import runpy
 import sys
@@ -13,7 +12,7 @@ import pytest
 from experiments import _planning, figures, paper_query, portable, readme_tables, sba_star, table1, table2, threshold
 from experiments._browser import chromium
 from experiments._nearest_vertex import NearestVertex
-from experiments._runner import RESULTS
+from experiments._runner import RESULTS, WHOLE, read
 from experiments.benchmarks import _accuracy, _query
 from experiments.benchmarks._maps import load_map
 from plr_jax import Roadmap, VisibilityGraph, construct, scenes
@@ -31,19 +30,20 @@ def test_all_sections_of_an_experiment_run_at_their_smallest(name, tmp_path, mon
     monkeypatch.setattr(sys, "argv", [name, "--smoke", "--output", str(tmp_path), *options])
     monkeypatch.delitem(sys.modules, f"experiments.{name}", raising=False)  # imported by another experiment
     script = runpy.run_module(f"experiments.{name}", run_name="__main__")
-    record = json.loads((tmp_path / f"{name}.json").read_text())
+    record = read(tmp_path, name)
     assert record["smoke"] and record["experiment"] == name
     assert {"versions", "device", "cores", "dtype", "seed"} <= record.keys()
     assert all(part["date"] for part in record["measured"].values())
     if "PLR_JAX_DATA" in os.environ:
         assert all(record["results"].values())  # no part was skipped
-    parts = set(options[1:]) or set(script.get("SECTIONS", ["whole"]))
+    parts = set(options[1:]) or set(script.get("SECTIONS", [WHOLE]))
     assert record["measured"].keys() == parts
 
 
 def test_scripts_and_committed_results_match():
     for name in SCRIPTS:
-        record, script = json.loads((RESULTS / f"{name}.json").read_text()), import_module(f"experiments.{name}")
+        record = read(RESULTS, name)
+        script = import_module(f"experiments.{name}")
         assert record["experiment"] == name and not record["smoke"]
         assert record["results"].keys() <= getattr(script, "SECTIONS", record["results"]).keys()
     page = readme_tables.ALL_RESULTS.read_text() + readme_tables.PAPER.read_text()
@@ -54,9 +54,8 @@ def test_scripts_and_committed_results_match():
 def test_readme_tables_hold_the_committed_results(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["readme_tables", "--check"])
     readme_tables.main()
-    pages = "".join(
-        page.read_text() for page in (readme_tables.README, readme_tables.ALL_RESULTS, readme_tables.PAPER)
-    )
+    paths = readme_tables.README, readme_tables.ALL_RESULTS, readme_tables.PAPER
+    pages = "".join(path.read_text() for path in paths)
     assert all(f"<!-- table:{name} -->" in pages for name in readme_tables.TABLES)
     old = tmp_path / "README.md"
     old.write_text("<!-- table:descent -->\nold\n<!-- /table -->\n")
@@ -73,79 +72,85 @@ def test_results_with_invalid_paths_are_refused():
 
 
 def results_of(name):
-    return json.loads((RESULTS / f"{name}.json").read_text())["results"]
+    return read(RESULTS, name)["results"]
 
 
-def assert_close(found, told):
-    """Numbers agree to 2 %, names and files exactly; seconds and sizes of compiled code do not count."""
-    assert found.keys() == told.keys()
-    for key in found.keys() - {"seconds", "c_bytes"}:
-        is_number = isinstance(told[key], int | float)
-        assert found[key] == (pytest.approx(told[key], rel=0.02) if is_number else told[key]), key
+def assert_close(computed, committed):
+    """Compare numbers to 2 %, names and files exactly, but neither seconds nor sizes of compiled code."""
+    assert computed.keys() == committed.keys()
+    for key in computed.keys() - {"seconds", "c_bytes"}:
+        is_number = isinstance(committed[key], int | float)
+        assert computed[key] == (pytest.approx(committed[key], rel=0.02) if is_number else committed[key]), key
 
 
 @pytest.mark.parametrize(("name", "leaf"), [("maze", "continuous"), ("floor_plan", "smooth"), ("maze", "cone")])
 def test_table_of_leaves_has_bytes_and_errors_of_this_code(name, leaf, tmp_path):
     results, (workspace, goal) = results_of("portable")["leaves"], load_map(name)
-    (told,) = (row for row in results["rows"] if (row["map"], row["leaf"]) == (name, leaf))
+    (committed,) = (row for row in results["rows"] if (row["map"], row["leaf"]) == (name, leaf))
     x = workspace.sample_free(results["points"], 0)
-    found = portable.leaf_row(VisibilityGraph(workspace, goal), leaf, x, 0, tmp_path / "header")
-    assert_close({"map": name, **found}, told)
+    computed = portable.leaf_row(VisibilityGraph(workspace, goal), leaf, x, 0, tmp_path / "header")
+    assert_close({"map": name, **computed}, committed)
+
+
+def accuracy_of(name, workspace, exact):
+    """Return the committed rows by contender, and the points of the errors with their distances."""
+    results = results_of("benchmark")["accuracy"]
+    rows = {row["contender"]: row for row in results["maps"][name] if row["budget"] == 6_144}
+    return rows, *_accuracy.reachable_points(workspace, exact, results["points"], _accuracy.POINT_SEED)
 
 
 @pytest.mark.parametrize("name", ["maze", "den312d"])
-def test_tables_of_rivals_and_speed_have_bytes_and_errors_of_this_code(name):
-    results, loaded = results_of("benchmark"), load_map(name)
+def test_table_of_rivals_has_bytes_and_errors_of_this_code(name):
+    loaded = load_map(name)
     if loaded is None:
         pytest.skip("PLR_JAX_DATA names no folder with this map")
     workspace, goal = loaded
     exact = VisibilityGraph(workspace, goal)
-    told = {row["contender"]: row for row in results["accuracy"]["maps"][name] if row["budget"] == 6_144}
-    x, distance = _accuracy.reachable_points(workspace, exact, results["accuracy"]["points"], _accuracy.POINT_SEED)
+    committed, x, distance = accuracy_of(name, workspace, exact)
     for contender, leaf in (("PLR, planes", "plane"), ("PLR, continuous", "continuous")):
         plr = _accuracy.make_plr(leaf, _accuracy.Oracle(exact), workspace, 6_144, 0)
-        found = {"bytes": plr.num_bytes, "resident_bytes": plr.answer.resident_bytes}
-        assert_close(found, {key: told[contender][key] for key in found})
-        assert_close(_accuracy.summary(np.abs(plr.on_host(x) - distance)), told[contender]["free"])
-    if name == "maze":
-        plane = results["query"]["plane"]["rows"]
-        plr = _accuracy.make_plr("cone", _accuracy.Oracle(exact), workspace, 6_144, 0)
-        assert_close(_accuracy.summary(np.abs(plr.on_host(x) - distance)), told["PLR, cones"]["free"])
-        plr = construct(exact, workspace.bounds, max_bytes=_query.MAX_BYTES, seed=0)
-        grid = _query.makers(plr, exact, 100_000, 0, 0)["grid, JAX"]()
-        x = workspace.sample_free(20_000, _query.POINT_SEED)
-        for rival, row in ((_accuracy.Rival(plr.num_bytes, plr, True), "PLR, planes"), (grid, "grid, JAX")):
-            assert_close({"bytes": rival.num_bytes, **_query.errors(rival, exact, x)}, plane[row])
+        computed = {"bytes": plr.num_bytes, "resident_bytes": plr.answer.resident_bytes}
+        assert_close(computed, {key: committed[contender][key] for key in computed})
+        assert_close(_accuracy.summary(np.abs(plr.on_host(x) - distance)), committed[contender]["free"])
+
+
+def test_cones_and_speed_on_the_maze_have_bytes_and_errors_of_this_code():
+    workspace, goal = load_map("maze")
+    exact = VisibilityGraph(workspace, goal)
+    committed, x, distance = accuracy_of("maze", workspace, exact)
+    plr = _accuracy.make_plr("cone", _accuracy.Oracle(exact), workspace, 6_144, 0)
+    assert_close(_accuracy.summary(np.abs(plr.on_host(x) - distance)), committed["PLR, cones"]["free"])
+    plr = construct(exact, workspace.bounds, max_bytes=_query.MAX_BYTES, seed=0)
+    grid = _query.makers(plr, exact, 100_000, 0, 0)["grid, JAX"]()
+    x = workspace.sample_free(20_000, _query.POINT_SEED)
+    rows = results_of("benchmark")["query"]["plane"]["rows"]
+    for rival, row in ((_accuracy.Rival(plr.num_bytes, plr, True), "PLR, planes"), (grid, "grid, JAX")):
+        assert_close({"bytes": rival.num_bytes, **_query.errors(rival, exact, x)}, rows[row])
 
 
 @pytest.mark.parametrize("name", table1.SCENES)
 def test_table1_has_bytes_and_errors_of_this_code(name):
-    """Compute two rows of each scene again, one of the paper's own configuration and one of a roadmap if there is."""
+    """Compute the first and the last row of each scene again."""
     results = results_of("table1")
     rows = {(row["method"], row["configuration"]): row for row in results["rows"] if row["scene"] == name}
     scene = table1.Scene(name, results["points"], results["roadmap_samples"])
     assert rows.keys() == scene.rows.keys()
     for key in [next(iter(rows)), list(rows)[-1]]:
-        entry = rows[key]["seeds"][0]
-        assert_close(scene.measure(*key, entry["seed"]), entry)
+        committed = rows[key]["seeds"][0]
+        assert_close(scene.measure(*key, committed["seed"]), committed)
 
 
 def test_paper_query_has_bytes_and_errors_of_this_code(tmp_path):
     """Compute the rows of PLRs and of lookups in trees again; code sizes depend on the compiler."""
-    results, roadmap = (
-        results_of("paper_query"),
-        Roadmap.from_workspace(paper_query.WORKSPACE, paper_query.GOAL, 1_000),
-    )
-    nearest, x = NearestVertex(roadmap), paper_query.WORKSPACE.sample_free(1_000_000, paper_query.POINT_SEED)
-    a_star = paper_query.AStar(roadmap)
-    rows = {(row["method"], row["query"]): row for row in results["goal"]}
-    for contender in (
-        *paper_query.summaries(paper_query.SUMMARISED, 0, tmp_path),
-        *(each for each in paper_query.roadmap_contenders(nearest, a_star, 0) if each.equal is None),
-    ):
+    rows = {(row["method"], row["query"]): row for row in results_of("paper_query")["goal"]}
+    roadmap = Roadmap.from_workspace(paper_query.WORKSPACE, paper_query.GOAL, 1_000)
+    contenders = paper_query.roadmap_contenders(NearestVertex(roadmap), paper_query.AStar(roadmap), 0)
+    lookups = [each for each in contenders if each.vectorized is None]
+    x, exact = paper_query.WORKSPACE.sample_free(1_000_000, paper_query.POINT_SEED), paper_query.prepared_graph()
+    for contender in (*paper_query.summaries(paper_query.SUMMARISED, 0, tmp_path), *lookups):
         row = rows[contender.method, contender.query]
-        found = paper_query.errors(contender, paper_query.prepared_graph(), x)
-        assert_close(found, {error: row[error] for error in found})
+        computed = paper_query.errors(contender, exact, x)
+        assert_close(computed, {error: row[error] for error in computed})
         if contender.query in ("JAX", "tree, SciPy"):
             assert contender.num_bytes == row["bytes"]
 
@@ -154,21 +159,20 @@ def test_searches_in_a_roadmap_agree_with_its_tree():
     roadmap = Roadmap.from_workspace(paper_query.WORKSPACE, paper_query.GOAL, 200)
     nearest, x = NearestVertex(roadmap), paper_query.WORKSPACE.sample_free(20, seed=1)
     for contender in paper_query.roadmap_contenders(nearest, paper_query.AStar(roadmap), 0):
-        if contender.equal is not None:
-            found = np.concatenate([contender.answer(point[None]) for point in x])
-            np.testing.assert_allclose(found, contender.equal(x))
+        if contender.vectorized is not None:
+            one_by_one = np.concatenate([contender.answer(point[None]) for point in x])
+            np.testing.assert_allclose(one_by_one, contender.vectorized(x))
     pairs = np.concatenate([x, x[::-1]], axis=1)
     a_star, table = paper_query.pair_contenders(nearest, paper_query.AStar(roadmap), 0)
     np.testing.assert_allclose(a_star.answer(pairs), table.answer(pairs), rtol=1e-6)
 
 
 def test_threshold_has_bytes_and_errors_of_this_code():
-    results = results_of("threshold")
-    told = [row for row in results["rows"] if (row["map"], row["threshold"]) == ("maze", threshold.THRESHOLDS[0])]
-    for row, entry in zip(
-        threshold.measure("maze", threshold.THRESHOLDS[0], 0, results["points"]), told, strict=True
-    ):
-        assert_close(row, entry)
+    results, share = results_of("threshold"), threshold.THRESHOLDS[0]
+    committed = [row for row in results["rows"] if (row["map"], row["threshold"]) == ("maze", share)]
+    computed = threshold.measure("maze", share, 0, results["points"])
+    for computed_row, committed_row in zip(computed, committed, strict=True):
+        assert_close(computed_row, committed_row)
 
 
 def test_fig1_shows_the_file_of_this_code():
@@ -179,20 +183,21 @@ def test_fig1_shows_the_file_of_this_code():
 @pytest.mark.parametrize("name", ["single door", "cross 3"])
 def test_table2_has_nodes_and_costs_of_this_code(name, heuristic):
     results = results_of("table2")
-    told = next(row for row in results["rows"] if (row["scene"], row["heuristic"]) == (name, heuristic))
-    problem = scenes.perturbed(_planning.SCENES[name](), told["seed"][0])
-    solution, _ = table2.run_of(problem, heuristic, results["plr_bytes"], told["time_limit"])
-    found = table2.outcome(problem, solution, _planning.lower_bound(problem))
+    committed = next(row for row in results["rows"] if (row["scene"], row["heuristic"]) == (name, heuristic))
+    problem = scenes.perturbed(_planning.SCENES[name](), committed["seed"][0])
+    solution, _ = table2.run_of(problem, heuristic, results["plr_bytes"], committed["time_limit"])
+    computed = table2.outcome(problem, solution, _planning.lower_bound(problem))
     for key in ("nodes", "cost_over_bound", "first_path_cost"):
-        assert found[key] == pytest.approx(told[key][0], rel=0.02), key
+        assert computed[key] == pytest.approx(committed[key][0], rel=0.02), key
 
 
 @pytest.mark.parametrize("heuristic", [_planning.NONE, _planning.STRAIGHT])
 def test_sba_star_has_vertices_and_costs_of_this_code(heuristic):
-    results = results_of("sba_star")
-    told, problem = next(row for row in results["rows"] if row["heuristic"] == heuristic), scenes.single_door()
+    results, problem = results_of("sba_star"), scenes.single_door()
+    rows = {(row["scene"], row["heuristic"]): row for row in results["rows"]}
+    committed = rows["single door", heuristic]
     options = (results["max_vertices"], _planning.lower_bound(problem))
     for seed in range(2):
-        found = sba_star.measure(problem, _planning.build(problem, heuristic), seed, *options)
+        computed = sba_star.measure(problem, _planning.build(problem, heuristic), seed, *options)
         for key in ("vertices", "cost_over_bound"):
-            assert found[key] == pytest.approx(told[key][seed], rel=0.02), key
+            assert computed[key] == pytest.approx(committed[key][seed], rel=0.02), key

@@ -213,7 +213,7 @@ def test_trees_that_split_in_another_order_hold_only_planes():
     body = BitWriter()
     write_tree(body, contents.tree)
     layer = Layer(code_of_leaf(leaf_model("continuous")), sets(body, [0, 0]).to_bytes())
-    with pytest.raises(ValueError, match="splits its leaves along other axes first"):
+    with pytest.raises(ValueError, match="splits in another order"):
         from_bytes(Container(UNIT, (layer,)).to_bytes())
 
 

@@ -1,4 +1,4 @@
-"""The leaf models ``"continuous"`` and ``"smooth"``: functions that only jump across faces of leaves within walls.
+"""The leaf models ``"continuous"`` and ``"smooth"``: piecewise functions that are continuous except across walls.
 
 The unknowns are values at the corners of all leaves; leaves on both sides of a *free* face, which paths can cross,
 share them. Each round of the construction splits the leaves of largest error; then one sparse least-squares problem
@@ -40,7 +40,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 # Conjugate gradients stop at this relative residual; after so many steps, a direct solver takes over.
-_RESIDUAL, _MOST_STEPS = 1e-10, 200
+_RESIDUAL = 1e-10
+_MOST_STEPS = 200
+_MOST_DIM_OF_FACTORS = 2  # in more dimensions, sparse factors fill in too much
 
 
 def solve_normal(normal: "csr_array", moments: Float[np.ndarray, " n"], dim: int) -> Float[np.ndarray, " n"]:
@@ -53,18 +55,18 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, " n"], dim: int
         values = _conjugate_gradients((diags_array(scale) @ normal @ diags_array(scale)).tocsr(), scale * moments)
         if values is not None:
             return scale * values
-    # Without pivoting, the factors of such a matrix have a quarter of the entries.
-    options = {"SymmetricMode": True}
-    factors = splu(csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-    return factors.solve(moments)
+    # Without pivoting, which a positive definite matrix does not need, the factors have a quarter of the entries.
+    lu = splu(csc_array(normal), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return lu.solve(moments)
 
 
 def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
     # SciPy's ``cg`` calls BLAS, whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
     values, residual, direction = np.zeros_like(right), right, right
-    square = first = np.einsum("i,i", right, right)
+    square = np.einsum("i,i", right, right)
+    initial = square
     for _ in range(_MOST_STEPS):
-        if square <= _RESIDUAL**2 * first:
+        if square <= _RESIDUAL**2 * initial:
             return values
         image = matrix @ direction
         step = square / np.einsum("i,i", direction, image)
@@ -84,14 +86,13 @@ class FaceTests:
     """A test of which faces between leaves are free: distances are finite on both sides of some point of the face."""
 
     def __init__(self, distance_fn: DistanceFn, domain: Box) -> None:
-        self._distance_fn = distance_fn
-        self._domain = domain
+        self._distance_fn, self._domain = distance_fn, domain
         self._keys, self._free = np.zeros(0, np.uint64), np.zeros(0, bool)  # of the faces of the last call
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, " faces"]:
         domain, of_cell = self._domain, cells.hashes()
-        keys = hash64(hash64(of_cell[faces.lower]) + of_cell[faces.upper])
-        keys += faces.axis.astype(np.uint64)  # a cell may share several faces with itself
+        # With periodic axes, a cell may share a face along each axis with itself.
+        keys = hash64(hash64(of_cell[faces.lower]) + of_cell[faces.upper]) + faces.axis.astype(np.uint64)
         _, here, before = np.intersect1d(keys, self._keys, assume_unique=True, return_indices=True)
         free, is_new = np.zeros(len(faces), bool), np.ones(len(faces), bool)
         free[here], is_new[here] = self._free[before], False
@@ -102,7 +103,7 @@ class FaceTests:
             if len(unsure):
                 tested = faces[unsure]
                 x = face_points(cells, tested, some)
-                across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]
+                across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]  # (faces, 1, dim)
                 sides = [domain.lo + domain.width * (x + sign * across) for sign in (-1, 1)]
                 both = domain.wrapped(np.concatenate(sides)).reshape(-1, domain.dim)
                 below, above = np.isfinite(call_oracle(self._distance_fn, both)).reshape(2, *x.shape[:2])
@@ -160,7 +161,7 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        # Values >= 0 stay >= 0. Corners inside another leaf's face (hanging) are ignored.
+        # Decoded values are at least 0. Values at hanging corners (inside another leaf's face) are ignored.
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
@@ -185,24 +186,25 @@ def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
 
 
-# A round splits up to half of the leaves before all values are fitted again. It splits all of them while they are
-# fewer than one in 32 of the splits that the limits allow.
-_MOST_SPLIT, _FIRST = 0.5, 1 / 32
-# A round makes at most 0.4 of the splits that the limits allow, since errors change when adjacent leaves are split:
-# last rounds that split many leaves would leave some of them with several times the error of the others. It splits
-# at least one in 32 leaves. If the byte limit allows to split less than one in 50, growth ends.
-_SHARE_OF_ROOM, _LEAST_SPLIT, _WORTH_A_ROUND = 0.4, 1 / 32, 1 / 50
+# Rounds. Each splits some leaves before all values are fitted again.
+_MOST_SPLIT = 0.5  # largest share of the leaves that are split
+_FEW_LEAVES = 1 / 32  # of the splits that the limits allow: fewer leaves than these are all split
+# Largest share of the splits that the limits allow. Errors change when adjacent leaves are split: last rounds that
+# split many leaves would leave some of them with several times the error of the others.
+_SHARE_OF_ROOM = 0.4
+_LEAST_SPLIT = 1 / 32  # least share of the leaves that are split
+_WORTH_A_ROUND = 1 / 50  # growth ends if the byte limit has room for fewer than one split per 50 leaves
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
 _VOLUME_POWER = 0.25
-# Values are rounded to the mean error: more leaves reduce the error further than more digits. Near the byte limit,
-# continuous leaves aim at rounding to twice the mean error: beyond 1.8 times, growth ends, and 3 times is the limit.
-_MOST_MEAN_ERRORS, _FULL = 3.0, 1.8
+# Rounding. Values are rounded to the mean error: more leaves reduce the error further than more digits. Near the byte
+# limit, growth of continuous leaves plans for a step of twice the mean error.
+_FULL = 1.8  # mean errors: growth ends if the step is larger
+_MOST_MEAN_ERRORS = 3.0  # mean errors: a larger step is not raised; a round whose file is still too large is rejected
 _SMALLEST_STEP = 2.0**-22  # in units of the largest distance: the resolution of 32-bit floats
 # Weight of the difference between a value and its prediction, relative to the samples of a cell: so small that it
 # decides only values that no sample determines, inside walls.
 _PREDICTION_WEIGHT = 1e-7
-_MOST_DIM_OF_FACTORS = 2  # in more dimensions, sparse factors fill in too much
-_UNPREDICTED = 1e-3  # share of _PREDICTION_WEIGHT that pulls the corners of the domain to the mean value
+_UNPREDICTED = 1e-3  # factor of the difference from the mean value, for values without a prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +224,7 @@ class _Rounds:
     def __init__(self, order: int, sampler: Sampler, rules: Rules, limits: Limits) -> None:
         self._order, self._sampler, self._rules, self._limits = order, sampler, rules, limits
         self._face_tests = FaceTests(sampler.distance_fn, sampler.domain)
-        self._most = limits.max_leaves
+        self._max_splits = limits.max_leaves
 
     def next(self, now: _FittedPartition) -> _FittedPartition | None:
         # None if no more leaves fit into the limits.
@@ -236,31 +238,29 @@ class _Rounds:
             grown = self.fit_leaves(now.fit[kept].append(children))
             if grown.num_bytes <= self._limits.max_bytes:
                 return grown
-            self._most = len(leaf) // 2
+            self._max_splits = len(leaf) // 2  # too large: try half as many splits
 
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
         fit, limits = now.fit, self._limits
         room = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
-            # If the step doubles, each value takes a bit less. Smooth leaves need the finer step.
+            # A doubled step saves one bit per value. Smooth leaves need the finer step.
             num_bytes = now.num_bytes - (len(now.stored.code) / 8 if self._order == 0 else 0)
-            room = min(room, self._most, int(np.ceil(len(now) * (limits.max_bytes / num_bytes - 1))))
+            room = min(room, self._max_splits, int(np.ceil(len(now) * (limits.max_bytes / num_bytes - 1))))
             if now.is_full or room < _WORTH_A_ROUND * len(now):
                 room = 0
         number = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
-        share = 1.0 if len(now) < _FIRST * room else _MOST_SPLIT
-        number = min(number, int(np.ceil(share * len(now))), room)
+        most_split = 1.0 if len(now) < _FEW_LEAVES * room else _MOST_SPLIT
+        number = min(number, int(np.ceil(most_split * len(now))), room)
         error = np.asarray(self._rules.should_split(fit), float)
-        check_rules(fit, error, np.zeros(len(fit), np.int64))
+        check_rules(fit, error, np.zeros(len(fit), np.int64))  # priorities only; axes follow
         error, _ = urgent_first(fit, error, fit.urgent_axis)
         worth_it = (error > least_priority(fit, limits)) & fit.can_split
         priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
         best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
-        leaf, axis = np.zeros((2, 0), np.int64)
-        start = 0
-        while start < len(best) and len(leaf) < number:  # go on if depth limits exclude some leaves
-            some = best[start : start + number - len(leaf)]
-            start += len(some)
+        leaf, axis = np.empty(0, np.int64), np.empty(0, np.int64)
+        while len(best) and len(leaf) < number:  # go on if depth limits exclude some leaves
+            some, best = np.split(best, [number - len(leaf)])
             axis_of_some = np.asarray(self._rules.split(fit[some]))
             check_rules(fit[some], error[some], axis_of_some)
             _, axis_of_some = urgent_first(fit[some], error[some], axis_of_some)
@@ -275,10 +275,11 @@ class _Rounds:
         faces = shared_faces(tree, self._sampler.domain.periodic)
         tied = self._face_tests.are_free(tree.leaves, faces)
         unreachable = ~np.any(fit.reachable, axis=1)
-        unreachable[faces[tied].lower] = unreachable[faces[tied].upper] = False
+        # A leaf with a free face is reachable even if none of its samples is.
+        unreachable[np.append(faces[tied].lower, faces[tied].upper)] = False
         partition = TiedPartition(tree, unreachable, faces, tied)
-        # Samples have weights by the square root of their cell's volume: between a small mean error, for weights by
-        # volume, and a small largest error, for equal weights.
+        # Weights grow with the square root of cell volume: a compromise between mean error (volume) and largest error
+        # (equal weights).
         of_cell = 2.0 ** (-0.5 * fit.cells.depth.sum(axis=1))
         weight = weights_of_fit(fit.reachable, fit.weight) * fit.pattern.weight * (of_cell / of_cell.mean())[:, None]
         values, residual = fit_values(self._order, partition.space, fit, weight)
@@ -289,8 +290,8 @@ class _Rounds:
             stored = StoredValues.quantize(partition, values, step)
             body = BitWriter()
             stored.write(body)
-            num_cut_off = int(np.count_nonzero(fit.is_cut_off))
-            num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits, num_cut_off)
+            num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits, int(fit.is_cut_off.sum()))
+            # Bits per value over the limit; doubling the step saves one.
             excess = 8 * (num_bytes - self._limits.max_bytes) / len(values)
             if excess <= 0 or step > _MOST_MEAN_ERRORS * least:
                 return _FittedPartition(replace(fit, residual=residual), stored, num_bytes, step > _FULL * least)
@@ -306,16 +307,19 @@ def fit_values(
     """
     from scipy.sparse import bsr_array, diags_array
 
+    # Minimize sum(w (f - d)^2) + lambda |x - P x|^2 over the values x. The function is f = B C x (C: coefficients, B:
+    # basis functions at the samples), P x is the prediction, and lambda is small. Distances d and values x are
+    # measured from the mean distance. A value without a prediction has the term (_UNPREDICTED x)^2 instead.
     coefficients = coefficient_matrix(order, space)
     functions = design(order, (fit.pattern.u + 1) / 2)
     terms, leaves = functions.shape[1], len(fit)
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
-    each = np.arange(leaves + 1)
-    of_leaves = bsr_array((row_products(weight, products).reshape(-1, terms, terms), each[:-1], each))
+    offsets = np.arange(leaves + 1)  # one block in each block row, on the diagonal
+    of_leaves = bsr_array((row_products(weight, products).reshape(-1, terms, terms), offsets[:-1], offsets))
     squares = coefficients.T @ (of_leaves @ coefficients)
     is_predicted = np.diff(space.prediction.indptr) > 0
-    surplus = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
-    normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (surplus.T @ surplus)
+    deviation = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
+    normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (deviation.T @ deviation)
     mean = np.sum(weight * fit.value) / np.sum(weight)
     moments = row_products(weight * (fit.value - mean), functions).ravel()
     values = mean + solve_normal(normal, coefficients.T @ moments, fit.cells.dim)
@@ -372,7 +376,7 @@ class Continuous(LinearLeafModel):
             raise ValueError(f"it states a step of {step} from {offset}")
         tree = tree_of(cells)
         if (np.diff(tree.order) < 0).any():
-            raise ValueError("its tree splits its leaves along other axes first than the tree of tied leaves does")
+            raise ValueError("its tree splits in another order than tied leaves; this library did not write it")
         faces = shared_faces(tree, domain.periodic)
         partition = TiedPartition(tree, body.read_set(len(cells)), faces, np.zeros(len(faces), bool))
         may_be_tied = partition.may_be_tied()
@@ -402,27 +406,29 @@ class Continuous(LinearLeafModel):
         is_inf = np.isinf(coefficients[:, 0])
         powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(self.order, cells.dim))
         powers[is_inf, 0] = np.inf
+        # One number per axis holds depth and index of the cell: 2**depth + position (see ``query._value``).
         return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
 
     def cone_minus_leaf_bounds(
         self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
     ) -> tuple[Distances, Distances]:
-        first, last = pieces.min(axis=2).T, pieces.max(axis=2).T
+        piece_lo, piece_hi = pieces.min(axis=2).T, pieces.max(axis=2).T
         width = hi - lo
-        middle, half = ((first + last) / 2 - lo) / width, (last - first) / 2 / width
+        middle, half = ((piece_lo + piece_hi) / 2 - lo) / width, (piece_hi - piece_lo) / 2 / width
         value, slope, remainder = enclosing_planes(self.order, coefficients, middle, half)
         slope = slope / width
-        intercept = value - (slope * (first + last)).sum(axis=1) / 2
+        intercept = value - (slope * (piece_lo + piece_hi)).sum(axis=1) / 2
         lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)
         return lowest - remainder, highest + remainder
 
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
-        finite = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
-        powers = np.abs(finite @ monomials(self.order, cells.dim))
-        highest = POWERS[self.order]
-        places = largest_coordinates(domain) / domain.width + 4
-        of_place = (highest - 1) * np.ldexp(1.0, cells.depth) @ places
-        return 1.02 * UNIT * powers.sum(axis=1) * (2 * highest * cells.dim + 1 + of_place)
+        powers = np.abs(np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients) @ monomials(self.order, cells.dim))
+        num_powers = POWERS[self.order]
+        # Relative errors, in UNIT: of the local coordinate (coordinates and steps of its computation), times the
+        # largest exponent; of Horner's rule, a product and a sum per step; and of the stored coefficients, 1. The
+        # factor 1.02 covers products of these errors.
+        of_place = (num_powers - 1) * np.ldexp(1.0, cells.depth) @ (largest_coordinates(domain) / domain.width + 4)
+        return 1.02 * UNIT * powers.sum(axis=1) * (2 * num_powers * cells.dim + 1 + of_place)
 
     def num_leaf_parameters(self, dim: int) -> int:
         return dim + POWERS[self.order] ** dim
