@@ -17,7 +17,7 @@ from vectors import FOLDER, read_vector, vector_names
 
 from experiments._c_headers import STRICT, compiled_header, object_for_size, section_bytes, stack_bytes
 from experiments._js_modules import NodeModule
-from plr_jax import Box, Euclidean, construct, load_numpy
+from plr_jax import Box, Euclidean, NumpyPLR, construct, load_numpy
 from plr_jax.plr._file import decode, encode
 from plr_jax.plr.portable.c import CEmitter
 from plr_jax.plr.portable.javascript import JavaScriptEmitter, float32_literal, js_cone_reader, js_file_reader
@@ -173,7 +173,7 @@ def test_lookup_tables_of_any_size_give_the_same_answers(bits, monkeypatch):
     expected = [case(name).numpy()(hard_points(case(name), 20)) for name in names]
     monkeypatch.setattr("plr_jax.plr.portable.numpy._MOST_BITS", bits)
     for name, answers in zip(names, expected, strict=True):
-        f, x = case(name).numpy(), hard_points(case(name), 20)
+        f, x = NumpyPLR(case(name).to_bytes()), hard_points(case(name), 20)
         assert not f._table.is_flat
         assert same_bits(f(x), answers) and same_bits([f(tuple(p)) for p in x.tolist()], answers)
 

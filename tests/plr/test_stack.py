@@ -4,6 +4,7 @@ import pickle
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -112,12 +113,11 @@ def assert_points_find_rows(partitions, seed=0):
     """Ask at leaf centers and at multiples of 2**-16, many of which lie on cell borders, in every partition."""
     dim, levels, rows = partitions[0].dim, levels_of_all(partitions), rows_of(partitions)
     tables = replace(tables_of_numbers(Cells.root(dim), 100), trie=build_trie(partitions, rows, levels))
-    tables = jax.tree.map(np.asarray, tables)
     for number, (cells, row) in enumerate(zip(partitions, rows, strict=True)):
         x = np.random.default_rng(seed).integers(0, 2**16 + 1, size=(600, dim)) / 2.0**16
         x[: min(len(cells), 400)] = ((cells.position + 0.5) * 2.0**-cells.depth)[:400]
         start = tables.trie.start + np.full(len(x), number << levels[1].sum(), np.uint32)
-        found = find_row(replace(tables, trie=replace(tables.trie, start=start)), x.astype(np.float32))
+        found = find_row(replace(tables, trie=replace(tables.trie, start=start)), jnp.asarray(x, jnp.float32))
         np.testing.assert_array_equal(found, row[leaf_by_position(cells, x)])
 
 
