@@ -110,7 +110,7 @@ class PLR(FileBacked):
     def _reader_of_few(self, x: Array | np.ndarray) -> NumpyPLR | None:
         """Return what answers few points without compiling, with equal bits; None where compiled code must answer."""
         is_readable = x.dtype in (np.float32, np.float64) and str(x.dtype) not in self.tables.unresolved[:1]
-        if not is_readable or x.size > _FEW * self.tables.dim or jax.config.jax_enable_x64 or not is_on_one_host(x):
+        if not is_on_one_host(x) or not is_readable or jax.config.jax_enable_x64 or x.size > _FEW * self.tables.dim:
             return None
         return self._reader
 

@@ -53,7 +53,7 @@ class TableStack:
 
 @jax.jit
 def _evaluate(
-    tables: tuple[Tables, ...], bands: Bands, points: tuple[Float[Array, "n dim"], ...]
+    tables: tuple[Tables, ...], bands: Bands, points: tuple[Float[Array, "n _"], ...]
 ) -> tuple[Float[Array, " n"], ...]:
     # One array for each robot, since XLA would compute a single array in one slower loop.
     return tuple(
