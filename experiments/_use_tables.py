@@ -32,9 +32,9 @@ def planning(results: dict[str, Any], race: dict[str, Any]) -> str:
     first = "ours sooner in {}, OMPL's in {}; on new maps in {} and {}"
     first = first.format(*(len(each[who]) for each in winners for who in ("ours", "OMPL")))
     return markdown(table, numbers=5) + (
-        f"\nMedians (worst) of {len(results['seeds'])} variants; {len(race['seeds'])} on new maps, of OMPL, door and "
-        f"crowd. OMPL: within {race['limit']['least']:g} s, or {race['limit']['factor']:g} times our time. First "
-        f"path of {len(race['summary'])} scenes: {first} (sign test, 5 %).\n"
+        f"\nMedians (worst) of {len(race['seeds'])} variants. OMPL: within {race['limit']['least']:g} s, or "
+        f"{race['limit']['factor']:g} times our time. First path of {len(race['summary'])} scenes: {first} (sign "
+        "test, 5 %).\n"
     )
 
 

@@ -32,7 +32,7 @@ from experiments.solving._rivals import marched
 from plr_jax import PLR, VoxelGraph, VoxelSpace, load, save, scenes, solve_eikonal
 
 POINTS, LENGTHS, QUERIES = 2_000, 10_000, 1_000_000
-LEAVES, BYTES = 21_000, 32_768  # of volumes, in less than 64 KiB; the bytes are those of estimates alone
+LEAVES, BYTES = 21_000, 32_768  # of volumes, in about 64 KiB; the bytes are those of estimates alone
 CERTIFIED = (True, False)
 _ROUNDING = 1e-6
 _TURNS = 5
