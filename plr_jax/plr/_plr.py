@@ -195,9 +195,8 @@ class PLR(FileBacked):
         A wall may lie between a point and its waypoint. At a source, the waypoint may be that source itself. For
         whole paths see :func:`trace`. Points ``x``, ``(..., dim)``, are given as for :func:`evaluate`. Waypoints,
         ``(..., dim)``, have the precision of ``x``; they are NaN outside the domain and for NaN, and have no meaning
-        where the PLR answers ``inf``. For NumPy's 64-bit
-        points in a domain far from the origin, they are a NumPy array. ``ValueError`` if the leaves are not cones, or
-        as for :func:`evaluate`.
+        where the PLR answers ``inf``. For NumPy's 64-bit points in a domain far from the origin, they are a NumPy
+        array. ``ValueError`` if the leaves are not cones, or as for :func:`evaluate`.
         """
         as_sourced(self.leaf)
         x = x if isinstance(x, jax.Array) else as_queries(x)
