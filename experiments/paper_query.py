@@ -24,7 +24,7 @@ from experiments._c_headers import compiled_header, object_for_size, section_byt
 from experiments._nearest_vertex import NearestVertex
 from experiments._runner import run
 from experiments.table1 import POINT_SEED
-from plr_jax import PLR, Roadmap, VisibilityGraph, construct, construct_pairs, scenes
+from plr_jax import PLR, NumpyPLR, Roadmap, VisibilityGraph, construct, construct_pairs, scenes
 from plr_jax.geometry.graph import dijkstra
 
 PROBLEM = scenes.maze()
@@ -96,9 +96,9 @@ def plr_contenders(method: str, plr: PLR, folder: Path) -> Iterator[Contender]:
     """Yield a PLR in C, NumPy and JAX. C has no batch of one: calling it from Python would dominate the time."""
     sizes = section_bytes(object_for_size(plr, folder))
     yield Contender(method, "C", sum(sizes.values()), compiled_header(plr, folder), BATCHES[1:])
-    numpy_bytes, function = measure_memory(plr.numpy)
+    numpy_bytes, function = measure_memory(partial(NumpyPLR, plr.to_bytes()))
     yield Contender(method, "NumPy", numpy_bytes, function)
-    yield Contender(method, "JAX", plr.resident_bytes, plr)
+    yield Contender(method, "JAX", plr.resident_bytes, jax.jit(plr))
 
 
 # A point, vertices of a roadmap that edges join to it, and the lengths of these edges.

@@ -53,8 +53,8 @@ def num_cores() -> int:
 
 
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
-    """Return whether no array is traced, and all arrays and results of JAX are in the memory of one CPU."""
-    if any(is_traced(array) for array in arrays):
+    """Return whether no array is traced or committed to a device, and all are in the memory of one CPU."""
+    if any(is_traced(array) or getattr(array, "committed", False) for array in arrays):
         return False
     devices = {device for array in arrays if isinstance(array, jax.Array) for device in array.devices()}
     return len(devices) <= 1 and all(device.platform == "cpu" for device in devices or jax.devices())

@@ -100,7 +100,7 @@ def test_argument_of_wrong_type_is_named(tmp_path, monkeypatch):
 def test_iterables_and_buffers_are_accepted():
     plr = built()
     stacked = PLR.stack(each for each in (plr, plr))
-    assert len(stacked.tables) == 2
+    assert len(stacked.plrs) == 2
     for kind in (bytearray, memoryview):
         assert pj.from_bytes(kind(plr.to_bytes())).to_bytes() == plr.to_bytes()
 

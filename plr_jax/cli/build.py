@@ -15,10 +15,14 @@ if TYPE_CHECKING:
     from plr_jax import PLR, DistanceFn
     from plr_jax.geometry.workspace import Workspace
 
-Leaf = Literal["best", "plane", "continuous", "smooth", "cone"]
-_PROVEN_TOLERANCE = ("plane", "cone")  # leaves of which --tolerance limits the proven error, not a sampled one
 _ROUNDED = 1.01  # files round proven errors up, by less than this factor
 _ERROR_POINTS = 20_000
+
+
+def _kinds_of_leaves() -> list[str]:
+    from plr_jax.plr.leaves import leaf_names
+
+    return ["best", *leaf_names()]
 
 
 def _reading_option(help: str, default: str) -> Any:
@@ -64,12 +68,13 @@ def build(
         ),
     ] = None,
     leaf: Annotated[
-        Leaf,
+        str,
         typer.Option(
             help="Function in each cell: 'plane'; 'continuous', without jumps between connected cells; 'smooth', "
             "without jumps of the gradient either; 'cone', the length of paths by way of one corner. 'best' builds "
             "only cones if --max-bytes is the only limit and has ample room for all corners. Otherwise it builds "
-            "all these kinds, without cones if the corners need far more room, and keeps the smallest proven error."
+            "all these kinds, without cones if the corners need far more room, and keeps the smallest proven error.",
+            autocompletion=_kinds_of_leaves,
         ),
     ] = "best",
     leaf_bounds: Annotated[
@@ -159,7 +164,7 @@ def _print_errors(plr: "PLR", oracle: "DistanceFn", workspace: "Workspace", tole
     largest = plr.max_error
     assert largest is not None
     typer.echo(f"leaf    {plr.leaf.name}: no error above {largest:.3g}, proven")
-    limited = largest if plr.leaf.name in _PROVEN_TOLERANCE else report.max
+    limited = largest if plr.leaf.has_exact_cone_bounds else report.max  # such leaves grow by proven errors
     if tolerance is not None and limited > _ROUNDED * tolerance:
         typer.echo(f"        --tolerance {tolerance:g} was not reached")
     typer.echo(f"error   max {report.max:.3g}, mean {report.mean:.3g} over {report.num_points:,} random free points")

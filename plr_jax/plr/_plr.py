@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
 from plr_jax._arrays import as_points, as_queries, no_attribute, padded, padded_size, require_function, shortened
-from plr_jax._compiled import pytree, serializable
+from plr_jax._compiled import is_on_one_host, pytree, serializable
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import DecodedFile, decode, encode, filled_coefficients, planes_of_leaves, relative_to_origin
@@ -26,14 +26,14 @@ from plr_jax.plr.query import (
     bound_points,
     evaluate_points,
     evaluate_points_anywhere,
-    find_leaves,
     goals_of_points,
     waypoints_of_points,
 )
-from plr_jax.plr.small_batches import SmallBatches
 from plr_jax.plr.tables import Tables, build_tables
-from plr_jax.plr.team import PointPlacement, TableStack
+from plr_jax.plr.team import TableStack
 from plr_jax.plr.tree import Cells
+
+_FEW = 2**12  # points: NumPy answers so many about as fast as compiled code
 
 serializable(Tables, default=lambda leaf: {"leaf": leaf.name}, object_hook=lambda leaf: leaf_model(leaf["leaf"]))
 
@@ -99,35 +99,39 @@ class PLR(FileBacked):
 
     def __call__(self, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
         """Return the approximate distance at each point; see :func:`evaluate`."""
-        tables, placed = self._tables_and_points(x)
+        x = x if isinstance(x, jax.Array) else as_queries(x)
+        if (reader := self._reader_of_few(x)) is not None:
+            return jax.device_put(reader(x, outside=outside))
+        tables, x = self.tables_and_points(x)
         if outside == "inf":
-            return self._answer(evaluate_points, (tables,), placed)
-        return self._answer(evaluate_points_anywhere, (tables,), placed, as_outside(outside))
+            return evaluate_points(tables, x)
+        return evaluate_points_anywhere(tables, x, as_outside(outside))
+
+    def _reader_of_few(self, x: Array | np.ndarray) -> NumpyPLR | None:
+        """Return what answers few points without compiling, with equal bits; None where compiled code must answer."""
+        is_readable = x.dtype in (np.float32, np.float64) and str(x.dtype) not in self.tables.unresolved[:1]
+        if not is_on_one_host(x) or not is_readable or jax.config.jax_enable_x64 or x.size > _FEW * self.tables.dim:
+            return None
+        return self._reader
 
     @cached_property
-    def _answer(self) -> SmallBatches:
-        return SmallBatches()
+    def _reader(self) -> NumpyPLR | None:
+        can_read = is_on_one_host(*jax.tree.leaves(self)) and self.has_arrays_of_file
+        return self.numpy() if can_read else None
 
-    def _tables_and_points(self, x: ArrayLike) -> tuple[Tables, ArrayLike]:
-        """Return the tables that answer for points, and the points as these tables need them."""
-        if isinstance(x, jax.Array):
+    def tables_and_points(self, x: Array | np.ndarray) -> tuple[Tables, Array | np.ndarray]:
+        """Return the tables that answer at points, and the points as these tables take them.
+
+        NumPy's 64-bit points are moved into the domain along periodic axes and, in a domain far from the origin, made
+        relative to its lower corner, before compiled code rounds them to 32 bits.
+        """
+        is_double = not isinstance(x, jax.Array) and x.dtype == np.float64 and x.shape[-1:] == (self.tables.dim,)
+        if not is_double or isinstance(self.file, Tracer):
             return self.tables, x
-        x = as_queries(x)
-        if x.dtype == np.float64 and x.shape[-1:] == (self.tables.dim,):
-            tables, placement = self._tables_and_placement
-            return tables, x if placement is None else placement(x)
-        return self.tables, x
-
-    @property
-    def _tables_and_placement(self) -> tuple[Tables, PointPlacement | None]:
-        # For NumPy's 64-bit points: if the placement is not None, points must pass it before the tables answer.
-        if isinstance(self.file, Tracer):
-            return self.tables, None
-        has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
-        corner = None if has_doubles else self._corner_if_far
-        if corner is None and not self.tables.periodic:
-            return self.tables, None
-        return self.tables if corner is None else self.tables_from_corner, PointPlacement(self.domain, corner)
+        x = self.domain.wrapped(x) if self.tables.periodic else x
+        if jax.config.jax_enable_x64 or self._corner_if_far is None:
+            return self.tables, x
+        return self.tables_from_corner, x - self._corner_if_far
 
     @cached_property
     def _corner_if_far(self) -> Corner | None:
@@ -151,8 +155,11 @@ class PLR(FileBacked):
         free, or connected to the goal, only because of the workspace's tolerance. In a domain far from the origin,
         bounds hold for points as :func:`evaluate` rounds them.
         """
-        band, (tables, placed) = self._require_band(), self._tables_and_points(x)
-        return self._answer(bound_points, (tables, band), placed)
+        band, x = self._require_band(), x if isinstance(x, jax.Array) else as_queries(x)
+        if (reader := self._reader_of_few(x)) is not None:
+            return jax.device_put(reader.bounds(x))
+        tables, x = self.tables_and_points(x)
+        return bound_points(tables, band, x)
 
     @property
     def lower(self) -> "LowerBound":
@@ -188,13 +195,16 @@ class PLR(FileBacked):
         A wall may lie between a point and its waypoint. At a source, the waypoint may be that source itself. For
         whole paths see :func:`trace`. Points ``x``, ``(..., dim)``, are given as for :func:`evaluate`. Waypoints,
         ``(..., dim)``, have the precision of ``x``; they are NaN outside the domain and for NaN, and have no meaning
-        where the PLR answers ``inf``. For NumPy's 64-bit
-        points in a domain far from the origin, they are a NumPy array. ``ValueError`` if the leaves are not cones, or
-        as for :func:`evaluate`.
+        where the PLR answers ``inf``. For NumPy's 64-bit points in a domain far from the origin, they are a NumPy
+        array. ``ValueError`` if the leaves are not cones, or as for :func:`evaluate`.
         """
         as_sourced(self.leaf)
-        tables, placed = self._tables_and_points(x)
-        source = self._answer(waypoints_of_points, (tables,), placed)
+        x = x if isinstance(x, jax.Array) else as_queries(x)
+        if (reader := self._reader_of_few(x)) is not None:
+            source = reader.waypoint(x)
+            return source if source.dtype == np.float64 else jax.device_put(source)
+        tables, x = self.tables_and_points(x)
+        source = waypoints_of_points(tables, x)
         return source if tables is self.tables else self.domain.lo + np.asarray(source, np.float64)
 
     def which(self, x: ArrayLike) -> Int[Array | np.ndarray, "*batch"]:
@@ -212,13 +222,21 @@ class PLR(FileBacked):
             goal = np.full(len(x), -1)
             goal[is_finite] = self.nearest_goal(x[is_finite])
             return goal
-        x, goals = x if isinstance(x, Tracer) else as_points("x", x, self.dim), require_goals(self.goals)
-        tables, placed = self._tables_and_points(x)
-        goal = self._answer(goals_of_points, (tables, goals), placed)
-        return goal if isinstance(goal, Tracer) else np.asarray(goal, np.int64)
+        goals = require_goals(self.goals)
+        if isinstance(x, Tracer):
+            return goals_of_points(self.tables, goals, x)
+        x = as_points("x", x, self.dim)
+        if (reader := self._reader_of_few(x)) is not None:
+            return reader.which(x)
+        tables, x = self.tables_and_points(x)
+        return np.asarray(goals_of_points(tables, goals, x), np.int64)
 
     def numpy(self) -> NumpyPLR:
         """Return the PLR as a :class:`NumpyPLR`, which needs no JAX and is fast for single points."""
+        return self._numpy
+
+    @cached_property
+    def _numpy(self) -> NumpyPLR:
         return NumpyPLR(self.to_bytes())
 
     def c_header(self, name: str, compact: bool = False) -> str:
@@ -262,8 +280,7 @@ class PLR(FileBacked):
         ``ValueError`` if the number of robots is wrong, or a PLR has more dimensions than ``dof``.
         """
         plrs = as_plrs(plrs)
-        tables, placements = zip(*(plr._tables_and_placement for plr in plrs), strict=True)
-        return TableStack(tables, (None,) * len(plrs), placements)
+        return TableStack(tuple(plrs), (None,) * len(plrs))
 
     def values_in_leaves(self, leaf: Int[np.ndarray, " n"], x: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, " n"]:
         """Evaluate the function of a given leaf at each point, also outside that leaf, in double precision.
@@ -446,8 +463,3 @@ def plr_of_leaves(contents: DecodedFile, data: bytes | None = None) -> PLR:
     _ = plr.tables, plr.band, plr.goals, plr._corner_if_far
     del plr._contents
     return plr
-
-
-def leaf_of(plr: PLR, x: Float[np.ndarray, "*batch dim"]) -> Int[np.ndarray, "*batch"]:
-    tables, placed = plr._tables_and_points(np.asarray(x, np.float64))
-    return np.asarray(plr._answer(find_leaves, (tables,), placed)).astype(np.int64)

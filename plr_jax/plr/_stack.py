@@ -9,7 +9,7 @@ Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix e
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import field, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 from math import prod
 from typing import Any
@@ -38,8 +38,7 @@ from plr_jax.plr.frame import (
     unresolved_types,
 )
 from plr_jax.plr.query import bounds_of_tables, evaluate_tables
-from plr_jax.plr.small_batches import SmallBatches
-from plr_jax.plr.tables import AnyArray, PerPointTable, Tables, Trie, arrange_parameters
+from plr_jax.plr.tables import PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 
 _PerAxis = Int[np.ndarray, "dim"]
@@ -121,7 +120,7 @@ class _SameShapeGroup:
 
     frame: Tables  # without leaves; each array is one that all PLRs share, or has those of all PLRs, flattened
     trie: Trie
-    leaf_parameters: Float[AnyArray, "count rows"] | Float[AnyArray, " numbers"]  # only distinct rows
+    leaf_parameters: Float[Array, "count rows"] | Float[Array, " numbers"]  # only distinct rows
     band: Any  # proven bounds of each row, ``(2, rows)``, as ``PLR.band``; None if a PLR has none
     shapes: tuple[tuple[int, ...] | None, ...] = field(metadata={"static": True})  # of an array; None if all share it
     first_bits: int = field(metadata={"static": True})  # index bits of the first level of the trie
@@ -162,7 +161,7 @@ class _SameShapeGroup:
         numbers = jax.device_put(arrange_parameters(np.ascontiguousarray(numbers)))
         return cls(frame, trie, numbers, band, tuple(shapes), int(levels[1].sum()))
 
-    def pick(self, which: UInt32[AnyArray, "*batch"]) -> Tables:
+    def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
         # ``which`` has the index in this group of each point's PLR.
         arrays, structure = jax.tree_util.tree_flatten(self.frame)
         picked = [
@@ -183,9 +182,9 @@ class PLRStack:
     """
 
     groups: tuple[_SameShapeGroup, ...]
-    group: UInt32[AnyArray, " plrs"]
-    place: UInt32[AnyArray, " plrs"]  # index of each PLR in its group
-    corners: Float[AnyArray, "plrs 3 dim"] | None  # origin of each PLR's tables, a sum of floats; None for zeros
+    group: UInt32[Array, " plrs"]
+    place: UInt32[Array, " plrs"]  # index of each PLR in its group
+    corners: Float[Array, "plrs 3 dim"] | None  # origin of each PLR's tables, a sum of floats; None for zeros
     dim: int = field(metadata={"static": True})
     unresolved: tuple[str, ...] = field(metadata={"static": True})  # float types too coarse for some domain
 
@@ -245,13 +244,9 @@ class PLRStack:
         is_rounded = isinstance(index, jax.Array) or isinstance(x, jax.Array) or x.dtype != np.float64
         if corners is None or is_traced(corners) or is_rounded:
             require_resolved(jax.dtypes.canonicalize_dtype(x.dtype), self.unresolved)
-            return self._answer(_evaluate, (self, index), x, outside)
+            return _evaluate(self, index, x, outside)
         from_corner = x - np.asarray(corners, np.float64).sum(axis=1)[index]
-        return self._answer(_evaluate, (replace(self, corners=None), index), from_corner, outside)
-
-    @cached_property
-    def _answer(self) -> SmallBatches:
-        return SmallBatches()
+        return _evaluate(replace(self, corners=None), index, from_corner, outside)
 
 
 def stack(plrs: Sequence[PLR]) -> PLRStack:
@@ -297,28 +292,28 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
 
 
 @partial(jax.jit, static_argnums=3)
-def _evaluate(stacked: PLRStack, index: AnyArray, x: AnyArray, outside: Outside | None) -> tuple[AnyArray, ...]:
+def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside | None) -> tuple[Array, ...]:
     """Return the value of PLR ``index`` at each point, or lower and upper bounds if ``outside`` is None.
 
     They are NaN if there is no PLR of this index.
     """
-    xp, shape = x.__array_namespace__(), jnp.broadcast_shapes(index.shape, x.shape[:-1])
-    index, x = xp.broadcast_to(index, shape), xp.broadcast_to(x, (*shape, x.shape[-1]))
+    shape = jnp.broadcast_shapes(index.shape, x.shape[:-1])
+    index, x = jnp.broadcast_to(index, shape), jnp.broadcast_to(x, (*shape, x.shape[-1]))
     is_one = (index >= 0) & (index < len(stacked))
-    known = xp.where(is_one, index, 0).astype(np.uint32)
+    known = jnp.where(is_one, index, 0).astype(np.uint32)
     if stacked.corners is not None:
         x = x.astype(jnp.promote_types(x.dtype, np.float32))
-        for part in xp.moveaxis(stacked.corners[known].astype(x.dtype), -2, 0):
+        for part in jnp.moveaxis(stacked.corners[known].astype(x.dtype), -2, 0):
             x = x - part
     has_kinds = len(stacked.groups) > 1
     place, group = (stacked.place[known], stacked.group[known]) if has_kinds else (known, np.uint32(0))
     values = np.nan, np.nan
     for number, alike in enumerate(stacked.groups):
         here = group == number
-        tables = alike.pick(xp.where(here, place, np.uint32(0)))
+        tables = alike.pick(jnp.where(here, place, np.uint32(0)))
         found = (evaluate_tables(tables, x, outside),) if outside else bounds_of_tables(tables, alike.band, x)
-        values = [xp.where(here, each, value) for each, value in zip(found, values, strict=False)]
-    return tuple(xp.where(is_one, value, np.nan) for value in values)
+        values = [jnp.where(here, each, value) for each, value in zip(found, values, strict=False)]
+    return tuple(jnp.where(is_one, value, np.nan) for value in values)
 
 
 def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
@@ -327,7 +322,7 @@ def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array
     Works under ``jax.jit``, ``jax.vmap`` and ``jax.grad``. The gradient is the gradient of the leaf's function. It is
     finite everywhere, 0 where the distance is ``inf``, and arbitrary where a coordinate is NaN. An optimizer that may
     leave the domain should pass ``outside="clamp"``, so that a descent step leads back. Outside of ``jit``, NumPy
-    computes the first small batches of each shape, with the same bits as compiled code.
+    answers up to 4,096 points, without compiling, except with ``jax_enable_x64``; bits are those of compiled code.
 
     ``jax.export`` (with the package ``flatbuffers``) turns a query into a program of a few hundred kilobytes that
     runs without this package, for batches of any size. A program that takes the PLR as an argument needs this

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._arrays import as_points, shortened
 from plr_jax._types import ArrayLike
-from plr_jax.plr._plr import PLR, leaf_of
+from plr_jax.plr._plr import PLR
 from plr_jax.plr.leaves import as_sourced
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def trace(plr: PLR, starts: ArrayLike, workspace: "Workspace | None" = None) -> 
     starts = plr.domain.settled(starts) if workspace is None else workspace.settled(starts, plr.domain)
     starts = as_points("starts", starts, plr.dim)
     inside = np.flatnonzero(plr.domain.contains(starts))
-    leaf = leaf_of(plr, starts[inside])
+    leaf = plr.numpy().leaf(starts[inside])
     inside, leaf = (each[~plr.unreachable[leaf]] for each in (inside, leaf))
     x, first, is_free = starts[inside], source_of_leaf[leaf], np.ones(len(inside), bool)
     if workspace is not None:

@@ -6,7 +6,7 @@ import zlib
 from copy import copy
 from dataclasses import dataclass, replace
 from decimal import Context, Decimal
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import accumulate
 from typing import Any
 
@@ -316,11 +316,12 @@ class FileBacked:
 
         made_of: Any = type(self)
         try:
-            of_file = made_of(padded_file(self.file_bytes))
-            are_equal = jax.tree.map(partial(np.array_equal, equal_nan=True), self, of_file)
-        except ValueError:  # bytes of no file, or arrays of another structure
+            of_file = jax.tree.leaves(made_of(padded_file(self.file_bytes)))
+        except ValueError:  # bytes of no file
             return False
-        return all(jax.tree.leaves(are_equal))
+        arrays = jax.tree.leaves(self)
+        pairs = zip(arrays, of_file, strict=False)
+        return len(arrays) == len(of_file) and all(np.array_equal(*pair, equal_nan=True) for pair in pairs)
 
     def tree_flatten_with_keys(self) -> tuple[tuple[tuple[Any, Any], ...], None]:
         from jax.tree_util import GetAttrKey  # only needed here

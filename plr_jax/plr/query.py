@@ -1,4 +1,4 @@
-"""Evaluation of a PLR in JAX and NumPy, by the same code and with the same answers, bit for bit.
+"""Evaluation of a PLR in JAX, with the same answers as the NumPy and C readers, bit for bit.
 
 A query applies mirror symmetries to the points (*folds* them), moves them into the period of periodic axes (*wraps*
 them), finds each point's leaf by bit arithmetic and table lookups, and evaluates the leaf's function.
@@ -11,25 +11,24 @@ from operator import add, or_
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
 from plr_jax.plr.frame import WORD_BITS, Frame, Outside, require_resolved
-from plr_jax.plr.tables import AnyArray, Blocks, FoldedDomain, Tables, Trie, gather
+from plr_jax.plr.tables import Blocks, FoldedDomain, Tables, Trie, gather
 
-Points = Float[AnyArray, "*batch dim"]
-Values = Float[AnyArray, "*batch"]
-Flags = Bool[AnyArray, "*batch"]
-Bits = UInt32[AnyArray, "*batch"]
+Points = Float[Array, "*batch dim"]
+Values = Float[Array, "*batch"]
+Flags = Bool[Array, "*batch"]
+Bits = UInt32[Array, "*batch"]
 _EXPONENT = np.uint32(0xFF800000)  # sign and exponent of a 32-bit float
 _SUBNORMALS = np.uint32(0xFFFFFE)  # number of subnormal 32-bit floats
 _SHIFTS = np.uint32(WORD_BITS - 1)  # a mask that tells the compiler that no shift is by 32 bits or more
 _ENDS_IN_DOUBLE = 2.0**-44  # relative error of the domain's ends in the tables, for 64-bit points
 
 
-def evaluate_tables(tables: Tables, x: AnyArray, outside: Outside = "inf") -> Values:
+def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Values:
     """Return the PLR's distance at each point, NaN for NaN; ``outside`` tells the answer outside the domain."""
     x = _as_float_points(tables, x)
-    xp = x.__array_namespace__()
     if outside == "clamp":
         nearest, way = _clamp(tables if tables.folding is None else tables.folding, x)
         return evaluate_tables(tables, nearest) + way
@@ -42,11 +41,11 @@ def evaluate_tables(tables: Tables, x: AnyArray, outside: Outside = "inf") -> Va
         is_outside, answer = outside_domain(tables, x)
         value = _value(tables, row, x, is_outside)
         if tables.straight is not None:
-            value = x.__array_namespace__().maximum(value, _straight_bound(tables, x))
-    return xp.where(is_outside, xp.full_like(answer, np.nan) if outside == "nan" else answer, value)
+            value = jnp.maximum(value, _straight_bound(tables, x))
+    return jnp.where(is_outside, jnp.full_like(answer, np.nan) if outside == "nan" else answer, value)
 
 
-def _as_float_points(tables: Tables, x: AnyArray) -> Points:
+def _as_float_points(tables: Tables, x: Array) -> Points:
     if x.ndim == 0 or x.shape[-1] != tables.dim:
         raise ValueError(f"Points must have shape (..., {tables.dim}), got {x.shape}.")
     if not (jnp.issubdtype(x.dtype, jnp.floating) or jnp.issubdtype(x.dtype, jnp.integer)):
@@ -57,13 +56,12 @@ def _as_float_points(tables: Tables, x: AnyArray) -> Points:
     return x
 
 
-def bounds_of_tables(tables: Tables, band: Float[AnyArray, "2 rows"], x: AnyArray) -> tuple[Values, Values]:
+def bounds_of_tables(tables: Tables, band: Float[Array, "2 rows"], x: Array) -> tuple[Values, Values]:
     """Return proven lower bounds (at least 0) and upper bounds of the distance at each point, rounded outward.
 
     ``band`` has bounds of (distance - PLR's value) in two rows, a column for each leaf or one for all leaves.
     """
     value = evaluate_tables(tables, x)
-    xp = value.__array_namespace__()
     if band.shape[1] == 1:
         below, above = band[0, 0], band[1, 0]
     else:
@@ -71,62 +69,61 @@ def bounds_of_tables(tables: Tables, band: Float[AnyArray, "2 rows"], x: AnyArra
         below, above = gather(band[0], leaf), gather(band[1], leaf)
     bounds = (value + below.astype(value.dtype), -np.inf), (value + above.astype(value.dtype), np.inf)
     lower, upper = (
-        straight_through(bound, xp.nextafter(_constant(bound), xp.asarray(toward, value.dtype)))
+        straight_through(bound, jnp.nextafter(_constant(bound), jnp.asarray(toward, value.dtype)))
         for bound, toward in bounds
     )
-    lower = xp.maximum(lower, 0)
+    lower = jnp.maximum(lower, 0)
     if tables.straight is not None:
         x = _as_float_points(tables, x)
-        lower = xp.maximum(lower, _straight_bound(tables, _wrap(tables, x) if tables.periodic else x))
-    return xp.where(value < np.inf, lower, value), xp.where(value < np.inf, upper, value)
+        lower = jnp.maximum(lower, _straight_bound(tables, _wrap(tables, x) if tables.periodic else x))
+    return jnp.where(value < np.inf, lower, value), jnp.where(value < np.inf, upper, value)
 
 
 def _straight_bound(tables: Tables, x: Points) -> Values:
     # Points must lie in the domain along periodic axes.
     goals, groups, rates, margin = (each.astype(x.dtype) for each in tables.straight or ())
-    frame, xp = tables.frame.astype(x.dtype), x.__array_namespace__()
+    frame = tables.frame.astype(x.dtype)
     ends = (frame[Frame.HI] - frame[Frame.HI_REST]) - (frame[Frame.LO] + frame[Frame.LO_REST])
-    least = xp.full(x.shape[:-1], np.inf, x.dtype)
+    least = jnp.full(x.shape[:-1], np.inf, x.dtype)
     for goal in range(goals.shape[0]):
         squares = []
         for axis in range(tables.dim):
             change = without_fusion(x[..., axis] - frame[Frame.LO, axis]) - goals[goal, axis]
             if axis in tables.periodic:  # the short way around
-                change = xp.minimum(xp.abs(change), ends[axis] - xp.abs(change))
-            squares.append(without_fusion(xp.square(change)))
-        cost = xp.zeros_like(least)
+                change = jnp.minimum(jnp.abs(change), ends[axis] - jnp.abs(change))
+            squares.append(without_fusion(jnp.square(change)))
+        cost = jnp.zeros_like(least)
         for group in range(groups.shape[0]):
             of_group = (without_fusion(groups[group, axis] * squares[axis]) for axis in range(tables.dim))
             square = reduce(add, of_group)
             # The root of 0 has no gradient.
-            length = xp.where(square > 0, xp.sqrt(xp.where(square > 0, square, xp.ones_like(square))), square)
+            length = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, jnp.ones_like(square))), square)
             cost = cost + without_fusion(length * rates[group])
-        least = xp.minimum(least, cost)
-    return xp.maximum(least - margin[()], 0)
+        least = jnp.minimum(least, cost)
+    return jnp.maximum(least - margin[()], 0)
 
 
-def goals_in_tables(tables: Tables, goals: Int[AnyArray, " rows"], x: AnyArray) -> Int[AnyArray, "*batch"]:
+def goals_in_tables(tables: Tables, goals: Int[Array, " rows"], x: Array) -> Int[Array, "*batch"]:
     """Return the index of the goal that each point's leaf leads to, of ``goals`` by leaf; -1 if it leads to none."""
     x = _constant(_as_float_points(tables, x))
-    leads = x.__array_namespace__().isfinite(evaluate_tables(tables, x))
-    return x.__array_namespace__().where(leads, gather(goals, lookup(tables, x)), -1)
+    leads = jnp.isfinite(evaluate_tables(tables, x))
+    return jnp.where(leads, gather(goals, lookup(tables, x)), -1)
 
 
-def waypoints_in_tables(tables: Tables, x: AnyArray) -> Points:
+def waypoints_in_tables(tables: Tables, x: Array) -> Points:
     """Return each point's next waypoint, the apex of its leaf's cone; NaN outside the closed domain and for NaN."""
     x = _constant(_as_float_points(tables, x))
-    xp = x.__array_namespace__()
     outside, answer = outside_domain(tables, x)
     numbers = _leaf_parameters(tables, find_row(tables, x), x.dtype)
-    source = xp.stack(tables.leaf.source_of(numbers), axis=-1)
-    source = xp.broadcast_to(tables.frame[Frame.LO], source.shape).astype(x.dtype) + source
-    return xp.where((outside | xp.isnan(answer))[..., None], np.nan, source)
+    source = jnp.stack(tables.leaf.source_of(numbers), axis=-1)
+    source = jnp.broadcast_to(tables.frame[Frame.LO], source.shape).astype(x.dtype) + source
+    return jnp.where((outside | jnp.isnan(answer))[..., None], np.nan, source)
 
 
 def lookup(tables: Tables, x: Points) -> Bits:
     """Return the index of each point's leaf, up to rounding; an arbitrary leaf outside the domain and for NaN."""
     if tables.folding is not None:
-        nowhere = x.__array_namespace__().zeros(x.shape[:-1], bool)
+        nowhere = jnp.zeros(x.shape[:-1], bool)
         return lookup(replace(tables, folding=None), _fold(tables.folding, x, nowhere))
     row = find_row(tables, _wrap(tables, x) if tables.periodic else x)
     return row if tables.pages is None else gather(tables.leaf_of_slot, row).astype(np.uint32)
@@ -152,7 +149,7 @@ def find_row(tables: Tables, x: Points) -> Bits:
 
 def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
     # Index into ``Tables.leaf_of_slot``; ``block`` is a point's cell of the coarse grid.
-    index = start = block.__array_namespace__().zeros_like(block)
+    index = start = jnp.zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
         word = gather(table, block)
@@ -168,32 +165,31 @@ def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
 
 def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
     # Points outside the domain go to the center of the mirrors.
-    xp, axes, (center, rest) = x.__array_namespace__(), range(window.dim), window.center.astype(x.dtype)
-    z = [xp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
+    axes, (center, rest) = range(window.dim), window.center.astype(x.dtype)
+    z = [jnp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
     if window.axes is not None:
         turned = window.axes.astype(x.dtype)
         z = [reduce(add, (without_fusion(turned[row, axis] * z[axis]) for axis in axes)) for row in axes]
     for pivot, reversed_axes in window.mirrors:
         is_behind = z[pivot] < 0
         for axis in reversed_axes:
-            z[axis] = xp.where(is_behind, -z[axis], z[axis])
+            z[axis] = jnp.where(is_behind, -z[axis], z[axis])
     lo, hi = window.corners.astype(x.dtype)  # only rounding can put coordinates outside
-    columns = [straight_through(z[axis], xp.clip(_constant(z[axis]), lo[axis], hi[axis])) for axis in axes]
-    folded = xp.stack(columns)
-    if isinstance(folded, jax.Array):  # keep XLA from repeating the folding wherever a coordinate is read
-        folded = jax.lax.optimization_barrier(folded)
-    return xp.moveaxis(folded, 0, -1)
+    columns = [straight_through(z[axis], jnp.clip(_constant(z[axis]), lo[axis], hi[axis])) for axis in axes]
+    # Keep XLA from repeating the folding wherever a coordinate is read.
+    folded = jax.lax.optimization_barrier(jnp.stack(columns))
+    return jnp.moveaxis(folded, 0, -1)
 
 
 def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Values]:
     # Whether points, wrapped along periodic axes, are outside the closed domain, and the answer there: inf or NaN.
-    x, frame, xp = _constant(x), tables.frame.astype(x.dtype), x.__array_namespace__()
-    outside, answer = xp.zeros(x.shape[:-1], bool), xp.full(x.shape[:-1], np.inf, x.dtype)
+    x, frame = _constant(x), tables.frame.astype(x.dtype)
+    outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], np.inf, x.dtype)
     for axis in range(tables.dim):
         above = x[..., axis] - frame[Frame.LO, axis]
-        answer += xp.abs(above)  # NaN if any coordinate is
+        answer += jnp.abs(above)  # NaN if any coordinate is
         if axis in tables.periodic:
-            outside |= xp.isinf(above)
+            outside |= jnp.isinf(above)
         elif x.dtype == np.float64:  # can distinguish exact from rounded corners
             below = frame[Frame.HI, axis] - x[..., axis]
             outside |= (above < frame[Frame.LO_REST, axis]) | (below < frame[Frame.HI_REST, axis])
@@ -201,15 +197,14 @@ def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Val
             lo, hi, bits = frame[Frame.LO, axis], frame[Frame.HI, axis], x[..., axis].view(np.uint32)
             # XLA takes subnormal numbers for 0; their bits tell whether they are beyond an end at 0.
             is_subnormal = (bits << np.uint32(1)) - np.uint32(2) < _SUBNORMALS
-            is_beyond_zero = is_subnormal & (xp.where(bits >> np.uint32(31) != 0, lo, hi) == 0)
+            is_beyond_zero = is_subnormal & (jnp.where(bits >> np.uint32(31) != 0, lo, hi) == 0)
             outside |= (above < 0) | (x[..., axis] > hi) | is_beyond_zero
     return outside, answer
 
 
-def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[AnyArray, "*#batch"]]:
+def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[Array, "*#batch"]]:
     """Return the nearest point of the domain and the distance to it; a point that is not finite does not move."""
-    xp = x.__array_namespace__()
-    is_finite = xp.isfinite(x).all(axis=-1)
+    is_finite = jnp.isfinite(x).all(axis=-1)
     nearest, beyond = [x[..., axis] for axis in range(window.dim)], []
     for axis in range(window.dim):
         if axis in window.periodic:
@@ -218,36 +213,35 @@ def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[AnyA
         lo, hi = frame[Frame.LO], frame[Frame.HI]
         if x.dtype == np.float64:  # the outermost coordinates that ``outside_domain`` accepts
             lo, hi = lo + frame[Frame.LO_REST], hi - frame[Frame.HI_REST]
-            lo = xp.where(lo - frame[Frame.LO] < frame[Frame.LO_REST], xp.nextafter(lo, np.inf), lo)
-            hi = xp.where(frame[Frame.HI] - hi < frame[Frame.HI_REST], xp.nextafter(hi, -np.inf), hi)
-        inside = xp.where(along < lo, lo, xp.where(along > hi, hi, along))
-        nearest[axis] = xp.where(is_finite, inside, along)
-        beyond.append(xp.where(is_finite, along - inside, 0))
-    way = length_of(beyond) if beyond else xp.zeros(is_finite.shape, x.dtype)
-    return xp.stack(nearest, axis=-1), way
+            lo = jnp.where(lo - frame[Frame.LO] < frame[Frame.LO_REST], jnp.nextafter(lo, np.inf), lo)
+            hi = jnp.where(frame[Frame.HI] - hi < frame[Frame.HI_REST], jnp.nextafter(hi, -np.inf), hi)
+        inside = jnp.where(along < lo, lo, jnp.where(along > hi, hi, along))
+        nearest[axis] = jnp.where(is_finite, inside, along)
+        beyond.append(jnp.where(is_finite, along - inside, 0))
+    way = length_of(beyond) if beyond else jnp.zeros(is_finite.shape, x.dtype)
+    return jnp.stack(nearest, axis=-1), way
 
 
-def length_of(along: list[Values]) -> Float[AnyArray, "*#batch"]:
+def length_of(along: list[Values]) -> Float[Array, "*#batch"]:
     """Return the lengths of vectors given axis by axis, without overflow or underflow; the gradient at 0 is 0."""
-    xp = along[0].__array_namespace__()
-    largest = _constant(reduce(xp.maximum, map(xp.abs, along)))
-    scale = xp.where(largest > 0, largest, 1)
-    square = reduce(add, (without_fusion(xp.square(each / scale)) for each in along))
-    return without_fusion(scale * xp.where(largest > 0, xp.sqrt(xp.where(largest > 0, square, 1)), 0))
+    largest = _constant(reduce(jnp.maximum, map(jnp.abs, along)))
+    scale = jnp.where(largest > 0, largest, 1)
+    square = reduce(add, (without_fusion(jnp.square(each / scale)) for each in along))
+    return without_fusion(scale * jnp.where(largest > 0, jnp.sqrt(jnp.where(largest > 0, square, 1)), 0))
 
 
 def _wrap(tables: Tables, x: Points) -> Points:
     """Move points by whole periods into the domain along periodic axes; the upper end becomes the lower end."""
-    xp, columns = x.__array_namespace__(), [x[..., axis] for axis in range(tables.dim)]
+    columns = [x[..., axis] for axis in range(tables.dim)]
     for axis in tables.periodic:
         along, frame = _constant(columns[axis]), tables.frame[:, axis].astype(x.dtype)
         lo, hi = frame[Frame.LO] + frame[Frame.LO_REST], frame[Frame.HI] - frame[Frame.HI_REST]
-        turns = xp.floor((along - lo) * frame[Frame.SCALE])
-        is_end = xp.abs(along - hi) <= _ENDS_IN_DOUBLE * xp.maximum(xp.abs(lo), xp.abs(hi))
+        turns = jnp.floor((along - lo) * frame[Frame.SCALE])
+        is_end = jnp.abs(along - hi) <= _ENDS_IN_DOUBLE * jnp.maximum(jnp.abs(lo), jnp.abs(hi))
         # Without fusion, all parts of a query see the same point.
-        inside = xp.where(is_end, lo, xp.clip(along - without_fusion(turns * (hi - lo)), lo, hi))
-        columns[axis] = straight_through(columns[axis], xp.where(xp.isfinite(along), inside, along))
-    return xp.stack(columns, axis=-1)
+        inside = jnp.where(is_end, lo, jnp.clip(along - without_fusion(turns * (hi - lo)), lo, hi))
+        columns[axis] = straight_through(columns[axis], jnp.where(jnp.isfinite(along), inside, along))
+    return jnp.stack(columns, axis=-1)
 
 
 def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
@@ -263,7 +257,7 @@ def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
             count = (number & _EXPONENT).view(np.float32).astype(u.dtype)
             along = u * count - (numbers[axis] - count)
         # Differentiate as at 0 outside the domain, where ``0 * inf`` would give NaN.
-        place.append(_Unfused(along.__array_namespace__().where(outside, 0, along)))
+        place.append(_Unfused(jnp.where(outside, 0, along)))
     of_leaf = [_Unfused(number) for number in numbers[tables.dim * tables.leaf.is_cell_relative :]]
     return tables.leaf.value(of_leaf, place, lambda square: _Unfused(_root(square.value))).value
 
@@ -299,28 +293,24 @@ def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
     # The minimum (``where``) separates product and sum. If a compiler fused them in only one part of a query, a point
     # near a border could get the block (coarse cell) of one leaf and the entry of another.
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
-    xp = x.__array_namespace__()
-    placed = xp.maximum(xp.where(share < top, share, top) + start, 1)
+    placed = jnp.maximum(jnp.where(share < top, share, top) + start, 1)
     return placed.astype(np.float32).view(np.uint32)  # bits of a float in [1, 2); the lowest 23 locate the point
 
 
-def _join_bits(fractions: list[Bits], mask: UInt32[AnyArray, " dim"], right: UInt32[AnyArray, " dim"]) -> Bits:
+def _join_bits(fractions: list[Bits], mask: UInt32[Array, " dim"], right: UInt32[Array, " dim"]) -> Bits:
     return reduce(or_, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)])
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
     """Return the row of each point's leaf in a stack of PLRs, level by level of the trie."""
 
-    def descend(entry: Bits, bits: UInt32[AnyArray, "2 dim"]) -> Bits:
+    def descend(entry: Bits, bits: UInt32[Array, "2 dim"]) -> Bits:
         fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
         is_page = np.uint32(0) - (entry & np.uint32(1))  # all ones or zero
         return gather(trie.entries, (entry >> np.uint32(1)) + (_join_bits(fractions, bits[0], bits[1]) & is_page))
 
     entry = descend((trie.start << np.uint32(1)) | np.uint32(1), trie.bits[0])
     for level in range(1, len(trie.bits)):
-        if isinstance(entry, np.ndarray):
-            entry = descend(entry, trie.bits[level]) if trie.bits[level].any() else np.zeros_like(entry)
-            continue
         # XLA should compile each level to a loop of its own, so that reads of many points overlap. This condition
         # always holds, but XLA cannot know that, and does not fuse the loops.
         entry = jax.lax.cond(
@@ -329,43 +319,38 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
     return entry >> np.uint32(1)
 
 
-def _constant(x: Shaped[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
+def _constant(x: Shaped[Array, "*batch"]) -> Shaped[Array, "*batch"]:
     """Return ``x``, but differentiate as if it were constant."""
-    return jax.lax.stop_gradient(x) if isinstance(x, jax.Array) else x
+    return jax.lax.stop_gradient(x)
 
 
+@jax.custom_jvp
 def straight_through(x: Values, to: Values) -> Values:
     """Return ``to``, but differentiate as if the result were ``x`` (a straight-through estimator)."""
-    return _straight_through(x, to) if isinstance(to, jax.Array) else to
+    return to
 
 
-_straight_through = jax.custom_jvp(lambda x, to: to)
-_straight_through.defjvp(lambda primals, tangents: (primals[1], tangents[0]))
+straight_through.defjvp(lambda primals, tangents: (primals[1], tangents[0]))
 
 
 def without_fusion(value: Values) -> Values:
     """Return a product or sum that the compiler cannot fuse with later operations."""
-    if not isinstance(value, jax.Array):
-        return value
     constant = _constant(value)
     return straight_through(value, jnp.where(constant == constant, constant, jnp.nan))
 
 
+@jax.custom_jvp
 def _root(square: Values) -> Values:
     """Return the square root; its derivative at 0 (at the apex of a cone) counts as 0."""
-    return _root_of_traced(square) if isinstance(square, jax.Array) else np.sqrt(square)
+    return jnp.sqrt(square)
 
 
-_root_of_traced = jax.custom_jvp(jnp.sqrt)
-
-
-@_root_of_traced.defjvp
+@_root.defjvp
 def _root_tangent(primals, tangents):
     root = jnp.sqrt(primals[0])
     return root, jnp.where(root > 0, tangents[0] / (2 * jnp.where(root > 0, root, 1)), 0)
 
 
-find_leaves = jax.jit(lookup)
 evaluate_points = jax.jit(evaluate_tables)  # separate, as a static argument adds a tenth to the time of a call
 evaluate_points_anywhere = jax.jit(evaluate_tables, static_argnums=2)
 bound_points, waypoints_of_points = jax.jit(bounds_of_tables), jax.jit(waypoints_in_tables)

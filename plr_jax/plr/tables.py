@@ -11,7 +11,7 @@ The highest bits of a point's position select an entry (*blocks* and *slots*: ``
 from dataclasses import dataclass, field, replace
 from math import ceil, prod
 from operator import ge
-from typing import Any, TypeAlias
+from typing import Any
 
 import jax
 import numpy as np
@@ -43,7 +43,6 @@ from plr_jax.plr.tree import Cells
 
 PerAxis = Int[np.ndarray, "dim"]
 PerBlock = Int[np.ndarray, "blocks dim"]
-AnyArray: TypeAlias = Array | np.ndarray  # tables are JAX arrays; NumPy views of them answer small batches
 _MAX_BLOCK_BITS = 16  # most halvings of the grid of blocks, summed over the axes
 _BLOCK_BITS = (10, 12, 14, 16)  # few choices, as code is compiled for each; fewer bits are read faster
 _MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
@@ -52,27 +51,27 @@ _PAGED_ENTRIES = [2**13, 2**14, 2**15, 3 * 2**14, 2**16]  # few numbers of them,
 _MAX_COLUMN_BYTES = 9 * 2**15  # about half of a core's second-level cache; the other half is for leaf indices
 
 
-def gather(table: Shaped[AnyArray, " n"], index: UInt32[AnyArray, "*batch"]) -> Shaped[AnyArray, "*batch"]:
+def gather(table: Shaped[Array, " n"], index: UInt32[Array, "*batch"]) -> Shaped[Array, "*batch"]:
     """Return ``table[index]`` without a bounds check."""
-    return table[index] if isinstance(table, np.ndarray) else table.at[index].get(mode="promise_in_bounds")
+    return table.at[index].get(mode="promise_in_bounds")
 
 
 @pytree
 class Trie:
     """A lookup table of several PLRs in one array, which a query reads level by level, from coarse to fine."""
 
-    entries: UInt32[AnyArray, " entries"]
-    bits: UInt32[AnyArray, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
-    start: UInt32[AnyArray, "*batch"]  # first entry of one PLR, or of each point's PLR
+    entries: UInt32[Array, " entries"]
+    bits: UInt32[Array, "levels 2 dim"]  # masks of a point's fraction bits, and their right shifts in an index
+    start: UInt32[Array, "*batch"]  # first entry of one PLR, or of each point's PLR
 
 
 @dataclass(frozen=True, eq=False)
 class PerPointTable:
     """Small arrays, one for each query point, in one flat array; ``t[i, j]`` reads that entry for all points."""
 
-    flat: AnyArray
+    flat: Array
     shape: tuple[int, ...]  # of each point's array
-    start: UInt32[AnyArray, "*batch"]  # where each point's array begins in ``flat``
+    start: UInt32[Array, "*batch"]  # where each point's array begins in ``flat``
     dtype: Any  # of the values when read
 
     def astype(self, dtype: Any) -> "PerPointTable":
@@ -81,17 +80,17 @@ class PerPointTable:
     def __getitem__(self, key: Any) -> Any:
         places = np.arange(prod(self.shape), dtype=np.uint32).reshape(self.shape)[key]
         entries = [gather(self.flat, self.start + place).astype(self.dtype) for place in places.flat]
-        return self.flat.__array_namespace__().stack(entries) if places.ndim else entries[0]
+        return jax.numpy.stack(entries) if places.ndim else entries[0]
 
 
 @pytree
 class FoldedDomain:
     """A domain whose points are folded (mapped by mirror symmetries) before their leaves are looked up."""
 
-    frame: Float[AnyArray, "7 dim"] | PerPointTable  # rows as in :class:`Frame`
-    center: Float[AnyArray, "2 dim"] | PerPointTable  # see :func:`folding_numbers`
-    corners: Float[AnyArray, "2 dim"] | PerPointTable  # of the box of folded points
-    axes: Float[AnyArray, "dim dim"] | PerPointTable | None  # one per row; None if they are the domain's
+    frame: Float[Array, "7 dim"] | PerPointTable  # rows as in :class:`Frame`
+    center: Float[Array, "2 dim"] | PerPointTable  # see :func:`folding_numbers`
+    corners: Float[Array, "2 dim"] | PerPointTable  # of the box of folded points
+    axes: Float[Array, "dim dim"] | PerPointTable | None  # one per row; None if they are the domain's
     # Each mirror has a pivot and all axes that it reverses: it mirrors points whose pivot coordinate is negative.
     mirrors: tuple[tuple[int, tuple[int, ...]], ...] = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True})
@@ -109,8 +108,8 @@ class Blocks:
     in ``leaf_of_slot``. Axes that do not fit go into further words, each of which costs a query one more read.
     """
 
-    words: tuple[UInt32[AnyArray, " blocks"], ...]
-    shift: UInt32[AnyArray, " dim"]  # number of a point's fraction bits below those that identify the block
+    words: tuple[UInt32[Array, " blocks"], ...]
+    shift: UInt32[Array, " dim"]  # number of a point's fraction bits below those that identify the block
     axes: tuple[int, ...] = field(metadata={"static": True})  # number of axes in each array of words
     width: int = field(metadata={"static": True})  # bits of a word per axis
 
@@ -181,9 +180,9 @@ class Pages:
     selects. If these bits are not adjacent, the page has gaps, which entries of other pages fill.
     """
 
-    words: UInt32[AnyArray, " blocks"]  # mask of the fraction bits that index the page; above it, the page's start
+    words: UInt32[Array, " blocks"]  # mask of the fraction bits that index the page; above it, the page's start
     # Rows: mask of the fraction bits below a block; their right shift; number of index bits of the largest page.
-    bits: UInt32[AnyArray, "3 dim"]
+    bits: UInt32[Array, "3 dim"]
 
 
 def build_pages(
@@ -283,13 +282,13 @@ class Tables:
     """Arrays that a query reads, padded so that PLRs whose files have similar sizes share compiled code."""
 
     # Arrays are few, as each adds to the cost of a call. Indices are unsigned, as JAX spends time on negative ones.
-    frame: Float[AnyArray, "7 dim"] | PerPointTable  # domain in 32-bit floats, rows as in :class:`Frame`
-    bits: UInt32[AnyArray, "2 dim"]  # mask of the fraction bits that index an entry or block, and their right shift
+    frame: Float[Array, "7 dim"] | PerPointTable  # domain in 32-bit floats, rows as in :class:`Frame`
+    bits: UInt32[Array, "2 dim"]  # mask of the fraction bits that index an entry or block, and their right shift
     blocks: Blocks | None
     pages: Pages | None
-    leaf_of_slot: UInt16[AnyArray, " slots"] | UInt32[AnyArray, " slots"]
+    leaf_of_slot: UInt16[Array, " slots"] | UInt32[Array, " slots"]
     # For each leaf or, with pages, for each entry: see :func:`arrange_parameters`.
-    leaf_parameters: Float[AnyArray, "count padded"] | Float[AnyArray, " numbers"]
+    leaf_parameters: Float[Array, "count padded"] | Float[Array, " numbers"]
     leaf: Any = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True}, default=())
     folding: FoldedDomain | None = None

@@ -9,6 +9,7 @@ import pytest
 from vectors import FOLDER
 
 from plr_jax import PLR, load
+from plr_jax.plr.query import evaluate_points_anywhere
 
 
 @cache
@@ -42,6 +43,11 @@ def hard_points(plr, n=2000, seed=0):
     bad[np.arange(60), rng.integers(plr.dim, size=60)] = np.resize([np.nan, np.inf, -np.inf, 3e38, -3e38], 60)
     every = np.concatenate([inside, faces, mixed, corners, *beside, around, bad, 0 * corners, -0.0 * corners])
     return every.astype(of_type)
+
+
+def compiled_answers(plr, x, outside="inf"):
+    tables, x = plr.tables_and_points(x)
+    return np.asarray(evaluate_points_anywhere(tables, x, outside))
 
 
 def same_bits(a, b):

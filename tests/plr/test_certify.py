@@ -14,7 +14,7 @@ from plr_jax.geometry.workspace import Workspace
 from plr_jax.oracles import Euclidean, VisibilityGraph
 from plr_jax.planners import sum_of_distances
 from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
-from plr_jax.plr._plr import leaf_of, plr_of_leaves
+from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.certificate import Certificate, Proof
 from plr_jax.plr.source_cache import SourceCache, distances_in_cells
 from plr_jax.plr.tree import Cells, grown_domain
@@ -120,7 +120,11 @@ def test_bounds_contain_exact_distances_and_are_tight(certified, maze):
     plr = certify(from_bytes(certified.to_bytes()), maze)
     assert check_bounds(plr, maze) > 0.95 * plr.max_error
     x = maze.workspace.sample_free(5000, 0)
-    leaf, error, (least, most) = leaf_of(certified, x), maze(x) - certified(x), np.zeros((2, certified.num_leaves))
+    leaf, error, (least, most) = (
+        certified.numpy().leaf(x),
+        maze(x) - certified(x),
+        np.zeros((2, certified.num_leaves)),
+    )
     np.minimum.at(least, leaf, error)
     np.maximum.at(most, leaf, error)
     assert np.ptp(certified.bounds(x), axis=0).mean() < 1.7 * (most - least)[leaf].mean()
@@ -235,7 +239,7 @@ def test_bounds_and_slopes_under_jit(maze):
     bounds, lower, slope = answers(plr, x)
     np.testing.assert_allclose(bounds, plr.bounds(x), rtol=1e-6)
     np.testing.assert_array_equal(lower, bounds[0])
-    leaf = leaf_of(plr, np.asarray(x))
+    leaf = plr.numpy().leaf(np.asarray(x))
     is_sloped = (np.asarray(lower) > 0) & ~plr.unreachable[leaf]  # bounds are at least 0
     assert is_sloped.sum() > 100
     np.testing.assert_allclose(slope[is_sloped], plr.slope[leaf][is_sloped], rtol=1e-5, atol=1e-6)

@@ -17,7 +17,6 @@ from portable_helpers import case
 from plr_jax import Box, NearestGoal, VisibilityGraph, Workspace, from_bytes, scenes
 from plr_jax.plr import construct
 from plr_jax.plr._file import body_of_leaves
-from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import Layer
 from plr_jax.plr.leaves import leaf_model
@@ -169,7 +168,7 @@ def test_leaves_prefer_visible_sources_without_a_worse_proof(maze, monkeypatch):
     plr, before = plrs
     assert plr.num_leaves == before.num_leaves and before.num_bytes <= 261 and plr.num_bytes <= 261
     assert plr.max_error <= before.max_error * (1 + 1e-6)
-    sources = (each.stored.sources.points[each.stored.source[leaf_of(each, x)]] for each in plrs)
+    sources = (each.stored.sources.points[each.stored.source[each.numpy().leaf(x)]] for each in plrs)
     hidden, hidden_before = (1 - maze.workspace.is_visible(x, source).mean() for source in sources)
     assert hidden < min(0.001, 0.4 * hidden_before) and mean_error(plr, maze, x) < 1.5 * mean_error(before, maze, x)
 

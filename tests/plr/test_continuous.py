@@ -11,7 +11,6 @@ from plr_helpers import UNIT, cone, points, random_partition, three_leaves, wall
 
 from plr_jax import BuildOptions
 from plr_jax.plr import construct
-from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.finite_elements import coefficient_matrix, design, monomials, nodal_space
 from plr_jax.plr.leaf_faces import face_points, shared_faces
 from plr_jax.plr.leaves.continuous import FaceTests, StoredValues, TiedPartition, fit_values
@@ -80,7 +79,7 @@ def both_sides_of_faces(plr):
 def jumps(plr, shift=0.0):
     """Return how much values jump across faces, both asked at points moved by ``shift``, in their own leaves."""
     sides = both_sides_of_faces(plr)
-    leaves = (leaf_of(plr, x.astype(np.float32)) for x in sides)
+    leaves = (plr.numpy().leaf(x.astype(np.float32)) for x in sides)
     below, above = (plr.values_in_leaves(leaf, x + shift) for leaf, x in zip(leaves, sides, strict=True))
     return below - above
 

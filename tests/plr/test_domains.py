@@ -12,7 +12,6 @@ from plr_helpers import UNIT
 from plr_jax import Box, BuildOptions, Euclidean, VisibilityGraph, Workspace, scenes
 from plr_jax.plr import certify, construct, evaluate, from_bytes, stack
 from plr_jax.plr._file import encode
-from plr_jax.plr._plr import leaf_of
 
 # PLRs of domains with periodic axes, such as angles: no seam anywhere.
 
@@ -103,7 +102,7 @@ def test_periodic_distances_equal_brute_force(domain, goal, most, leaf):
     away = x + np.random.default_rng(1).integers(-3, 4, x.shape) * domain.width * domain.periodic
     assert np.abs(np.asarray(plr(away)) - around(domain, goal, x)).mean() < most
     np.testing.assert_allclose(plr(away), plr(x), atol=2e-5 if leaf != "plane" else 8 * most)
-    np.testing.assert_array_equal(leaf_of(plr, away), leaf_of(plr, domain.wrapped(away)))
+    np.testing.assert_array_equal(plr.numpy().leaf(away), plr.numpy().leaf(domain.wrapped(away)))
     seam = np.where(domain.periodic, domain.lo, x)
     np.testing.assert_array_equal(plr(seam + domain.width * domain.periodic), plr(seam))
 

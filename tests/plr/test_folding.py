@@ -11,7 +11,6 @@ from plr_helpers import sealed
 
 from plr_jax import Box, BuildOptions, Dubins, Euclidean, ReedsShepp, construct, from_bytes
 from plr_jax._types import Symmetry
-from plr_jax.plr._plr import leaf_of
 from plr_jax.plr.folding import folding_of
 
 # Foldings: which there are of a distance function in a window, how they fold, and how files keep them.
@@ -151,7 +150,7 @@ def test_exact_images_of_points_get_equal_answers():
     x = points(AROUND).astype(np.float32)
     for signs in ((-1, 1, -1), (1, -1, -1), (-1, -1, 1)):
         np.testing.assert_array_equal(plr(x * np.float32(signs)), plr(x))
-        np.testing.assert_array_equal(leaf_of(plr, x * np.float32(signs)), leaf_of(plr, x))
+        np.testing.assert_array_equal(plr.numpy().leaf(x * np.float32(signs)), plr.numpy().leaf(x))
     assert np.isfinite(jax.grad(plr)(jax.numpy.zeros(3))).all()
 
 
@@ -163,7 +162,7 @@ def test_byte_budgets_include_the_folding():
 def test_unfolded_boxes_of_leaves_fill_the_domain():
     plr = construct(*STRAIGHT, max_leaves=20)
     lo, hi = plr.leaf_boxes
-    np.testing.assert_array_equal(leaf_of(plr, (lo + hi) / 2), plr.leaf_of_box)
+    np.testing.assert_array_equal(plr.numpy().leaf((lo + hi) / 2), plr.leaf_of_box)
     assert np.prod(hi - lo, axis=1).sum() == pytest.approx(25.0)
     assert plr.num_leaves == len(plr.cells) == len(plr.slope) == 20
     with pytest.raises(ValueError, match="along rotated axes"):

@@ -10,7 +10,6 @@ import pytest
 from portable_helpers import case, full, is_far
 
 from plr_jax import PLR, Box, Euclidean, Workspace, construct, construct_pairs, evaluate, from_bytes, stack
-from plr_jax.plr._plr import leaf_of
 
 KINDS = ("maze of cones", "maze of gradients", "around", "around twice", "folded car", "far planes", "far folded car")
 COMPILED = pytest.mark.parametrize("name", [KINDS[0], *full(*KINDS[1:])])
@@ -79,7 +78,7 @@ def test_gradients_equal_finite_differences(name):
     np.testing.assert_allclose(clamped_gradient[beyond], outward[beyond], atol=1e-2)
     inside = np.isfinite(values)
     np.testing.assert_allclose(clamped_gradient[inside], gradient[inside], atol=1e-5)
-    points, leaf = exact[inside], leaf_of(plr, exact[inside])
+    points, leaf = exact[inside], plr.numpy().leaf(exact[inside])
     scale = np.maximum(np.linalg.norm(gradient[inside], axis=1), 0.1)
     for axis, step in enumerate(1e-6 * np.diag(plr.domain.width)):
         slope = plr.values_in_leaves(leaf, points + step) - plr.values_in_leaves(leaf, points - step)
@@ -124,7 +123,7 @@ def test_files_and_arrays_keep_all_of_a_plr(plr):
         assert again.folded_domain == plr.folded_domain and again.max_error == plr.max_error
         np.testing.assert_array_equal(again(x), plr(x))
     inside = x[clamped(plr.domain, x)[1] == 0]
-    found = plr.values_in_leaves(leaf_of(plr, inside), inside)
+    found = plr.values_in_leaves(plr.numpy().leaf(inside), inside)
     is_near = np.isclose(found, plr(inside), rtol=1e-5, atol=2e-3)
     assert is_near.mean() > (0.99 if is_far(plr) else 0.999)
 

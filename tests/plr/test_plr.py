@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from plr_helpers import UNIT, cone, evaluate_by_search, leaf_by_search, points, walled
+from portable_helpers import case, compiled_answers, hard_points, same_bits
 
-from plr_jax import PLR, Box, BuildOptions, construct
-from plr_jax.plr._plr import leaf_of
-from plr_jax.plr.query import evaluate_points
+from plr_jax import PLR, Box, BuildOptions, construct, from_bytes
+from plr_jax.plr import _plr
+from plr_jax.plr.query import bound_points, evaluate_points, evaluate_points_anywhere, waypoints_of_points
 
 
 def test_attributes_describe_the_leaves(plr, leaf, x):
@@ -21,7 +22,7 @@ def test_attributes_describe_the_leaves(plr, leaf, x):
     assert plr.resident_bytes >= plr.tables.leaf_of_slot.nbytes + of_leaves
     assert f"PLR('{leaf}', dim=2, num_leaves=100" in repr(plr)
     assert not plr.unreachable.all() and plr.num_unreachable == np.isinf(plr.intercept).sum()
-    np.testing.assert_array_equal(leaf_of(plr, x), leaf_by_search(plr, x))
+    np.testing.assert_array_equal(plr.numpy().leaf(x), leaf_by_search(plr, x))
     # A leaf's function differs from its mean plane by about the error of that plane.
     assert np.abs(evaluate_by_search(plr, x) - np.asarray(plr(x))).mean() < 0.01
 
@@ -39,6 +40,38 @@ def test_plrs_of_one_size_class_share_a_program(plr, leaf, x):
     compiled = evaluate_points._cache_size()
     evaluate_points(construct(lambda x: 1 + 2 * walled(x), UNIT, leaf=leaf, max_leaves=98).tables, x)
     assert evaluate_points._cache_size() == compiled
+
+
+PROGRAMS = evaluate_points, evaluate_points_anywhere, bound_points, waypoints_of_points
+
+
+def test_few_points_outside_of_jit_compile_nothing():
+    plr, before = case("maze of cones"), [program._cache_size() for program in PROGRAMS]
+    x = hard_points(plr, 100, seed=3)
+    x[np.abs(x) < 1e-30] = 0  # compiled code takes smaller products for 0
+    near = [
+        plr(x),
+        plr(jnp.asarray(x)),
+        plr(x, outside="clamp"),
+        plr(x.astype(float)),
+        *plr.bounds(x),
+        plr.waypoint(x),
+    ]
+    assert before == [program._cache_size() for program in PROGRAMS]
+    assert all(isinstance(answer, jax.Array) and not answer.committed for answer in near)
+    for answer, outside in ((near[0], "inf"), (near[1], "inf"), (near[2], "clamp")):
+        assert same_bits(answer, compiled_answers(plr, x, outside))
+
+
+def test_compiled_code_answers_many_points_committed_ones_and_64_bits(monkeypatch):
+    monkeypatch.setattr(_plr.PLR, "numpy", None)
+    plr = from_bytes(case("maze of cones").to_bytes())
+    assert plr(np.zeros((_plr._FEW + 1, 2))).shape == (_plr._FEW + 1,)
+    assert plr(jax.device_put(np.zeros((3, 2)), jax.devices()[0])).committed
+    with jax.enable_x64(True):
+        assert plr(np.zeros((3, 2))).dtype == np.float64
+    with pytest.raises(TypeError):
+        plr(np.zeros((3, 2)))
 
 
 def test_answers_are_finite_at_free_points_and_inf_outside(plr):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -60,12 +61,12 @@ def test_allocation_limits_grow_with_the_file_up_to_a_maximum():
 
 
 def lookup(tables, x):
-    """Return the leaf of each point, computed in NumPy: compiled, each shape of tables would take a program."""
-    return query.lookup(jax.tree.map(np.asarray, tables), x.astype(np.float32))
+    """Return the leaf of each point, operation by operation: each shape of tables would take a program."""
+    return query.lookup(tables, jnp.asarray(x, jnp.float32))
 
 
 def evaluate_tables(tables, x):
-    return query.evaluate_tables(jax.tree.map(np.asarray, tables), x.astype(np.float32))
+    return query.evaluate_tables(tables, jnp.asarray(x, jnp.float32))
 
 
 @pytest.mark.parametrize("kind", ["flat", "blocks", "pages"])
@@ -160,7 +161,7 @@ def test_leaves_of_the_greatest_depth_are_found_by_pages_and_blocks():
         np.testing.assert_array_equal(lookup(paged, x), np.arange(len(cells)))
         np.testing.assert_array_equal(lookup(other, x), np.arange(len(cells)))
         if axes == [0, 1] * 14:
-            np.testing.assert_array_equal(query.find_leaves(paged, x.astype(np.float32)), np.arange(len(cells)))
+            np.testing.assert_array_equal(jax.jit(query.lookup)(paged, x.astype(np.float32)), np.arange(len(cells)))
 
 
 def test_large_trees_and_shallow_models_have_no_pages():

@@ -4,6 +4,7 @@ import pickle
 from dataclasses import replace
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,7 +12,6 @@ from hypothesis import strategies as st
 from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_of_numbers, walled
 
 from plr_jax import PLR, Box, Euclidean, VisibilityGraph, construct, scenes, stack
-from plr_jax.plr._plr import leaf_of
 from plr_jax.plr._stack import build_trie, trie_levels
 from plr_jax.plr.query import find_row
 from plr_jax.plr.tree import Cells
@@ -58,7 +58,7 @@ def test_stack_under_jit_vmap_and_grad(mixed):
     assert inside.sum() > 30 and not slope[~inside].any()
     for i, plr in enumerate(plrs):
         here = inside & (index == i)
-        at, leaf = x[here].astype(float), leaf_of(plr, x[here])
+        at, leaf = x[here].astype(float), plr.numpy().leaf(x[here])
         for axis, step in enumerate(1e-5 * np.eye(2)):
             above, below = (plr.values_in_leaves(leaf, at + sign * step) for sign in (1, -1))
             np.testing.assert_allclose(slope[here, axis], (above - below) / 2e-5, atol=2e-4)
@@ -113,12 +113,11 @@ def assert_points_find_rows(partitions, seed=0):
     """Ask at leaf centers and at multiples of 2**-16, many of which lie on cell borders, in every partition."""
     dim, levels, rows = partitions[0].dim, levels_of_all(partitions), rows_of(partitions)
     tables = replace(tables_of_numbers(Cells.root(dim), 100), trie=build_trie(partitions, rows, levels))
-    tables = jax.tree.map(np.asarray, tables)
     for number, (cells, row) in enumerate(zip(partitions, rows, strict=True)):
         x = np.random.default_rng(seed).integers(0, 2**16 + 1, size=(600, dim)) / 2.0**16
         x[: min(len(cells), 400)] = ((cells.position + 0.5) * 2.0**-cells.depth)[:400]
         start = tables.trie.start + np.full(len(x), number << levels[1].sum(), np.uint32)
-        found = find_row(replace(tables, trie=replace(tables.trie, start=start)), x.astype(np.float32))
+        found = find_row(replace(tables, trie=replace(tables.trie, start=start)), jnp.asarray(x, jnp.float32))
         np.testing.assert_array_equal(found, row[leaf_by_position(cells, x)])
 
 

@@ -17,6 +17,7 @@ from plr_jax.plr.leaves.continuous import Continuous
 from plr_jax.plr.leaves.continuous import StoredValues as StoredValues
 from plr_jax.plr.leaves.continuous import TiedPartition as TiedPartition
 from plr_jax.plr.leaves.plane import Plane
+from plr_jax.plr.leaves.plane import StoredPlanes as StoredPlanes
 
 # The index of a model is its code in files, so new models go to the end.
 _MODELS: tuple[LeafModel, ...] = (Plane(), Continuous(order=0), Continuous(order=1), Cone())

@@ -48,6 +48,8 @@ class LeafModel(ABC):
     has_deep_trees: bool = False  # whether small files may have deep trees, whose lookup tables have pages
     is_cell_relative: bool = False  # whether functions take coordinates from 0 to 1 in the leaf's cell
     has_exact_cone_bounds: bool = False  # whether cone_minus_leaf_bounds are the least and largest difference
+    has_compact_code: bool = False  # whether the decoder of compact C headers evaluates the model
+    bits_of_powers: int = 0  # log2 of the number of powers of a coordinate in a leaf's polynomial; 0: plane or cone
 
     @abstractmethod
     def construct(self, sampler: Sampler, rules: Rules, limits: Limits) -> tuple[Tree, Any]:

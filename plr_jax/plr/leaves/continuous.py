@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from plr_jax._arrays import hash64, product_in_order, row_products
+from plr_jax._arrays import hash64, product_in_order, row_products, set_fields
 from plr_jax._types import DistanceFn, Distances, Points
 from plr_jax.geometry.box import Box
 from plr_jax.geometry.convex_pieces import Pieces, cone_above_plane
@@ -346,11 +346,12 @@ class Continuous(LinearLeafModel):
 
     order: int = 0
     is_cell_relative = True
+    has_compact_code = True
 
     def __post_init__(self):
         if self.order not in (0, 1):
             raise ValueError(f"order must be 0 or 1, got {self.order!r}.")
-        object.__setattr__(self, "name", ("continuous", "smooth")[self.order])
+        set_fields(self, name=("continuous", "smooth")[self.order], bits_of_powers=1 + self.order)
 
     def check_dim(self, dim: int) -> None:
         if dim > MAX_DIM_OF_ORDER[self.order]:

@@ -100,6 +100,7 @@ class Plane(LinearLeafModel):
     num_samples = 192
     least_bytes = 2
     has_exact_cone_bounds = True
+    has_compact_code = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         # 32 KB allow 9 halvings along each axis of the plane; deep cells next to the goal have smaller errors.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from plr_jax.plr.leaves import Cone
+from plr_jax.plr.leaves import Cone, code_of_leaf
 from plr_jax.plr.portable.arithmetic import CodedTree, Program, distinct_rows
 from plr_jax.plr.portable.compact import DECODER, compact_bytes
 from plr_jax.plr.portable.writers import (
@@ -180,7 +180,7 @@ def compact_header(program: Program, name: str) -> str:
         "}",
     ]
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
-    needs = [f"1u << PLR_JAX_{program.leaf.name.upper()}", *["PLR_JAX_WRAPS"] * program.domain.is_periodic]
+    needs = [f"1u << {code_of_leaf(program.leaf)}u", *["PLR_JAX_WRAPS"] * program.domain.is_periodic]
     needs += ["PLR_JAX_FOLDS"] * (program.folding_arrays is not None)
     needs += ["PLR_JAX_LINES"] * (program.straight is not None)
     lines = [

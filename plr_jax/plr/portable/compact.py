@@ -17,7 +17,7 @@ from jaxtyping import Float, Int, Shaped
 from plr_jax.plr._file import DecodedFile
 from plr_jax.plr.coding import BitWriter, bits_of_floats
 from plr_jax.plr.frame import FRACTION_BITS, Frame, table_corners
-from plr_jax.plr.leaves import code_of_leaf
+from plr_jax.plr.leaves import StoredPlanes, code_of_leaf
 from plr_jax.plr.portable.arithmetic import Program, distinct_rows
 from plr_jax.plr.tree import Tree, corner_bits
 
@@ -41,11 +41,14 @@ _EXACT = 2**53  # doubles hold all integers up to here
 
 def compact_bytes(program: Program) -> bytes:
     """Return the bytes that the C decoder reads, in the smallest encoding that the PLR's leaf model has."""
-    choices, contents = [_CompactWriter(program).with_rows()], program.contents
-    if program.leaf.name == "plane" and contents.stored.bits < _FLOAT_BITS:
+    leaf, contents = program.leaf, program.contents
+    if not leaf.has_compact_code:
+        raise ValueError(f"The compact decoder does not know leaves of kind {leaf.name!r}: use compact=False.")
+    choices = [_CompactWriter(program).with_rows()]
+    if isinstance(contents.stored, StoredPlanes) and contents.stored.bits < _FLOAT_BITS:
         choices.append(_CompactWriter(program).with_planes())
-    is_smooth = program.leaf.name == "smooth" and program.dim == 2
-    if program.leaf.name == "continuous" or is_smooth:
+    is_smooth = leaf.bits_of_powers == 2
+    if leaf.bits_of_powers == 1 or (is_smooth and program.dim == 2):
         choices.append(_CompactWriter(program).with_values(_Middles(contents, is_smooth)))
     return min(choices, key=len)
 
@@ -83,7 +86,7 @@ class _CompactWriter:
         limits = np.clip(program.limits, -largest, largest)
         self.body.write_floats(np.stack([*limits, *(program.frame[row] for row in rows), *ends], axis=1).ravel())
         self.at_exact = self._at
-        if program.corner is not None or program.leaf.name == "plane":
+        if program.corner is not None or isinstance(contents.stored, StoredPlanes):
             box, origin = contents.domain, np.zeros(self.dim)
             if program.corner is not None and contents.folding is None:
                 origin = program.corner
@@ -130,8 +133,8 @@ class _CompactWriter:
         # Appends ``rows``, and the leaf parameters that differ from the computed ``numbers``; returns all bytes.
         # 1. Choose the leaves that are stored as planes.
         power = self.dim - 1 - np.arange(self.dim)
-        order = {"plane": 0, "cone": 0, "continuous": 1, "smooth": 2}[self.program.leaf.name]
-        of_plane = np.concatenate([[0], 1 << order * power if order else 1 + np.arange(self.dim)])
+        bits = self.program.leaf.bits_of_powers
+        of_plane = np.concatenate([[0], 1 << bits * power if bits else 1 + np.arange(self.dim)])
         rest = np.abs(np.delete(self.numbers, of_plane, axis=1).astype(np.float64)).sum(axis=1)
         is_plane = rest <= _NEGLIGIBLE * np.abs(self.numbers[:, of_plane[1:]]).min(axis=1)
         is_odd = self.numbers.view(np.uint32) != numbers.view(np.uint32)
@@ -208,7 +211,7 @@ class _CompactWriter:
         self.fraction_bits, self.offset = middles.fraction_bits, stored.offset
         self.step = float(np.ldexp(stored.step, -self.fraction_bits))
         # 1. Compute the leaf parameters as a query does.
-        if self.program.leaf.name == "smooth":
+        if self.program.leaf.bits_of_powers == 2:
             codes = _smooth_numbers(self.tree, middles.corners, self.program.contents.domain.periodic)
             numbers = (self.step * codes + np.where(np.arange(16), 0.0, self.offset)).astype(np.float32)
         else:

@@ -241,8 +241,11 @@ class NumpyPLR:
 
     def which(self, x: ArrayLike) -> Any:
         """Return the index of the goal nearest to each point ``(..., dim)``, -1 outside; see :meth:`PLR.which`."""
-        goal = self._of_leaves(x, self._goal_rows)
-        return np.where(goal >= 0, goal, -1).astype(np.int64)[()]
+        return _as_indices(self._of_leaves(x, self._goal_rows))
+
+    def leaf(self, x: ArrayLike) -> Any:
+        """Return the index of the leaf that contains each point ``(..., dim)``; -1 outside the domain and for NaN."""
+        return _as_indices(self._of_leaves(x, np.append(np.arange(self.num_leaves), np.nan)))
 
     def bounds(self, x: ArrayLike) -> tuple[Any, Any]:
         """Return proven lower and upper bounds of the distance at points ``(..., dim)``; see :meth:`PLR.bounds`."""
@@ -350,6 +353,10 @@ class NumpyPLR:
         upper = np.nextafter(value + band[1], np.float32(np.inf))
         finite = value < np.inf
         return np.stack([np.where(finite, np.maximum(lower, 0), value), np.where(finite, upper, value)], axis=1)
+
+
+def _as_indices(numbers: np.ndarray) -> Any:
+    return np.where(numbers >= 0, numbers, -1).astype(np.int64)[()]
 
 
 def load_numpy(path: str | os.PathLike) -> NumpyPLR:

@@ -35,6 +35,7 @@ class Cone(LeafModel):
     least_bytes = 0.5
     has_deep_trees = True
     has_exact_cone_bounds = True
+    has_compact_code = True
 
     def bytes_without_budget(self, dim: int, num_leaves: int) -> int:
         return num_leaves // 2 + 256  # the constant is for some tens of sources
