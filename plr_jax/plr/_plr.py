@@ -11,7 +11,16 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import as_points, as_queries, no_attribute, padded, padded_size, require_function, shortened
+from plr_jax._arrays import (
+    as_points,
+    as_queries,
+    is_traced,
+    no_attribute,
+    padded,
+    padded_size,
+    require_function,
+    shortened,
+)
 from plr_jax._compiled import is_on_one_host, pytree, serializable
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
@@ -109,9 +118,11 @@ class PLR(FileBacked):
 
     def _reader_of_few(self, x: Array | np.ndarray) -> NumpyPLR | None:
         """Return what answers few points without compiling, with equal bits; None where compiled code must answer."""
-        is_readable = x.dtype in (np.float32, np.float64) and str(x.dtype) not in self.tables.unresolved[:1]
-        if not is_on_one_host(x) or not is_readable or jax.config.jax_enable_x64 or x.size > _FEW * self.tables.dim:
+        if not is_on_one_host(x) or jax.config.jax_enable_x64 or x.size > _FEW * self.tables.dim:
             return None
+        is_double = x.dtype == np.float64
+        if not is_double and (x.dtype != np.float32 or is_traced(self.file) or self._corner_if_far is not None):
+            return None  # in a domain far from the origin, the reader tells points apart that 32 bits do not
         return self._reader
 
     @cached_property
