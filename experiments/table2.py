@@ -73,7 +73,7 @@ def measure_scene(name: str, settings: dict[str, Any]) -> list[dict[str, Any]]:
     scene, seeds, plr_bytes = SCENES[name](), settings["seeds"], settings["plr_bytes"]
     limits = dict.fromkeys(runs, TIME_LIMIT)
     limits |= {NONE: settings["seconds_none"], RRT_STAR: settings["seconds_rrt_star"]}
-    num_runs = dict.fromkeys(runs, settings["starts_under_heuristics"])
+    num_runs = {heuristic: int(settings["starts_under_heuristics"]) for heuristic in runs}
     num_runs |= {LATTICE: len(seeds), NONE: settings["starts_few"], RRT_STAR: settings["starts_few"]}
     known = scenes.perturbed(scene, 1000 + seeds[0])
     for heuristic in (LATTICE, *HEURISTICS):

@@ -52,6 +52,11 @@ def num_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def has_doubles() -> bool:
+    """Return whether JAX computes in 64 bits, as with ``jax_enable_x64``."""
+    return jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+
+
 def is_on_one_host(*arrays: Array | np.ndarray) -> bool:
     """Return whether no array is traced or committed to a device, and all are in the memory of one CPU."""
     if any(is_traced(array) or getattr(array, "committed", False) for array in arrays):
@@ -73,7 +78,7 @@ def answered_in_parts(
     size = few if count <= _PARTS * few else many
     whole = [np.broadcast_to(column, (*batch, column.shape[-1])) for column in rows]
     results: list[np.ndarray] = []
-    has_doubles = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+    computes_in_double = has_doubles()
 
     def of_part(first: int) -> None:
         last = min(first + size, count)
@@ -83,7 +88,7 @@ def answered_in_parts(
             else column[np.unravel_index(np.arange(first, last), batch)]
             for column in whole
         ]
-        with jax.enable_x64(has_doubles):  # the setting may be local to the calling thread
+        with jax.enable_x64(computes_in_double):  # the setting may be local to the calling thread
             answers = answer(*(padded(column, size) for column in part))
         if not results:
             results.extend(np.empty(count, column.dtype) for column in answers)

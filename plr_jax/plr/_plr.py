@@ -21,7 +21,7 @@ from plr_jax._arrays import (
     require_function,
     shortened,
 )
-from plr_jax._compiled import is_on_one_host, pytree, serializable
+from plr_jax._compiled import has_doubles, is_on_one_host, pytree, serializable
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import DecodedFile, decode, encode, filled_coefficients, planes_of_leaves, relative_to_origin
@@ -118,7 +118,7 @@ class PLR(FileBacked):
 
     def _reader_of_few(self, x: Array | np.ndarray) -> NumpyPLR | None:
         """Return what answers few points without compiling, with equal bits; None where compiled code must answer."""
-        if not is_on_one_host(x) or jax.config.jax_enable_x64 or x.size > _FEW * self.tables.dim:
+        if not is_on_one_host(x) or has_doubles() or x.size > _FEW * self.tables.dim:
             return None
         is_double = x.dtype == np.float64
         if not is_double and (x.dtype != np.float32 or is_traced(self.file) or self._corner_if_far is not None):
@@ -140,7 +140,7 @@ class PLR(FileBacked):
         if not is_double or isinstance(self.file, Tracer):
             return self.tables, x
         x = self.domain.wrapped(x) if self.tables.periodic else x
-        if jax.config.jax_enable_x64 or self._corner_if_far is None:
+        if has_doubles() or self._corner_if_far is None:
             return self.tables, x
         return self.tables_from_corner, x - self._corner_if_far
 

@@ -307,7 +307,8 @@ class Tables:
             return self
         domain, (*arrays, mirrors) = folding.domain.moved(-origin), folding_numbers(folding, origin)
         periodic = tuple(np.flatnonzero(domain.periodic).tolist())
-        window = FoldedDomain(*map(jax.device_put, (frame_of(domain), *arrays)), mirrors, periodic)
+        frame, center, corners, axes = map(jax.device_put, (frame_of(domain), *arrays))
+        window = FoldedDomain(frame, center, corners, axes, mirrors, periodic)
         return replace(self, folding=window, unresolved=unresolved_types(domain))
 
 
