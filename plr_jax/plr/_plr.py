@@ -42,7 +42,7 @@ from plr_jax.plr.tables import Tables, build_tables
 from plr_jax.plr.team import TableStack
 from plr_jax.plr.tree import Cells
 
-_FEW = 2**12  # points: NumPy answers so many about as fast as compiled code
+_FEW = 2**12  # points: NumPy takes some tenths of a millisecond for so many, compiling a query 80 ms
 
 serializable(Tables, default=lambda leaf: {"leaf": leaf.name}, object_hook=lambda leaf: leaf_model(leaf["leaf"]))
 
