@@ -53,14 +53,6 @@ def build(problem: Problem, name: str, plr_bytes: int = PLR_BYTES) -> HeuristicF
     return sum_of_distances([construct(oracle, problem.workspace.bounds, max_bytes=plr_bytes) for oracle in oracles])
 
 
-def lower_bound(problem: Problem, inflated: bool = True) -> float:
-    """Sum of the robots' exact distances from their starts, each alone; turns of rectangles are left out.
-
-    Not ``inflated``: those of points.
-    """
-    return float(sum_of_distances(robot_distance_fns(problem, inflated=inflated))(problem.starts[None])[0])
-
-
 def plan(problem: Problem, heuristic: HeuristicFn | None, options: BLOptions) -> tuple[Solution, float]:
     """A solution of BL, and its seconds from call to return."""
     began = time.perf_counter()

@@ -26,10 +26,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from tqdm import tqdm
 
-from experiments._planning import SCENES, is_valid, lower_bound, plan, plan_and_check, reversed_team
+from experiments._planning import SCENES, is_valid, plan, plan_and_check, reversed_team
 from experiments._runner import run
 from experiments.baselines.ompl import PRIORITIZED, ompl_plan
-from plr_jax import BLOptions, Problem, Solution, Workspace, scenes
+from plr_jax import BLOptions, Problem, Solution, Workspace, exact_lower_bound, scenes
 
 PLANNERS = ("RRTstar", "RRTConnect", "AORRTC", "BITstar", PRIORITIZED)
 CROWDS: dict[str, Callable[[int], Problem]] = {
@@ -84,7 +84,7 @@ def race(name: str, seed: int, planners: tuple[str, ...], least: float) -> dict[
     return {
         "scene": name,
         "seed": seed,
-        "lower_bound": round(lower_bound(problem), 6),
+        "lower_bound": round(exact_lower_bound(problem), 6),
         "limit": round(limit, 3),
         "ours": ours,
         "ompl": {planner: trial(problem, planner, seed, limit, ours["cost"]) for planner in planners},

@@ -23,9 +23,9 @@ from scipy.stats import mannwhitneyu
 from tqdm import tqdm
 
 from experiments._measures import columns
-from experiments._planning import HEURISTICS, PLR_BYTES, SCENES, SMOKE_BYTES, build, lower_bound
+from experiments._planning import HEURISTICS, PLR_BYTES, SCENES, SMOKE_BYTES, build
 from experiments._runner import run
-from plr_jax import HeuristicFn, Problem, path_cost, validate
+from plr_jax import HeuristicFn, Problem, exact_lower_bound, path_cost, validate
 from plr_jax.collision.motions import JointMotionTest
 
 NAMES = ("single door", "four rooms 2", "cross 2")
@@ -133,7 +133,7 @@ def compute(seed: int, smoke: bool) -> dict[str, Any]:
     plr_bytes, rows = SMOKE_BYTES if smoke else PLR_BYTES, []
     for name, kind in tqdm(list(itertools.product(names, HEURISTICS)), delay=3, disable=None):
         problem = SCENES[name]()
-        heuristic, bound = build(problem, kind, plr_bytes), lower_bound(problem)
+        heuristic, bound = build(problem, kind, plr_bytes), exact_lower_bound(problem)
         Search(problem, heuristic, seed, _FEW_VERTICES).run()  # compiles
         runs = [measure(problem, heuristic, seed + i, most, bound) for i in range(num_seeds)]
         row = {"scene": name, "heuristic": kind, **columns(runs)}

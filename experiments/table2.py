@@ -26,12 +26,11 @@ from experiments._planning import (
     SMOKE_BYTES,
     build,
     is_valid,
-    lower_bound,
     plan,
 )
 from experiments._runner import run
 from experiments.baselines.ompl import ompl_plan
-from plr_jax import BLOptions, Problem, Solution, scenes
+from plr_jax import BLOptions, Problem, Solution, exact_lower_bound, scenes
 
 NUM_STARTS = 20  # of bl_plan, "lattice"
 NUM_STARTS_UNDER_HEURISTICS = 5
@@ -80,7 +79,7 @@ def measure_scene(name: str, settings: dict[str, Any]) -> list[dict[str, Any]]:
         run_of(known, heuristic, plr_bytes, _WARM_UP)
     for i, seed in enumerate(tqdm(seeds, desc=name, delay=3, disable=None)):
         problem = scenes.perturbed(scene, seed)
-        bound = lower_bound(problem)
+        bound = exact_lower_bound(problem)
         for heuristic in (LATTICE, *HEURISTICS):
             if i < num_runs[heuristic]:
                 solution, seconds = run_of(problem, heuristic, plr_bytes, limits[heuristic])

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Float
 
 from experiments import _dbcbs
-from experiments._planning import lower_bound, plan_and_check, reversed_team
+from experiments._planning import plan_and_check, reversed_team
 from experiments._runner import Section, run
-from plr_jax import BLOptions, DiscRobot, Problem, VisibilityGraph, bl_plan, scenes
+from plr_jax import BLOptions, DiscRobot, Problem, VisibilityGraph, bl_plan, exact_lower_bound, scenes
 
 # Where the published collections are.
 
@@ -106,7 +106,7 @@ def first(seed: int, smoke: bool) -> dict[str, Any]:
             for variant in range(1 if smoke else NUM_TEAMS):
                 known, problem = two_teams(name, size, seed, variant)
                 bl_plan(known)
-                runs.append(planned(problem, lower_bound(problem)))
+                runs.append(planned(problem, exact_lower_bound(problem)))
             rows.append({"scene": name, **middle(runs)})
     return {"rows": rows}
 
@@ -125,7 +125,7 @@ def crowds(seed: int, smoke: bool) -> dict[str, Any]:
     for size in (6,) if smoke else CROWDS:
         known, problem = two_teams("crowd", size, seed)
         bl_plan(known, options=options)
-        rows.append({"scene": "crowd", **planned(problem, lower_bound(problem), options)})
+        rows.append({"scene": "crowd", **planned(problem, exact_lower_bound(problem), options)})
     return {"rows": rows, "time_limit": options.time_limit}
 
 
@@ -144,7 +144,7 @@ def half_a_minute(seed: int, smoke: bool) -> dict[str, Any]:
         for size in sizes:
             known, problem = two_teams(name, size, seed)
             bl_plan(known)
-            bound = lower_bound(problem)
+            bound = exact_lower_bound(problem)
             options = BLOptions(cost_factor=1.0, lower_bound=bound * (1 - 1e-6), time_limit=limit)
             rows.append({"scene": name, **planned(problem, bound, options)})
     return {"rows": rows, "time_limit": limit}
@@ -213,7 +213,7 @@ def dbcbs_16(seed: int, smoke: bool) -> dict[str, Any]:
     runs = []
     for variant in variants:
         bl_plan(reversed_team(variant))
-        runs.append(planned(variant, lower_bound(variant)))
+        runs.append(planned(variant, exact_lower_bound(variant)))
     return {"rows": [{"scene": name, **runs[0]}, {"scene": f"{name}, perturbed", **middle(runs[1:])}]}
 
 
@@ -230,7 +230,7 @@ def unseen(seed: int, smoke: bool) -> dict[str, Any]:
         known, scene = two_teams("four_rooms", size, seed)
         bl_plan(known)
         problems = [scenes.perturbed(scene, seed + k) for k in range(1 if smoke else NUM_PROBLEMS)]
-        runs = [planned(problem, lower_bound(problem)) for problem in problems]
+        runs = [planned(problem, exact_lower_bound(problem)) for problem in problems]
         rows.append({"scene": "four rooms", **middle(runs)})
     return {"rows": rows}
 

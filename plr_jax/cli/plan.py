@@ -1,10 +1,10 @@
 """The command ``plr-jax plan``: plan a path for all robots of a scene, and validate it."""
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from plr_jax.cli.app import command, fail, fail_interrupted
@@ -40,7 +40,7 @@ def plan(
             help="Keep searching while the cost exceeds this multiple of the lower bound.",
             show_default="stop at the first path",
         ),
-    ] = np.inf,
+    ] = math.inf,
     time_limit: Annotated[float, typer.Option(help="Time limit of planning, in seconds.")] = 60.0,
     output: Annotated[
         Path | None,
@@ -98,10 +98,10 @@ def solve(problem: "Problem", options: "BLOptions", heuristic: "HeuristicFn | No
 
     The lower bound is the sum of the exact distances of the robots, each alone in the workspace.
     """
-    from plr_jax import bl_plan, robot_distance_fns, sum_of_distances, validate
+    from plr_jax import bl_plan, exact_lower_bound, validate
 
-    bound = float(sum_of_distances(robot_distance_fns(problem))(problem.starts[None])[0])
-    solution = bl_plan(problem, heuristic, replace(options, lower_bound=bound if 0 < bound < np.inf else None))
+    bound = exact_lower_bound(problem)
+    solution = bl_plan(problem, heuristic, replace(options, lower_bound=bound if bound < math.inf else 0.0))
     stats = solution.stats
     typer.echo(f"  robots     {len(problem.robots)}")
     typer.echo(f"  status     {solution.status}")

@@ -48,25 +48,25 @@ how close robots come to obstacles and to one another, and what the first violat
 
 Without a heuristic, the planner uses each robot's cost-to-go along its lattice, which is best for most problems. The
 lower bound, `solution.lower_bound`, is then the length of straight lines. The sum of the robots' exact distances is a
-better lower bound, also for a path that you already have:
+better lower bound, `plr_jax.exact_lower_bound`, also for a path that you already have:
 
 ```python
-exact = plr_jax.robot_distance_fns(problem)  # one VisibilityGraph for each robot, obstacles grown by its radius
-heuristic = plr_jax.sum_of_distances(exact)
-starts = problem.starts[None]  # one joint configuration, (1, robots, dof)
-bound = float(heuristic(starts)[0])
+bound = plr_jax.exact_lower_bound(problem)
 print(solution.lower_bound, bound, solution.cost / bound)
 
 options = plr_jax.BLOptions(lower_bound=bound, cost_factor=1.05, time_limit=10)
 better = plr_jax.bl_plan(problem, options=options)
 print(better.status is plr_jax.Status.SOLVED, better.factor, plr_jax.path_cost(problem, better.path))
-print(better.stats.num_nodes, plr_jax.zero()(starts), plr_jax.straight_line(problem)(starts))
+
+starts = problem.starts[None]  # one joint configuration, (1, robots, dof)
+exact = plr_jax.robot_distance_fns(problem)  # one VisibilityGraph for each robot, obstacles grown by its radius
+print(plr_jax.sum_of_distances(exact)(starts), plr_jax.straight_line(problem)(starts), plr_jax.zero()(starts))
 ```
 
 With `cost_factor=1.05` in `plr_jax.BLOptions`, the planner improves the path until the cost is at most 1.05 times the
 lower bound, `time_limit` seconds (default 60) have passed, or lattices cannot get finer. A factor that is met early
-ends the search and the shortening, so the path may cost more than without a factor. Distances of
-`robot_distance_fns` leave out the cost of turns, so robots that turn may never reach a small factor.
+ends the search and the shortening, so the path may cost more than without a factor. The exact lower bound leaves out
+the cost of turns, so robots that turn may never reach a small factor.
 
 In place of the cost-to-go along lattices, `bl_plan` accepts a `plr_jax.HeuristicFn`: `plr_jax.zero`,
 `plr_jax.straight_line`, or `plr_jax.sum_of_distances` of one distance function for each robot. If the heuristic is a

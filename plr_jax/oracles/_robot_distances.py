@@ -34,6 +34,16 @@ def robot_distance_fns(problem: Problem, inflated: bool = True) -> list[Visibili
     return distance_fns
 
 
+def exact_lower_bound(problem: Problem) -> float:
+    """Return the sum of the robots' exact distances to their goals: no path of the team costs less.
+
+    Each robot counts as alone in the workspace, and turns cost nothing. The bound is ``inf`` if a robot cannot reach
+    its goal.
+    """
+    pairs = zip(robot_distance_fns(problem), problem.starts, strict=True)
+    return float(sum(distance_fn(start[None, :2])[0] for distance_fn, start in pairs))
+
+
 def _snapped(goal: Float[np.ndarray, "2"], workspace: Workspace) -> Float[np.ndarray, "2"]:
     """Return the goal, moved to the nearest free point if rounding alone has put it outside free space."""
     if workspace.is_free_to_tolerance(goal[None])[0]:

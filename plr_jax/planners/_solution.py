@@ -277,7 +277,8 @@ class BLOptions:
         cost_factor: The search stops at a path whose cost is at most this multiple of the lower bound. Until then, or
             until a limit, it continues with smaller weights and steps; 1 usually means until a limit. A factor that
             is met early ends the search and the shortening, so the path may cost more than without a factor.
-        lower_bound: Known lower bound of all path costs, in workspace units; used if larger than the planner's own.
+        lower_bound: Known lower bound of all path costs, in workspace units, such as ``exact_lower_bound(problem)``;
+            used if larger than the planner's own.
         time_limit: Seconds, positive or ``inf``. Calls of Shapely, SciPy and the heuristic are not interrupted.
         max_expansions: Largest number of search nodes expanded; deterministic, unlike the time limit.
         max_memory: Largest number of bytes of the lattices and of the search nodes.
@@ -290,16 +291,16 @@ class BLOptions:
     step: float | int | None = None
     heuristic_weight: float | int | None = None
     cost_factor: float | int = float("inf")
-    lower_bound: float | int | None = None
+    lower_bound: float | int = 0.0
     time_limit: float | int = 60.0
     max_expansions: float | int = float("inf")
     max_memory: float | int = 4e9
 
     def __post_init__(self) -> None:
-        for name in ("step", "lower_bound"):
-            value = getattr(self, name)
-            if value is not None:
-                as_number(name, value, "None or a positive finite number", lambda number: 0 < number < math.inf)
+        if self.step is not None:
+            as_number("step", self.step, "None or a positive finite number", lambda step: 0 < step < math.inf)
+        expected, bound = "a finite number of at least 0", self.lower_bound
+        as_number("lower_bound", bound, expected, lambda bound: 0 <= bound < math.inf)
         for name in ("time_limit", "max_expansions", "max_memory", "cost_factor"):
             as_number(name, getattr(self, name), "a positive number or inf", lambda number: number > 0)
         if self.heuristic_weight is not None:

@@ -137,7 +137,7 @@ class Run:
         self.problem, self.heuristic, self.options = problem, heuristic, options
         self.budget = SearchBudget(began + options.time_limit, options.max_expansions, options.max_memory)
         self.test = JointMotionTest(problem.workspace, problem.robots, self.budget.deadline)
-        self.lower_bound, self.accepted_cost = options.lower_bound or 0.0, math.inf
+        self.lower_bound, self.accepted_cost = options.lower_bound, math.inf
         self.path: JointPath | None = None
         self.is_sequential_short = False  # whether the sequential path was shortened
         self.cost, self.motions_factor, self.found_by = math.inf, math.inf, ""

@@ -118,7 +118,7 @@ def replan(
         status = Status.INTERRUPTED
     path = timetable.path if status is Status.SOLVED else None
     stats = Stats(0, seconds={"replan": time.perf_counter() - began}, found_by="replan")
-    lower_bound = max(options.lower_bound or 0.0, straight_line_bound(problem))
+    lower_bound = max(options.lower_bound, straight_line_bound(problem))
     repaired = make_solution(problem, path, lower_bound, status, stats, problem.starts[None].copy())
     # 4. If there is no path, or only one that costs too much, plan the whole team.
     if status is Status.SOLVED and repaired.cost > (1 + _ROUNDING) * options.cost_factor * lower_bound:

@@ -15,7 +15,7 @@ from experiments._nearest_vertex import NearestVertex
 from experiments._runner import RESULTS, WHOLE, read
 from experiments.benchmarks import _accuracy, _query
 from experiments.benchmarks._maps import load_map
-from plr_jax import Roadmap, VisibilityGraph, construct, scenes
+from plr_jax import Roadmap, VisibilityGraph, construct, exact_lower_bound, scenes
 
 pytestmark = pytest.mark.full
 
@@ -186,7 +186,7 @@ def test_table2_has_nodes_and_costs_of_this_code(name, heuristic):
     committed = next(row for row in results["rows"] if (row["scene"], row["heuristic"]) == (name, heuristic))
     problem = scenes.perturbed(_planning.SCENES[name](), committed["seed"][0])
     solution, _ = table2.run_of(problem, heuristic, results["plr_bytes"], committed["time_limit"])
-    computed = table2.outcome(problem, solution, _planning.lower_bound(problem))
+    computed = table2.outcome(problem, solution, exact_lower_bound(problem))
     for key in ("nodes", "cost_over_bound", "first_path_cost"):
         assert computed[key] == pytest.approx(committed[key][0], rel=0.02), key
 
@@ -196,7 +196,7 @@ def test_sba_star_has_vertices_and_costs_of_this_code(heuristic):
     results, problem = results_of("sba_star"), scenes.single_door()
     rows = {(row["scene"], row["heuristic"]): row for row in results["rows"]}
     committed = rows["single door", heuristic]
-    options = (results["max_vertices"], _planning.lower_bound(problem))
+    options = (results["max_vertices"], exact_lower_bound(problem))
     for seed in range(2):
         computed = sba_star.measure(problem, _planning.build(problem, heuristic), seed, *options)
         for key in ("vertices", "cost_over_bound"):

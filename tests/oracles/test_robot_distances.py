@@ -1,6 +1,6 @@
 import numpy as np
 
-from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, robot_distance_fns
+from plr_jax import DiscRobot, PointRobot, Problem, RectangleRobot, Workspace, exact_lower_bound, robot_distance_fns
 
 CORNER = Workspace(((0, 0), (10, 10)), [[(4, 0), (6, 0), (6, 5), (4, 5)]])
 
@@ -29,6 +29,7 @@ def test_teams_of_several_shapes():
     problem = Problem(workspace, robots, [(1, 1, 0), (1, 4, 0), (2, 8, 0)], [(9, 1, 0), (9, 4, 0), (8, 8, 0)])
     lengths = [f(start[None, :2])[0] for f, start in zip(robot_distance_fns(problem), problem.starts, strict=True)]
     np.testing.assert_allclose(lengths, [8, 8, 6])
+    assert exact_lower_bound(problem) == sum(lengths)
 
 
 def test_disc_fits_a_passage_exactly_as_wide():

@@ -225,7 +225,7 @@ def test_other_objects_as_heuristic_raise():
             bl_plan(ROOMS, heuristic)
 
 
-POSITIVE = ("step", "lower_bound", "cost_factor", "time_limit", "max_expansions", "max_memory")
+POSITIVE = ("step", "cost_factor", "time_limit", "max_expansions", "max_memory")
 
 
 @pytest.mark.usefixtures("unchecked_types")
@@ -237,6 +237,9 @@ def test_invalid_options_raise():
     for value in (float("inf"), 10**400):
         with pytest.raises(ValueError, match="step must be None or a positive finite number"):
             BLOptions(step=value)
+    for value in (-5.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="lower_bound must be a finite number of at least 0"):
+            BLOptions(lower_bound=value)
     for value in (-0.1, float("inf"), 1e300):
         with pytest.raises(ValueError, match=r"heuristic_weight must be .* from 0 to 1e6"):
             BLOptions(heuristic_weight=value)
