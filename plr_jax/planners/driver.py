@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
@@ -29,12 +28,12 @@ from plr_jax.planners._solution import (
 )
 from plr_jax.planners.best_first import BestFirstSearch, bytes_of_tables, tabulate
 from plr_jax.planners.lacam import LaCAM, TeamMoves
-from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_lattices, num_configurations
+from plr_jax.planners.lattice import PRIMITIVES, JointLattice, State, build_lattices, num_configurations, robot_kinds
 from plr_jax.planners.reservations import ReservationTable, num_bytes_of_table, replan_each, replan_neighborhoods
 from plr_jax.planners.sequential import sequential_path, with_early_departures
 from plr_jax.planners.shorten import shorten, shorten_in_corridors
 from plr_jax.planners.through_time import subdivided
-from plr_jax.robots.robot import Robot, between
+from plr_jax.robots.robot import between
 
 _COARSEST_FIRST = 1 / 16  # coarsest first step, as a share of the bounds' longer side
 _FINEST_FIRST = 1 / 512  # finest first step, as a share; the three steps below are shares as well
@@ -366,20 +365,17 @@ _TURNING = 4  # time of a motion test with turns, over the time without
 def num_bytes(problem: Problem, step: float) -> float:
     """Estimate the memory, in bytes, of lattices of cell size ``step`` if all cells are free."""
     total = 0.0
-    for (robot, _), count in _kinds(problem).items():
-        nodes = num_configurations(problem.workspace, robot, step) + 2 * count
-        total += nodes * (_MOTION_BYTES * (1 + len(PRIMITIVES)) + _COLUMN_BYTES * count)
+    for (robot, _), members in robot_kinds(problem).items():
+        nodes = num_configurations(problem.workspace, robot, step) + 2 * len(members)
+        total += nodes * (_MOTION_BYTES * (1 + len(PRIMITIVES)) + _COLUMN_BYTES * len(members))
     return total
 
 
 def _num_motions_to_test(problem: Problem, step: float) -> float:
     of_dof = {2: 1, 3: _TURNING}
-    tests = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in _kinds(problem))
+    kinds = robot_kinds(problem)
+    tests = (of_dof[robot.dof] * num_configurations(problem.workspace, robot, step) for robot, _ in kinds)
     return (1 + len(PRIMITIVES)) * sum(tests)
-
-
-def _kinds(problem: Problem) -> Counter[tuple[Robot, float]]:
-    return Counter(zip(problem.robots, problem.rotation_weights.tolist(), strict=True))
 
 
 # Length of the first turn of each search. Best-first search takes the smaller of its two limits.

@@ -8,6 +8,7 @@ cells. If both lie in one cell, motions into it lead to the goal, and an additio
 """
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import product
@@ -328,20 +329,27 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
     return turns * math.prod(max(1.0, side / step) for side in workspace.bounds.width.tolist())
 
 
+def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
+    """Return the indices of the robots of each kind: of equal shape and rotation weight, so that they share a table."""
+    kinds = defaultdict(list)
+    for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
+        kinds[kind].append(i)
+    return kinds
+
+
 def build_lattices(problem: Problem, step: float, test: JointMotionTest) -> JointLattice:
-    """Build the lattices of all robots of a problem; robots of equal shape and rotation weight share one table.
+    """Build the lattices of all robots of a problem; robots of one kind share a table.
 
     Cells are at most ``step`` wide, in workspace units. A turn from a cell to the next one moves no point of a robot
     by more than ``step``, and is at most an eighth of a full turn.
     """
-    keys, kinds = list(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)), []
-    for robot, weight in dict.fromkeys(keys):
-        members = np.array([i for i, key in enumerate(keys) if key == (robot, weight)])
+    kinds = []
+    for (robot, weight), members in robot_kinds(problem).items():
         starts, goals = (q[members, : robot.dof] for q in (problem.starts, problem.goals))
         motions = cell_grid(problem.workspace, robot, weight, step, test.deadline)
-        kinds.append(motions.with_terminals(robot, members, starts, goals))
+        kinds.append(motions.with_terminals(robot, np.array(members), starts, goals))
     lattices = {i: Lattice(kind, row) for kind in kinds for row, i in enumerate(kind.members.tolist())}
-    return JointLattice(problem, step, kinds, [lattices[i] for i in range(len(keys))], test)
+    return JointLattice(problem, step, kinds, [lattices[i] for i in range(len(problem.robots))], test)
 
 
 def cell_grid(workspace: Workspace, robot: Robot, weight: float, step: float, deadline: float = math.inf) -> CellGrid:
