@@ -330,7 +330,7 @@ def num_configurations(workspace: Workspace, robot: Robot, step: float) -> float
 
 
 def robot_kinds(problem: Problem) -> dict[tuple[Robot, float], list[int]]:
-    """Return the indices of the robots of each kind: of equal shape and rotation weight, so that they share a table."""
+    """Return the indices of the robots of each kind, equal in shape and rotation weight: they share a table."""
     kinds = defaultdict(list)
     for i, kind in enumerate(zip(problem.robots, problem.rotation_weights.tolist(), strict=True)):
         kinds[kind].append(i)
