@@ -4,12 +4,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from plr_helpers import UNIT, points, walled
+from plr_helpers import LINEAR, UNIT, points, walled
 
 from plr_jax import VisibilityGraph, construct, scenes
 
 
-@pytest.fixture(scope="session", params=["plane", "continuous", "smooth"])
+@pytest.fixture(scope="session", params=LINEAR)
 def leaf(request):
     """The name of a leaf model."""
     return request.param

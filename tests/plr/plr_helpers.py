@@ -11,7 +11,8 @@ from plr_jax._types import Sources
 from plr_jax.geometry.box import Box
 from plr_jax.plr._file import DecodedFile
 from plr_jax.plr.leaf_faces import shared_faces
-from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves import leaf_model, leaf_names
+from plr_jax.plr.leaves.base import LinearLeafModel
 from plr_jax.plr.leaves.cone.codec import ConeFiles
 from plr_jax.plr.leaves.continuous import StoredValues, TiedPartition
 from plr_jax.plr.leaves.plane import encode_planes
@@ -20,6 +21,7 @@ from plr_jax.plr.tables import build_tables
 from plr_jax.plr.tree import Cells, tree_of, tree_of_axes
 
 UNIT = Box([0, 0], [1, 1])
+LINEAR = [name for name in leaf_names() if isinstance(leaf_model(name), LinearLeafModel)]  # all but cones
 
 
 def points(n, seed, dim=2):

@@ -16,6 +16,7 @@ from plr_jax.planners import sum_of_distances
 from plr_jax.plr import ConstructionInterrupted, certify, construct, from_bytes
 from plr_jax.plr._plr import plr_of_leaves
 from plr_jax.plr.certificate import Certificate, Proof
+from plr_jax.plr.leaves import leaf_names
 from plr_jax.plr.source_cache import SourceCache, distances_in_cells
 from plr_jax.plr.tree import Cells, grown_domain
 
@@ -58,7 +59,6 @@ def test_cells_below_a_very_thin_wall_keep_the_corner_of_their_paths():
         cells = cells.split(np.full(len(cells), axis))
 
 
-SMOOTH = pytest.param("smooth", marks=pytest.mark.full)
 TEN = ((0, 0), (10, 10))
 
 
@@ -106,7 +106,10 @@ def check_bounds(plr, oracle, n=10_000):
     return largest
 
 
-@pytest.fixture(scope="module", params=("plane", "continuous", SMOOTH, "cone"))
+SLOW = {"smooth": pytest.mark.full}
+
+
+@pytest.fixture(scope="module", params=[pytest.param(leaf, marks=SLOW.get(leaf, ())) for leaf in leaf_names()])
 def certified(request, maze):
     """A PLR of the maze with bounds of every leaf."""
     return construct(maze, UNIT, leaf=request.param, max_bytes=300, certified="leaves")

@@ -19,7 +19,7 @@ from plr_jax.plr import construct
 from plr_jax.plr._file import body_of_leaves
 from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.container import Layer
-from plr_jax.plr.leaves import leaf_model
+from plr_jax.plr.leaves import leaf_model, leaf_names
 from plr_jax.plr.leaves.cone import family, search
 from plr_jax.plr.leaves.cone.codec import StoredCones, StoredSources, read_cones, store_sources, write_cones
 from plr_jax.plr.tree import Cells, tree_of_axes
@@ -84,13 +84,14 @@ def test_mean_planes_equal_differences_of_cones(maze):
     np.testing.assert_allclose(cones.intercept + (cones.slope * center).sum(axis=1), cone(center), atol=1e-9)
 
 
-@pytest.mark.parametrize(("name", "terms"), [("cone", 3), ("plane", 3), ("continuous", 4), ("smooth", 16)])
-def test_bounds_of_cone_minus_leaf_hold(name, terms):
+@pytest.mark.parametrize("name", leaf_names())
+def test_bounds_of_cone_minus_leaf_hold(name):
     """Check the bounds at random points of convex pieces of the leaf's box."""
     leaf, rng = leaf_model(name), np.random.default_rng(3)
     pieces = random_pieces(rng, 60, 1.5)
     lo, hi = pieces.min(axis=2).T - rng.random((60, 2)), pieces.max(axis=2).T + rng.random((60, 2))
-    coefficients = rng.normal(size=(60, terms)) + (np.array([0, 5, 5]) if name == "cone" else 0)
+    num_terms = 3 if name == "cone" else leaf.basis(np.zeros((1, 2))).shape[1]
+    coefficients = rng.normal(size=(60, num_terms)) + (np.array([0, 5, 5]) if name == "cone" else 0)
     apex, offset = rng.uniform(0, 10, (60, 2)), rng.normal(size=60)
     apex[::4] = pieces.mean(axis=2).T[::4]
     low, high = leaf.cone_minus_leaf_bounds(lo, hi, coefficients, pieces, apex, offset)

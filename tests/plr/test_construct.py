@@ -14,6 +14,7 @@ from plr_jax.plr import Plane, best_axis, center_error, cyclic_axis, growth, lar
 from plr_jax.plr._construct import _models_to_try
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import ConstructionInterrupted, grow
+from plr_jax.plr.leaves import leaf_names
 from plr_jax.plr.leaves.base import check_limits
 from plr_jax.plr.sampling import Sampler, sample_pattern
 from plr_jax.plr.tree import Cells
@@ -161,7 +162,7 @@ CORNER = Workspace(((0, 0), (10, 10)), [[(0, 5), (5, 0), (5.3, 0), (0, 5.3)]])  
 
 
 @pytest.mark.parametrize("certified", [False, True])
-@pytest.mark.parametrize("leaf", ["plane", "continuous", "smooth", "cone"])
+@pytest.mark.parametrize("leaf", leaf_names())
 def test_points_that_cannot_reach_the_goal_answer_inf(leaf, certified):
     """Points within a 64th of the domain of others may answer a number."""
     oracle = VisibilityGraph(CORNER, (8, 8))

@@ -18,8 +18,8 @@ def test_attributes_describe_the_leaves(plr, leaf, x):
     assert plr.domain == UNIT and plr.dim == 2 and plr.leaf.name == leaf
     assert np.prod(hi - lo, axis=1).sum() == pytest.approx(1.0)
     assert plr.depth == round(-np.log2(np.prod(hi - lo, axis=1).min()))
-    of_leaves = 100 * {"plane": 12, "continuous": 24, "smooth": 72}[leaf]
-    assert plr.resident_bytes >= plr.tables.leaf_of_slot.nbytes + of_leaves
+    parameter_bytes = 100 * 4 * plr.leaf.num_leaf_parameters(2)
+    assert plr.resident_bytes >= plr.tables.leaf_of_slot.nbytes + parameter_bytes
     assert f"PLR('{leaf}', dim=2, num_leaves=100" in repr(plr)
     assert not plr.unreachable.all() and plr.num_unreachable == np.isinf(plr.intercept).sum()
     np.testing.assert_array_equal(plr.numpy().leaf(x), leaf_by_search(plr, x))

@@ -2,6 +2,7 @@
 
 import pickle
 from dataclasses import replace
+from itertools import cycle
 
 import jax
 import jax.numpy as jnp
@@ -13,12 +14,12 @@ from plr_helpers import UNIT, chain, leaf_by_position, random_partition, tables_
 
 from plr_jax import PLR, Box, Euclidean, VisibilityGraph, construct, scenes, stack
 from plr_jax.plr._stack import build_trie, trie_levels
+from plr_jax.plr.leaves import leaf_names
 from plr_jax.plr.query import find_row
 from plr_jax.plr.tree import Cells
 
 ROOM = scenes.maze().workspace
 GOALS = ((0.1, 0.1), (0.3, 0.9), (0.9, 0.6), (0.5, 0.05))
-MODELS = ("plane", "continuous", "smooth", "cone")
 INDEX = np.random.default_rng(0).integers(0, 4, 500)
 X = np.random.default_rng(0).uniform(-0.1, 1.1, (500, 2)).astype(np.float32)
 
@@ -34,8 +35,8 @@ def periodic(k):
 
 @pytest.fixture(scope="module")
 def mixed():
-    """PLRs of one goal, of four leaf models and sizes."""
-    return [built(leaf, GOALS[:1], n)[0] for leaf, n in zip(MODELS, (9, 30, 20, 60), strict=True)]
+    """PLRs of one goal, of all leaf models and of several sizes."""
+    return [built(leaf, GOALS[:1], n)[0] for leaf, n in zip(leaf_names(), cycle((9, 30, 20, 60)), strict=False)]
 
 
 def test_stack_equals_its_plrs(mixed):
