@@ -22,8 +22,10 @@ from plr_jax.geometry.vectors import arc, cross_product, left_normal, orientatio
 
 _COLLARS, _REGIONS = 256, 8  # strips, and unions of strips, that are united in one call
 # Most chords per quarter circle around corners of inflated obstacles: a path along them is 0.16 % too short. Fewer
-# suffice if a path around one corner is too short by at most this share of the longer side.
+# suffice if a path around one corner is too short by at most this share of the longer side. Tangents in their place
+# make paths twice as much too long; a tangent turns by at most this angle, so that it ends within 1.09 radii.
 _MOST_CHORDS, _SHORTENING = 8, 2e-5
+_LARGEST_TURN = np.pi / 4
 LARGEST_COORDINATE = 1e100  # below it, products of two areas do not overflow; above its inverse, no underflow
 _MEETING = 1e-12  # largest width, as a share of a ring's length, of a part where the ring crosses itself by rounding
 _COARSEST = 0.1  # largest tolerance of a workspace, as a share of its shorter side
@@ -173,8 +175,11 @@ def boxes_near(
     return ((x.min(axis=1) <= hi) & (x.max(axis=1) >= lo)).all(axis=1)
 
 
-def grown_boundary(boundary: Boundary, radius: float) -> Any:
-    """Return the part of a region within ``radius`` of its boundary, as a Shapely geometry; chords replace arcs."""
+def grown_boundary(boundary: Boundary, radius: float, outside: bool) -> Any:
+    """Return the part of a region within ``radius`` of its boundary, as a Shapely geometry.
+
+    Chords replace arcs around corners; if ``outside``, tangents do.
+    """
     offset = radius * boundary.normal
     strips = np.concatenate([boundary.segments, boundary.segments[:, ::-1] + offset[:, None]], axis=1)
     edge_of = {tuple(edge): i for i, edge in enumerate(boundary.edges.tolist())}
@@ -183,14 +188,15 @@ def grown_boundary(boundary: Boundary, radius: float) -> Any:
     # ``k`` chords are shorter than their arc by about ``radius * turn**3 / (24 * k**2)``.
     turn, side = turn_between(offset, offset[arriving]), np.ptp(boundary.vertices, axis=0).max()
     most, needed = _MOST_CHORDS * turn / (np.pi / 2), np.sqrt(radius * turn**3 / (24 * _SHORTENING * side))
-    num_chords = np.maximum(1, np.ceil(np.minimum(most, needed) - 1e-9)).astype(int)
+    least = np.maximum(1, outside * turn / _LARGEST_TURN)
+    num_chords = np.ceil(np.maximum(least, np.minimum(most, needed)) - 1e-9).astype(int)
     regions = []
     # Edges of one ring are consecutive, so most neighbors are united early.
     for begin in range(0, len(strips), _COLLARS):
         collars = np.asarray(shapely.polygons(strips[begin : begin + _COLLARS])).tolist()
         for edge in begin + np.flatnonzero(is_reflex[begin : begin + _COLLARS]):
             corner = boundary.vertices[boundary.edges[edge, 0]]
-            rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge])
+            rim = arc(corner, offset[edge], offset[arriving[edge]], num_chords[edge], outside)
             collars.append(shapely.polygons(np.vstack([corner, rim])))
         regions.append(shapely.union_all(collars))
     while len(regions) > 1:

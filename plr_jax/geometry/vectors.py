@@ -75,9 +75,18 @@ def turn_between(u: Float[np.ndarray, "*#batch 2"], v: Float[np.ndarray, "*#batc
     return np.asarray(np.arctan2(cross_product(u, v), (u * v).sum(axis=-1)) % (2 * np.pi))
 
 
-def arc(center: Vector, start: Vector, end: Vector, num_chords: int | np.integer) -> Float[np.ndarray, "points 2"]:
-    """Return the ends of equal chords of the arc, counterclockwise, from ``center + start`` to ``center + end``."""
-    angle = np.linspace(0.0, turn_between(start, end), num_chords + 1)
+def arc(
+    center: Vector, start: Vector, end: Vector, num_chords: int | np.integer, outside: bool = False
+) -> Float[np.ndarray, "points 2"]:
+    """Return the ends of equal chords of the arc, counterclockwise, from ``center + start`` to ``center + end``.
+
+    If ``outside``, return the corners of the polyline of the tangents at these points.
+    """
+    turn = turn_between(start, end)
+    angle = np.linspace(0.0, turn, num_chords + 1)
     points = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * turned_left(start)
     points[-1] = end
+    if outside:  # the tangents at the ends of a chord meet above its middle
+        corners = (points[:-1] + points[1:]) / (1 + np.cos(turn / num_chords))
+        points = np.concatenate([start[None], corners, end[None]])
     return center + points

@@ -309,19 +309,25 @@ class Workspace:
             visible[moving] = mesh.are_joined(mesh.place(a[moving]), mesh.place(b[moving]), tolerance, self.squeeze)
         return visible
 
-    def inflate(self, radius: float) -> "Workspace":
+    def inflate(self, radius: float, outside: bool = False) -> "Workspace":
         """Return the workspace of a disc's center: obstacles grown, and bounds shrunk, by its radius.
 
-        Rounded corners become inscribed polygons: a path around one corner is too short by at most 0.16 % of the arc,
-        or 2e-5 of the longer side of free space if that is more. A straight passage exactly as wide as the disc is
-        closed; a passage between corners, even if a little narrower, may stay open. ``ValueError`` if the radius is
-        negative or not finite, or nothing stays free.
+        By default, round corners become polygons inside their arcs, so that distances are lower bounds. A path around
+        one corner is too short by at most 0.16 % of the arc, or 2e-5 of the longer side of free space if that is
+        more. A passage between corners, even if a little narrower than the disc, may stay open.
+
+        If ``outside``, round corners become polygons around their arcs, so that paths in the workspace keep the
+        radius from all obstacles, up to rounding: they are too long by at most twice as much. A corner may keep paths
+        at up to 1.09 radii, so a passage between corners that is hardly wider than the disc may be closed.
+
+        A straight passage exactly as wide as the disc is closed. ``ValueError`` if the radius is negative or not
+        finite, or nothing stays free.
         """
         if as_finite("radius", radius) == 0:
             return self
         if (self.bounds.width <= 2 * radius).any():
             raise ValueError(f"Inflating by {radius:g} leaves no free space in {self.bounds}; use a smaller radius.")
-        grown = grown_boundary(self.boundary, radius)
+        grown = grown_boundary(self.boundary, radius, as_bool("outside", outside))
         free = shapely.difference(self.free_space, grown)
         if shapely.area(free) == 0:
             raise ValueError(f"Inflating by {radius:g} leaves no free space; use a smaller radius.")

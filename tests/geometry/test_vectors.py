@@ -33,6 +33,11 @@ def test_arc_points_lie_on_the_circle():
     np.testing.assert_allclose(np.linalg.norm(points - center, axis=1), 0.5)
     chord = np.linalg.norm(np.diff(points, axis=0), axis=1)
     np.testing.assert_allclose(chord, 2 * 0.5 * math.sin(math.pi / 16))
+    corners = arc(center, start, end, 12, outside=True)
+    assert len(corners) == 2 + 12
+    np.testing.assert_array_equal(corners[[0, -1]], points[[0, -1]])
+    np.testing.assert_allclose(corners[1:-2] + corners[2:-1], 2 * points[1:-1])  # each tangent touches in its middle
+    np.testing.assert_allclose(np.linalg.norm(corners[1:-1] - center, axis=1), 0.5 / math.cos(math.pi / 16))
 
 
 def test_turns_are_measured_counterclockwise():

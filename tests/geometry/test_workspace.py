@@ -1,5 +1,6 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 
 import numpy as np
 import pytest
@@ -127,15 +128,16 @@ def test_gap_closed_by_rounding_is_no_obstacle():
     assert Workspace(workspace.bounds, workspace.obstacles).free_space.equals(workspace.free_space)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_inflated_free_space_is_bounded_by_clearance(seed):
+@pytest.mark.parametrize(("seed", "outside"), [*product(SEEDS, (False, True))])
+def test_inflated_free_space_is_bounded_by_clearance(seed, outside):
     radius, workspace = 0.05 + 0.2 * (seed % 6), general_workspace(np.random.default_rng(seed))
-    inflated = workspace.inflate(radius)
+    inflated = workspace.inflate(radius, outside)
     assert inflated.bounds == Box((radius, radius), 10 - np.array([radius, radius]))
     y = workspace.sample_free(300, seed)
     clearance, free = workspace.clearance(y), inflated.is_free(y)
-    assert free[clearance >= radius + 1e-9].all()
-    assert not free[clearance < radius * math.cos(math.pi / 32) - 1e-9].any()
+    least, most = (1, 1.09) if outside else (math.cos(math.pi / 32), 1)
+    assert free[clearance >= most * radius + 1e-9].all()
+    assert not free[clearance < least * radius - 1e-9].any()
 
 
 def test_inflate_keeps_squeeze():
