@@ -23,20 +23,25 @@ def bounds_of_pieces(visible: CellSources, piece: Int[np.ndarray, " n"], cones_a
     """Return lower and upper bounds of (distance to the goal - leaf function) over convex pieces of free space.
 
     ``visible`` has the *sources* of each piece: corners (or the goal) to which shortest paths from the piece go
-    first. A source's cone is its distance to the goal plus ``|x - source|``. The distance is at least the least cone,
-    and at most the cone of any source that the whole piece sees. If there is no such source, the distance at ``x`` is
-    at most the distance at the piece's center plus the straight line from ``x`` to the center.
+    first; every piece has at least one. A source's cone is its distance to the goal plus ``|x - source|``. The
+    distance is at least the least cone, and at most the cone of any source that the whole piece sees. If there is no
+    such source, the distance at ``x`` is at most the distance at the piece's center plus the straight line from ``x``
+    to the center.
+
+    Row ``i`` of the result is for ``piece[i]``. ``cones_above`` gets these rows, to find the pieces' leaves.
     """
     if not len(piece):
         return np.zeros(0), np.zeros(0)
+    # 1. Bound (cone - leaf function) over the piece of each pair (piece, source). Pairs of a piece are consecutive.
     pairs, row = take_ragged(visible.first_pair, piece)
-    source, sources = visible.source[pairs], visible.sources
-    lowest, highest = cones_above(
-        visible.pieces[:, piece[row]], sources.points[source], sources.distances[source], row
-    )
-    first = np.flatnonzero(np.append(True, row[1:] != row[:-1]))
-    lower = np.minimum.reduceat(lowest, first)
-    upper = np.minimum.reduceat(np.where(visible.by_all[pairs], highest, np.inf), first)
+    source = visible.source[pairs]
+    apex, offset = visible.sources.points[source], visible.sources.distances[source]
+    lowest, highest = cones_above(visible.pieces[:, piece[row]], apex, offset, row)
+    # 2. The lower bound is the least of all sources; the upper bound, of the sources that the whole piece sees.
+    first_pair = np.flatnonzero(np.append(True, row[1:] != row[:-1]))
+    lower = np.minimum.reduceat(lowest, first_pair)
+    upper = np.minimum.reduceat(np.where(visible.by_all[pairs], highest, np.inf), first_pair)
+    # 3. Without such a source, the piece's center takes the place of a source.
     unseen = np.flatnonzero(np.isinf(upper))
     if len(unseen):
         rows = piece[unseen]
@@ -54,9 +59,12 @@ class LeafFunctions:
     coefficients: Float[np.ndarray, "leaves terms"]
 
     def values(self, leaf: Int[np.ndarray, " n"], x: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:
+        """Return the function of leaf ``leaf[i]`` at point ``x[i]``."""
         return self.model.values(self.lo[leaf], self.hi[leaf], self.coefficients[leaf], x)
 
     def bounds_of_pieces(self, visible: CellSources, leaf: Int[np.ndarray, " n"]) -> Bounds:
+        """Return bounds of (distance - leaf function) over each piece; ``leaf`` has the leaf of each piece."""
+
         def cones_above(pieces: Any, apex: Any, offset: Any, row: Any) -> Any:
             rows = leaf[row]
             functions = self.lo[rows], self.hi[rows], self.coefficients[rows]
@@ -65,20 +73,22 @@ class LeafFunctions:
         return bounds_of_pieces(visible, np.arange(len(leaf)), cones_above)
 
     def largest_errors(self, visible: CellSources) -> Float[np.ndarray, " leaves"]:
+        """Return an upper bound of ``|distance - leaf function|`` in each leaf, to within ``visible.slack``."""
         lower, upper = self.bounds_of_pieces(visible, visible.cell)
         errors = np.zeros(visible.num_cells)
         np.maximum.at(errors, visible.cell, np.maximum(-lower, upper))
         return errors
 
 
-# Most rounds in which pieces of a leaf are halved, and most pieces in a round; more would only tighten bounds.
-_MOST_ROUNDS, _MOST_PIECES = 48, 1 << 19
+# Limits of branch and bound: more rounds or pieces would only tighten bounds.
+_MOST_ROUNDS = 48  # most rounds in which pieces of a leaf are halved
+_MOST_PIECES = 1 << 19  # most pieces that one round may halve
 Errors: TypeAlias = Float[np.ndarray, " leaves"]
 SufficientFn: TypeAlias = Callable[[Errors, Errors, bool], tuple[Errors, Errors]]
 """Function ``sufficient(least, most, recompute)``: returns lower and upper bounds of errors that are tight enough.
 
-``least`` and ``most`` are the smallest and the largest error met at points of each leaf. If ``recompute`` is False,
-the function may return about the same bounds as in the call before.
+``least`` and ``most`` are the smallest and the largest error met at points of each leaf, so ``least <= 0 <= most``.
+If ``recompute`` is False, the function may return about the same bounds as in the call before.
 """
 Codes: TypeAlias = Integer[np.ndarray, "2 leaves"]
 """8-bit logarithms of each leaf's lower and upper bound, as in a file."""
@@ -98,25 +108,36 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
     Convex pieces of the leaves' free space are halved until their bounds are as tight as ``sufficient`` demands. The
     bounds include ``visible.slack``, the uncertainty of distances.
     """
-    num_leaves, slack, leaf = visible.num_cells, visible.slack, visible.cell
-    lower, upper = np.zeros(num_leaves), np.zeros(num_leaves)
-    least, most = np.zeros(num_leaves), np.zeros(num_leaves)  # attained errors
-    aside: list[tuple[Any, ...]] = []
-    rounds, below, above = np.zeros(num_leaves, np.int64), np.zeros(0), np.zeros(0)
+    # Each leaf has an interval [least, most] of *attained* errors (distance - function), and each piece an interval
+    # [below, above] that encloses its errors. Branch and bound closes the gap between both:
+    #
+    #      low      least      0         most     high           of the leaf
+    #   ----|---------[========|===========]-------|-----
+    #         [ below ... above ]                         tight enough: within [low, high]
+    #    [ below ... above ]                              open: is halved
+    #
+    # Distances are known to `slack` only. So bounds are widened by `slack` at the end, and bounds within
+    # [least - slack, most + slack] are tight enough.
+    slack = visible.slack
+    leaf = visible.cell  # of each piece of this round
+    lower, upper, least, most = np.zeros((4, visible.num_cells))
+    rounds = np.zeros(visible.num_cells, np.int64)  # in which pieces of each leaf were halved
+    aside: list[tuple[Any, ...]] = []  # pieces of earlier rounds that may become open: (visible, leaf, below, above)
 
     def open_pieces(recompute: bool) -> Bool[np.ndarray, " pieces"]:
         low, high = sufficient(least - slack, most + slack, recompute)
-        low, high = np.minimum(low + slack, least - slack), np.maximum(high - slack, most + slack)
+        low = np.minimum(low + slack, least - slack)
+        high = np.maximum(high - slack, most + slack)
         return ((below < low[leaf]) | (above > high[leaf])) & (rounds[leaf] < _MOST_ROUNDS)
 
     while True:
-        # 1. Bound the errors of pieces. Attained errors are those at centers. If all of a piece sees all its sources,
-        #    its distance is the least of their cones: then errors at corners are attained, and exact lower bounds; of
-        #    a single source, exact upper bounds too.
+        # 1. Bound the errors of pieces. Errors at their centers are attained.
         attained = visible.distance - functions.values(leaf, visible.center)
         np.minimum.at(least, leaf, attained)
         np.maximum.at(most, leaf, attained)
         below, above = functions.bounds_of_pieces(visible, leaf)
+        # 2. A piece is clear if all of it sees all its sources: its distance is the least of their cones. Then exact
+        #    lower bounds are attained; of a single source, exact upper bounds too.
         num_sources = np.diff(visible.first_pair)
         is_clear = np.bincount(visible.piece, visible.by_all, len(leaf)) == num_sources
         if functions.model.has_exact_cone_bounds:
@@ -124,54 +145,66 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
             np.minimum.at(least, leaf[is_clear], below[is_clear])
             np.maximum.at(most, leaf[is_single], above[is_single])
             is_clear &= ~is_single
+        # 3. Errors at corners of the other clear pieces are attained: `x` has one corner of each.
         rows = np.flatnonzero(is_clear)
         if len(rows):
             pairs, piece = take_ragged(visible.first_pair, rows)
-            source, first = visible.source[pairs], np.cumsum(num_sources[rows]) - num_sources[rows]
+            source = visible.source[pairs]
+            first_pair = np.cumsum(num_sources[rows]) - num_sources[rows]
             for x in visible.pieces[:, rows].transpose(2, 1, 0):
-                legs = np.linalg.norm(x[piece] - visible.sources.points[source], axis=1)
-                distance = np.minimum.reduceat(visible.sources.distances[source] + legs, first)
+                to_source = np.linalg.norm(x[piece] - visible.sources.points[source], axis=1)
+                distance = np.minimum.reduceat(visible.sources.distances[source] + to_source, first_pair)
                 attained = distance - functions.values(leaf[rows], x)
                 np.minimum.at(least, leaf[rows], attained)
                 np.maximum.at(most, leaf[rows], attained)
-        # 2. Halve the pieces whose bounds are not tight enough. If there are none, test the pieces of earlier rounds
-        #    again, since attained errors have changed.
+        # 4. Find the pieces whose bounds are not tight enough. If there are none, take back the pieces of earlier
+        #    rounds and test them again, since attained errors have changed.
         is_open = open_pieces(not rounds.any())
         if rounds.any() and not is_open.any():
             several, leaves, *bounds = zip(*aside, (visible, leaf, below, above), strict=True)
-            visible, leaf, aside = several[0].append(*several[1:]), np.concatenate(leaves), []
+            visible = several[0].append(*several[1:])
+            leaf = np.concatenate(leaves)
             below, above = map(np.concatenate, bounds)
+            aside = []
             is_open = open_pieces(True)
         if not 0 < np.count_nonzero(is_open) <= _MOST_PIECES:
             break
+        # 5. Halve the open pieces. The others count at once if attained errors enclose their bounds, so that they can
+        #    never be open; else they are put aside.
         rounds[np.unique(leaf[is_open])] += 1
         is_final = (below >= least[leaf] - slack) & (above <= most[leaf] + slack)
-        pending = np.flatnonzero(~is_open & ~is_final)
-        aside.append((visible.of_pieces(pending), leaf[pending], below[pending], above[pending]))
         np.minimum.at(lower, leaf[is_final], below[is_final])
         np.maximum.at(upper, leaf[is_final], above[is_final])
+        rows = np.flatnonzero(~is_open & ~is_final)
+        aside.append((visible.of_pieces(rows), leaf[rows], below[rows], above[rows]))
         visible = _halve_pieces(visible, np.flatnonzero(is_open))
         leaf = leaf[is_open][visible.cell // 2]
-    for _, of_leaf, *bounds in (*aside, (visible, leaf, below, above)):
-        np.minimum.at(lower, of_leaf, bounds[0])
-        np.maximum.at(upper, of_leaf, bounds[1])
+    # 6. A leaf's bounds enclose the bounds of all its pieces.
+    for _, of_leaf, low, high in (*aside, (visible, leaf, below, above)):
+        np.minimum.at(lower, of_leaf, low)
+        np.maximum.at(upper, of_leaf, high)
     return LeafBounds(lower - slack, upper + slack)
 
 
 def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellSources:
-    parent, is_upper = np.repeat(np.arange(len(piece)), 2), np.tile([False, True], len(piece))
+    """Cut the given pieces across the longest axis of their bounding boxes, in the middle.
+
+    In the result, the lower and the upper half of ``piece[i]`` are cells ``2 * i`` and ``2 * i + 1``.
+    """
+    parent = np.repeat(np.arange(len(piece)), 2)
+    is_upper = np.tile([False, True], len(piece))
     lo, hi = (extreme(visible.pieces[:, piece], axis=2).T[parent] for extreme in (np.min, np.max))
-    axis, row = np.argmax(hi - lo, axis=1), np.arange(len(parent))
+    axis = np.argmax(hi - lo, axis=1)
+    row = np.arange(len(parent))
     middle = (lo + hi)[row, axis] / 2
-    # The halves of ``piece[i]`` become cells ``2 * i`` and ``2 * i + 1``.
     lo[row[is_upper], axis[is_upper]] = middle[is_upper]
     hi[row[~is_upper], axis[~is_upper]] = middle[~is_upper]
     return visible.pieces_as_cells(piece).parts(parent, axis, is_upper, lo, hi)
 
 
-_COUNT_BITS = 4
-_BITS_OF_SET = 37  # the least bits of a set; of the last class, none is written
-_BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # bounds of a class, and its set
+_COUNT_BITS = 4  # bits of the number of classes less one
+_BITS_OF_SET = 37  # least bits of a set with members: its size and the order of its code; the last class has no set
+_BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # two codes of bounds, and a set
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
 
 
@@ -179,14 +212,18 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], vo
     """Group leaves into classes that share error bounds, so that these take at most ``max_bits`` bits in a file.
 
     ``codes`` encodes each leaf's own lower and upper bound; ``bound_of_code[i]`` is the bound that code ``i`` means.
-    ``volume`` has the leaves' volumes, by which loose bounds count. Return the codes of each leaf's shared bounds.
+    ``volume`` has the leaves' volumes, the weights of the widths of their bounds. Return the codes of each leaf's
+    shared bounds.
     """
-    # A class has the leaves whose larger code is in one range. Dynamic programming finds the ranges of least width
-    # between bounds plus a price per bit; bisection finds the lowest price at which the classes fit.
+    # A leaf's rank is the rank of the larger of its two codes. A class has all leaves of consecutive ranks. Dynamic
+    # programming finds the classes of least sum of weighted widths plus a price per bit; bisection finds the lowest
+    # price at which the classes fit.
+    # 1. For each range of ranks: codes of the shared bounds, total width of the leaves' bounds, and bits in a file.
     rank, rank_of = np.unique(codes.max(axis=0), return_inverse=True)
     num_ranks = len(rank)
 
     def of_ranges(of_rank: Shaped[np.ndarray, " ranks"], fold: np.ufunc) -> Shaped[np.ndarray, "ranks ranks"]:
+        # Entry [i, j] folds ranks i to j. Zeros before rank i change neither sums nor maxima of values >= 0.
         return fold.accumulate(np.triu(np.broadcast_to(of_rank, (num_ranks, num_ranks))), axis=1)
 
     highest = np.zeros((2, num_ranks), codes.dtype)
@@ -197,24 +234,31 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], vo
     members = of_ranges(np.bincount(rank_of).astype(float), np.add)
     # A set of m of n leaves takes about m log2(n / m) bits.
     bits = members * np.log2(codes.shape[1] / np.maximum(members, 1.0)) + _BITS_A_CLASS
-    width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)
+    width, bits = np.ascontiguousarray(width.T), np.ascontiguousarray(bits.T)  # from now on [last rank, first rank]
 
+    # 2. Dynamic programming over the last rank.
     def best_classes(price: float) -> Codes:
         # least[k] is the least cost of classes of the k lowest ranks: over all begins of the last class, the least of
-        #   least[begin] + cost of a class of ranks begin to k - 1;     first[k - 1] is this begin.
-        costs, least, first = width + price * bits, np.zeros(num_ranks + 1), []
+        #   least[begin] + cost of a class of ranks begin to k - 1;     first_rank[k - 1] is this begin.
+        costs = width + price * bits
+        least = np.zeros(num_ranks + 1)
+        first_rank = []
         for last in range(num_ranks):
             costs_to = least[: last + 1] + costs[last, : last + 1]
-            first.append(costs_to.argmin())
-            least[last + 1] = costs_to[first[-1]]
-        best, end = np.empty_like(highest), num_ranks
+            first_rank.append(costs_to.argmin())
+            least[last + 1] = costs_to[first_rank[-1]]
+        # Walk back from the class of the highest rank.
+        best = np.empty_like(highest)
+        end = num_ranks
         while end:
-            start = first[end - 1]
+            start = first_rank[end - 1]
             best[:, start:end] = of_class[:, start, end - 1, None]
             end = start
         return best[:, rank_of]
 
-    shared, low, high = np.broadcast_to(of_class[:, :1, -1], codes.shape), 0, len(_PRICES)
+    # 3. Bisection: of the falling prices, find the last one at which classes fit. Without one, all leaves are a class.
+    shared = np.broadcast_to(of_class[:, :1, -1], codes.shape)
+    low, high = 0, len(_PRICES)
     while low < high:
         middle = (low + high) // 2
         classes = best_classes(_PRICES[middle] * width[-1, 0])
@@ -228,15 +272,19 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], vo
 def requantize_bounds(
     codes: Codes, classes: Integer[np.ndarray, "2 classes"], bound_of_code: Float[np.ndarray, " codes"], max_bits: int
 ) -> Codes | None:
-    # Widen each leaf's bounds to the narrowest pair in ``classes`` that contains them.
+    """Widen each leaf's bounds to the narrowest pair in ``classes`` that contains them.
+
+    Return the codes of the widened bounds; None if a leaf's bounds are in no pair, or the result takes too many bits.
+    """
     classes = classes[:, np.argsort(bound_of_code[classes].sum(axis=0), kind="stable")]
-    holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)
-    shared = classes[:, holds.argmax(axis=0)]
+    holds = (codes[:, None, :] <= classes[:, :, None]).all(axis=0)  # (classes, leaves)
+    shared = classes[:, holds.argmax(axis=0)]  # the first class that holds, which is the narrowest
     return shared if holds.any(axis=0).all() and _fits(shared, max_bits) else None
 
 
 def _fits(codes: Codes, max_bits: int) -> bool:
     """Return whether shared bounds take at most ``max_bits`` bits in a file."""
+    # First a cheap test, by the least size of the classes' sets.
     num_classes = distinct_classes(codes).shape[1]
     if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
         return False
@@ -248,8 +296,9 @@ def _fits(codes: Codes, max_bits: int) -> bool:
 def write_classes(body: BitWriter, codes: Codes) -> None:
     """Write each leaf's pair of error bounds: first all distinct pairs, then the index of each leaf's pair."""
     key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
-    classes, order = np.stack(np.divmod(key, 1 << _CODE_BITS)), np.argsort(-size, kind="stable")
-    place = np.argsort(order)[class_of]
+    classes = np.stack(np.divmod(key, 1 << _CODE_BITS))
+    order = np.argsort(-size, kind="stable")  # the largest class first, so that later sets are small
+    place = np.argsort(order)[class_of]  # of each leaf's class in this order
     body.write(np.array([len(order) - 1]), _COUNT_BITS).write(classes[:, order].ravel(), _CODE_BITS)
     for index in range(len(order) - 1):
         body.write_set(place > index)
@@ -257,6 +306,7 @@ def write_classes(body: BitWriter, codes: Codes) -> None:
 
 
 def distinct_classes(codes: Codes) -> Integer[np.ndarray, "2 classes"]:
+    """Return the distinct columns of ``codes``, sorted by lower, then by upper code."""
     return codes[:, np.unique(_class_keys(codes), return_index=True)[1]]
 
 
@@ -266,21 +316,29 @@ def _class_keys(codes: Codes) -> Int[np.ndarray, " leaves"]:
 
 
 def read_classes(body: BitReader, num_leaves: int) -> Int[np.ndarray, "2 leaves"]:
-    """Decode each leaf's codes: the classes' codes, then for each class which leaves are in a later one."""
+    """Decode the pair of codes (lower, upper) of each leaf.
+
+    The file lists all distinct pairs (classes), then, for each class in turn, which of the remaining leaves belong to
+    a later class.
+    """
     count = int(body.read_fixed_width(1, _COUNT_BITS)[0]) + 1
     classes = body.read_fixed_width(2 * count, _CODE_BITS).reshape(2, count)
-    place, leaf = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
+    place = np.zeros(num_leaves, np.int64)  # of each leaf's class
+    leaf = np.arange(num_leaves)  # leaves that are in no earlier class
     for _ in range(count - 1):
         leaf = leaf[body.read_set(len(leaf))]
         place[leaf] += 1
     return classes[:, place]
 
 
-_CODE_BITS, _MOST, _CODES_A_DOUBLING = 8, 255, 12
-_A_CODE = 2.0 ** (1 / _CODES_A_DOUBLING)
-_MAX_ERROR_BITS = 32
-# Classes get one bit for each 16 bytes of leaves; with fewer than 80 bits there are none.
-_BYTES_A_BIT, _LEAST_BITS = 16, 80
+# Code c stands for the bound  scale * 2**((c - 255) / 12),  rounded up: the largest code is the scale itself.
+_CODE_BITS = 8
+_MOST = 255  # largest code
+_CODES_A_DOUBLING = 12
+_A_CODE = 2.0 ** (1 / _CODES_A_DOUBLING)  # ratio of the bounds of consecutive codes
+_MAX_ERROR_BITS = 32  # the scale, a 32-bit float
+_BYTES_A_BIT = 16  # classes get one bit for this many bytes of leaves
+_LEAST_BITS = 80  # with fewer bits there are no classes
 
 
 class Proof(IntEnum):
@@ -298,12 +356,13 @@ class Proof(IntEnum):
         return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
 
 
-# Bounds are tight enough if they exceed attained errors by this share of the range of a leaf's errors, clipped to
-# these shares of the largest error of all leaves.
+# Bounds are tight enough if they exceed attained errors by
+#   _OF_RANGE * range of the leaf's errors,  clipped to _LEAST_OF_LARGEST ... _MOST_OF_LARGEST * largest error of all.
 _OF_RANGE = 0.04
-_LEAST_OF_LARGEST, _MOST_OF_LARGEST = 1e-4, 5e-3
+_LEAST_OF_LARGEST = 1e-4
+_MOST_OF_LARGEST = 5e-3
+_SPARE_OF_CLASS = 1e-5  # for classes, this share of the scale instead, since few leaves determine their bounds
 MOST_GOALS = 64  # most goals of a file to which straight lines give lower bounds: queries compare all of them
-_SPARE_OF_CLASS = 1e-5  # this share of the scale for classes of leaves, whose bounds few leaves determine
 
 
 def _room_for_classes(num_bytes: int) -> int:
@@ -330,6 +389,7 @@ class StraightBound:
 
     @property
     def numbers(self) -> Float[np.ndarray, " _"]:
+        """The numbers in a file; a negative first one is minus the number of goals, then come the axes' groups."""
         header = [] if self.is_simple else [-len(self.goals), *self.groups.argmax(axis=0)]
         return np.concatenate([header, self.goals.ravel(), self.rates, [self.margin]])
 
@@ -339,12 +399,15 @@ class StraightBound:
 
     @staticmethod
     def read(body: BitReader, dim: int) -> "StraightBound":
+        """Decode :attr:`numbers`; ``ValueError`` if they are no such bound."""
+        # 1. The header, if any: number of goals, and group of each axis.
         first, num, group = body.read_floats(1), 1, np.zeros(dim)
         is_simple = not first[0] < 0  # else it is the number of goals, and no coordinate
         if not is_simple:
             num, group, first = -first[0], body.read_floats(dim), first[:0]
         if num not in range(1, MOST_GOALS + 1) or not np.isin(group, np.arange(dim)).all():
             raise ValueError("it states straight lines to a wrong number of goals, or with wrong groups of axes")
+        # 2. Coordinates of the goals, rates of the groups, and the margin; the first number may be read already.
         size, count = int(num) * dim, int(group.max()) + 1
         numbers = np.append(first, body.read_floats(size + count + 1 - len(first)))
         if not (np.isfinite(numbers).all() and (numbers[size:] >= 0).all()):
@@ -376,17 +439,22 @@ class Certificate:
         each leaf, and take 1/128 of ``num_bytes``, the size of all leaves in a file. Shared bounds of an earlier
         certificate ``before`` are used again if they suffice.
         """
-        lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
+        # 1. Lengths of the intervals below and above the leaf's function, and a scale that is at least all of them.
+        lower = np.maximum(rounding - bounds.lower, 0.0)
+        upper = np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
         largest = max(lower.max(), upper[~is_open].max(initial=0.0), np.finfo(np.float32).tiny)
         if proof is Proof.OPEN_LEAVES:
             largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # reserves the largest code for open leaves
         scale = float(np.nextafter(np.float32(largest), np.float32(np.inf)))
+        # 2. Without room for classes, the scale is the bound of all leaves.
         if proof is Proof.CLASSES and not (room := _room_for_classes(num_bytes)):
             return Certificate(scale, None, proof)
         codes = np.stack([_encode_bounds(lower, scale), _encode_bounds(np.where(is_open, scale, upper), scale)])
+        # 3. Let leaves share codes: the classes of `before` if its scale still fits, else new ones.
         if proof is Proof.CLASSES:
-            factor, shared = _decode_bounds(np.arange(_MOST + 1), 1.0), None
+            factor = _decode_bounds(np.arange(_MOST + 1), 1.0)
+            shared = None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
                 of_scale = np.stack([_encode_bounds(lower, before.scale), _encode_bounds(upper, before.scale)])
                 shared = requantize_bounds(of_scale, distinct_classes(before.codes), factor, room)
@@ -411,24 +479,28 @@ class Certificate:
 
     @cached_property
     def _classes(self) -> Float[np.ndarray, "2 classes"]:
+        """Bounds (lower, upper row) of the distinct classes, the narrowest first."""
         bounds = self.bounds() if self.codes is None else replace(self, codes=distinct_classes(self.codes)).bounds()
         return bounds[:, np.argsort(bounds[1] - bounds[0], kind="stable")]
 
     def sufficient_bounds(self, least: Errors, most: Errors, rounding: Errors) -> tuple[Errors, Errors]:
         """Return bounds of errors such that tighter ones would hardly change the file, given attained errors.
 
-        ``least`` and ``most`` are errors that the leaves attain, so bounds cannot be tighter.
+        ``least`` and ``most`` are errors that the leaves attain, so bounds cannot be tighter. ``rounding`` is as for
+        :meth:`of`, by which bounds are widened before they are encoded.
         """
         if self.proof is not Proof.CLASSES:
             largest = max(most.max(initial=0.0), -least.min(initial=0.0))
             spare = np.clip(_OF_RANGE * (most - least), _LEAST_OF_LARGEST * largest, _MOST_OF_LARGEST * largest)
             return least - spare, most + spare
+        # All bounds within the narrowest class that holds a leaf's attained errors encode to this class.
         spare = _SPARE_OF_CLASS * self.scale
         least, most = least - spare, most + spare
         lower, upper = self._classes
         holds = (least + spare - rounding >= lower[:, None]) & (most - spare + rounding <= upper[:, None])
-        place, is_held = holds.argmax(axis=0), holds.any(axis=0)
-        low, high = (np.where(is_held, bounds[place], 0.0) for bounds in (lower, upper))
+        narrowest = holds.argmax(axis=0)
+        is_held = holds.any(axis=0)
+        low, high = (np.where(is_held, bounds[narrowest], 0.0) for bounds in (lower, upper))
         return np.minimum(least, low + rounding), np.maximum(most, high - rounding)
 
 
@@ -439,6 +511,7 @@ def write_proof(body: BitWriter, certificate: Certificate | None, straight: Stra
             return Proof.NONE
         body.write_floats(np.append(np.inf, straight.numbers))
         return Proof.CLASSES
+    # The sign of the scale tells whether classes or a straight-line bound follow.
     proof, codes = certificate.proof, certificate.codes
     classes = codes if proof is Proof.CLASSES else None
     has_more = classes is not None or straight is not None
@@ -474,11 +547,13 @@ def read_proof(
 
 
 def _decode_bounds(code: Integer[np.ndarray, "*n"], scale: float) -> Float[np.ndarray, "*n"]:
+    # The exact bound, rounded to 32 bits and then to the next larger number.
     exact = scale * 2.0 ** ((code.astype(np.float64) - _MOST) / _CODES_A_DOUBLING)
     return np.nextafter(exact.astype(np.float32), np.float32(np.inf)).astype(np.float64)
 
 
 def _encode_bounds(bound: Float[np.ndarray, " leaves"], scale: float) -> UInt8[np.ndarray, " leaves"]:
+    # Codes whose bounds are at least ``bound``, from 0 to ``scale``: the least ones, but for rounding.
     with np.errstate(divide="ignore"):
         code = np.ceil(_MOST + _CODES_A_DOUBLING * np.log2(bound / scale))
     code = np.clip(code, 0, _MOST).astype(np.uint8)
