@@ -256,7 +256,7 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], vo
             end = start
         return best[:, rank_of]
 
-    # 3. Bisection: of the falling prices, find the last one at which classes fit. Without one, all leaves are a class.
+    # 3. Bisection: of the falling prices, find the last one at which classes fit. If none does, there is one class.
     shared = np.broadcast_to(of_class[:, :1, -1], codes.shape)
     low, high = 0, len(_PRICES)
     while low < high:

@@ -1,7 +1,8 @@
 """Grow the partition of a PLR by splitting its worst leaves (Algorithm 1 of the paper), within the user's limits.
 
 Each round splits many leaves at once; splits beyond the limits are undone at the end, so that the tree is the same as
-if a priority queue split one leaf at a time. A byte budget also determines the number of bits of each coefficient.
+if a priority queue split one leaf at a time (:func:`split_order` tells why). A byte budget also determines the number
+of bits of each coefficient.
 """
 
 import os
@@ -105,17 +106,21 @@ class Nodes(Rows):
 
     cells: Cells
     coefficients: Float[np.ndarray, "nodes terms"]
-    error: Float[np.ndarray, " nodes"]  # weighted mean absolute error over samples that reach the goal
+    # Mean absolute error over samples that reach the goal, weighted by the pattern. Users' error weights do not count.
+    error: Float[np.ndarray, " nodes"]
     volume: Float[np.ndarray, " nodes"]  # share of the domain's volume that these samples represent
-    axis: Int[np.ndarray, " nodes"]
-    key: Float[np.ndarray, " nodes"]  # priority of splitting, at most the parent's; -inf if the node may not be split
+    axis: Int[np.ndarray, " nodes"]  # along which the node is or would be split
+    key: Float[np.ndarray, " nodes"]  # the least priority on the path from the root; -inf if it may not be split
     child: Int[np.ndarray, " nodes"]  # the lower child, which the upper child follows; -1 for a leaf
-    is_cut_off: Bool[np.ndarray, " nodes"]  # whether free points in the cell cannot reach the goal, and none can
+    is_cut_off: Bool[
+        np.ndarray, " nodes"
+    ]  # whether the cell has free points that cannot reach the goal, and no others
 
     def __len__(self) -> int:
-        return (len(self.key) + 1) // 2
+        return (len(self.key) + 1) // 2  # a binary tree of n leaves has 2 n - 1 nodes
 
     def leaves_of_splits(self, splits: Int[np.ndarray, " splits"]) -> Leaves:
+        """Return the leaves of the tree that has only these splits; with a node, they contain its ancestors."""
         is_leaf = np.zeros(len(self.key), bool)
         is_leaf[0] = True
         is_leaf[self.child[splits]] = is_leaf[self.child[splits] + 1] = True
@@ -125,6 +130,11 @@ class Nodes(Rows):
 
 def split_order(nodes: Nodes) -> Int[np.ndarray, " splits"]:
     """Return the nodes that are or may be split, in the order in which a priority queue would split them."""
+    # A priority queue splits node b only after its parent a. If b is more urgent than a, it is split right after a,
+    # before all nodes that had to wait for a. So the queue's order is the order of
+    #   key(b) = min(priority(b), key(a)),
+    # the least priority on the path from the root, largest key first. Among equal keys, nodes with smaller indices come
+    # first, so parents come before children. Thus the first n nodes of this order are the n splits of a tree.
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
 
@@ -137,9 +147,13 @@ def nodes_of_fit(
     axis: Int[np.ndarray, "..."],
     limits: Limits,
 ) -> Nodes:
-    """Make leaves of fitted cells, with the priority and the axis of their split, by rules and limits."""
+    """Make leaves of fitted cells; ``priority`` and ``axis`` are the answers of the split rules.
+
+    A cell may be split if its priority is larger than tolerance and noise, and it is not too deep.
+    """
     check_rules(fit, priority, axis)
     priority, axis = urgent_first(fit, priority, axis)
+    # Residuals are 0 at samples that do not reach the goal.
     volume = fit.reachable.astype(np.float64) @ fit.pattern.weight
     error = np.abs(fit.residual) @ fit.pattern.weight / np.where(volume > 0, volume, 1)
     may_split = (priority > least_priority(fit, limits)) & is_within_depth(fit.cells, axis, limits)
@@ -158,17 +172,22 @@ def nodes_of_fit(
 def urgent_first(
     fit: CellFit, priority: Float[np.ndarray, " cells"], axis: Int[np.ndarray, " cells"]
 ) -> tuple[Float[np.ndarray, " cells"], Int[np.ndarray, " cells"]]:
-    """Return priorities and axes, changed for urgent cells: their priority is the highest, first for large cells."""
+    """Return priorities and axes, replaced for urgent cells (see :class:`CellFit`).
+
+    An urgent cell's priority is near the largest float, and halved with each split, so that large cells come first.
+    """
     is_urgent = fit.urgent_axis >= 0
     highest = np.ldexp(np.finfo(np.float64).max, -fit.cells.depth.sum(axis=1))
     return np.where(is_urgent, highest, priority), np.where(is_urgent, fit.urgent_axis, axis)
 
 
 def least_priority(fit: CellFit, limits: Limits) -> Float[np.ndarray, " cells"]:
+    """Return, for each cell, the priority that it must exceed to be split."""
     return np.maximum(limits.tolerance, fit.noise)
 
 
 def is_within_depth(cells: Cells, axis: Int[np.ndarray, " cells"], limits: Limits) -> Bool[np.ndarray, " cells"]:
+    """Return whether each cell can be halved along its ``axis`` without exceeding the limits of depth."""
     along = cells.depth[np.arange(len(cells)), axis]
     return (cells.depth.sum(axis=1) < limits.max_depth) & (along < limits.max_axis_depth)
 
@@ -217,11 +236,7 @@ def best_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
     Axes at the depth limit, and axes along which the halves would be shorter than 1/8 of another side (in fractions
     of the domain), are chosen only if all axes are like this: then axis 0.
     """
-    return best_open_axis(fit, _sum_of_squares_after_split(fit))
-
-
-def best_open_axis(fit: CellFit, cost: Float[np.ndarray, "cells dim"]) -> Int[np.ndarray, " cells"]:
-    """Return each cell's axis of least ``cost`` among the axes along which it may be halved; else axis 0."""
+    cost = _sum_of_squares_after_split(fit)
     return np.argmin(np.where(is_closed(fit.cells.depth, fit.max_axis_depth), np.inf, cost), axis=1)
 
 
@@ -231,12 +246,18 @@ def cyclic_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
 
 
 def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
-    # Fitting a plane in both halves reduces the weighted sum of squares by the squared coordinates in their basis.
+    # Let r be the residual and W = diag(w) the weights of a cell's samples, and D the design matrix of one half. A plane
+    # that is fitted to r there lowers the sum of w r^2 by
+    #   p' (D' W D)^-1 p,  with p = D' W r.
+    # Both halves together lower it by |B' r|^2, if the columns of W^-1/2 B are an orthonormal basis of all functions
+    # W^1/2 f, where f is a plane in either half.
+    # - Cells whose samples all have weight 1 share W and B, which is `halves_bases`.
+    # - Each of the `masked` cells, with samples that do not reach the goal or have another weight, has its own W.
     residual, masked = fit.residual, fit.masked
     weight = fit.weight[masked] * fit.pattern.weight
     total = row_products(np.square(residual), fit.pattern.weight)
     total[masked] = (weight * np.square(residual[masked])).sum(axis=1)
-    squares = np.empty(fit.half.shape)
+    squares = np.empty(fit.cells.depth.shape)
     for axis, basis in enumerate(fit.pattern.halves_bases):
         squares[:, axis] = total - np.square(row_products(residual, basis)).sum(axis=1)
         if len(masked):
@@ -250,8 +271,8 @@ def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
 
 _BYTES_SLACK = 1.15  # growth beyond the byte budget, so that more leaves of fewer bits can be chosen at the end
 _ROUNDING_SHARE = 0.2  # file sizes during growth are estimated for this ratio of rounding error to the fit's error
-_SAMPLES_AT_ONCE = 2**20
-_LAST_SHARE = 32  # if at most 1/32 as many splits are left as were made, one round makes them all
+_SAMPLES_AT_ONCE = 2**20  # about as many samples of cells are fitted at once
+_LAST_SHARE = 32  # a round makes at least 1/32 of all splits that were made or are possible, if so many are allowed
 FitNodes = Callable[[Cells, Float[np.ndarray, " cells"]], Nodes]
 """Function from cells and their parents' keys to nodes, which samples and fits cells and applies the split rules."""
 
@@ -280,12 +301,14 @@ def fit_sampled(sampler: Sampler, nodes_of: Callable[[CellFit, Float[np.ndarray,
 
     def fit_part(cells: Cells, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
         fit = sampler(cells)
-        few = fit.is_hardly_seen
-        if not few.any():
+        is_dense = fit.is_hardly_seen
+        if not is_dense.any():
             return nodes_of(fit, parent_key)
-        order = np.concatenate([np.flatnonzero(~few), np.flatnonzero(few)])
-        fits = (fit[~few], parent_key[~few]), (sampler.sample_densely(cells[few]), parent_key[few])
-        first, *others = (nodes_of(*part_of_fit) for part_of_fit in fits if len(part_of_fit[1]))
+        # Two patterns cannot share a CellFit: make the nodes of each, then restore the order of the cells.
+        order = np.concatenate([np.flatnonzero(~is_dense), np.flatnonzero(is_dense)])
+        dense_fit = sampler.sample_densely(cells[is_dense])
+        fits = (fit[~is_dense], parent_key[~is_dense]), (dense_fit, parent_key[is_dense])
+        first, *others = (nodes_of(*fit_and_keys) for fit_and_keys in fits if len(fit_and_keys[1]))
         return first.append(*others)[np.argsort(order)]
 
     return fit_nodes
@@ -300,16 +323,19 @@ def grow_best_first(
     """
 
     def split_some(nodes: Nodes) -> Nodes | None:
-        # Split half of the leaves that would be split next, since their children may be more urgent than the rest.
-        # Near the end split all of them, since a round of few leaves takes as long as a round of many.
+        # 1. Estimate how many splits the limits allow. For bytes: choose the bits whose rounding error is about
+        #    _ROUNDING_SHARE of the fit's error -> bytes per leaf so far -> leaves that fit.
         order = split_order(nodes)
         allowed = limits.max_leaves - 1
-        if np.isfinite(limits.max_bytes):  # estimate the number of leaves from the bytes per leaf so far
+        if np.isfinite(limits.max_bytes):
             leaf = nodes.leaves_of_splits(order[nodes.child[order] >= 0][:allowed])
             target = _ROUNDING_SHARE * _fit_error(nodes, leaf)
             bits = min(encoding.choices, key=lambda bits: abs(encoding.rounding_error(nodes, leaf, bits) - target))
-            a_leaf = encoding.size(nodes, leaf, bits) / len(leaf)
-            allowed = min(allowed, int(_BYTES_SLACK * limits.max_bytes / a_leaf) + 1)
+            bytes_per_leaf = encoding.size(nodes, leaf, bits) / len(leaf)
+            allowed = min(allowed, int(_BYTES_SLACK * limits.max_bytes / bytes_per_leaf) + 1)
+        # 2. Split half of the leaves that would be split next, since their children may be more urgent than the other
+        #    half. Near the end split all of them, since a round of few leaves takes as long as a round of many.
+        #    Rounds go on until all of the first `allowed` nodes are split, which is what a priority queue does.
         unsplit = order[:allowed]
         unsplit = unsplit[nodes.child[unsplit] < 0]
         batch = unsplit[: max((len(unsplit) + 1) // 2, len(order) // _LAST_SHARE)]
@@ -326,13 +352,16 @@ def grow_best_first(
 
 
 def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Leaves, int]:
-    # For each number of bits per value, find the largest tree that fits; return the one of least error.
+    """For each number of bits per value, find the largest tree that fits; return the leaves and bits of least error.
+
+    ``BudgetTooSmall`` if not even one leaf fits.
+    """
     limits.require_room(encoding.size(nodes, np.zeros(1, np.int64), min(encoding.choices)))
     order = split_order(nodes)
     order = order[nodes.child[order] >= 0][: limits.max_leaves - 1]
 
     def most_leaves(bits: int) -> Leaves:
-        # The leaves after as many splits, in their order, as the file has room for; none if one leaf is too large.
+        # Undo the last splits until the file fits, by bisection; no leaves if one leaf is too large.
         if np.isinf(limits.max_bytes):
             return nodes.leaves_of_splits(order)
         num_fitting = bisect_right(
@@ -351,5 +380,6 @@ def _choose_leaves(nodes: Nodes, limits: Limits, encoding: Encoding) -> tuple[Le
 
 
 def _fit_error(nodes: Nodes, leaf: Leaves) -> float:
+    # The mean absolute error over all points that reach the goal.
     volume = nodes.volume[leaf]
     return float(np.sum(volume * nodes.error[leaf]) / np.sum(volume)) if volume.any() else 0.0
