@@ -43,18 +43,19 @@ from plr_jax.plr.tree import Cells, grown_domain
 if TYPE_CHECKING:
     from plr_jax.plr._plr import PLR
 
+# Samples of a cell.
+_SAMPLE_FACTORS = 1, 8, 64  # of the number of samples, tried until enough samples of the domain reach the goal
 _DENSE_FACTOR = 8  # a cell in which few samples reach the goal is sampled again with this many times more samples
 _MAX_SAMPLES = 2**16
-_LEAVES_OF_VOLUMES = 2048  # default limit where rooms must be separated from others in more than two dimensions
-_SAMPLE_FACTORS = 1, 8, 64  # of the number of samples, tried until enough of them reach the goal
 _SPARSE = 1 / 16  # if a smaller share of the domain reaches the goal, cells with few samples are split first
-_PARTS = 8  # of a leaf along each axis, which show how much of the leaf is cut off from the goal
-_MOST_TIED_AXES = 6
-# leaf="best" tries cones if all corners take at most _CROWDED times the byte budget, and nothing else if they take at
-# most _ROOMY times the budget. Measured on random maps with 10 to 80 blocked cells.
-_CROWDED, _ROOMY = 4, 0.5
-_BYTES_A_SOURCE = 7
-_ERROR_POINTS = 4096
+_LEAVES_OF_VOLUMES = 2048  # default limit where rooms must be separated from others in more than two dimensions
+_PARTS = 8  # boxes along each axis of a leaf, to measure how much of the leaf is cut off from the goal
+# Choice of models for leaf="best". The two ratios were measured on random maps with 10 to 80 blocked cells.
+_CROWDED = 4  # cones are tried if all corners take at most this many times the byte budget
+_ROOMY = 0.5  # only cones are tried if all corners take at most this share of the byte budget
+_BYTES_A_SOURCE = 7  # of a corner in a file
+_MOST_TIED_AXES = 6  # most dimensions of continuous leaves
+_ERROR_POINTS = 4096  # random points at which errors of models are compared
 
 
 @dataclass(frozen=True)
@@ -184,11 +185,13 @@ def construct(
     """
     from plr_jax.plr._plr import plr_of_leaves  # imports JAX
 
-    domain, proof = Box.of(domain), proof_of(certified)
+    domain = Box.of(domain)
+    proof = proof_of(certified)
     require_function("distance_fn", distance_fn)
     if not isinstance(options, BuildOptions):
         raise ValueError(f"options must be BuildOptions(...), got {shortened(options)}.")
-    limits, reach = (max_depth, max_leaves, max_bytes, tolerance), reach_of(distance_fn, domain)
+    limits = max_depth, max_leaves, max_bytes, tolerance
+    reach = reach_of(distance_fn, domain)
 
     def build(name: LeafModel | str, root: CellSources | None = None) -> DecodedFile:
         return _build_leaves(distance_fn, domain, leaf_model(name), limits, proof, seed, options, root, reach)
@@ -199,7 +202,7 @@ def construct(
         contents = build_best_model(build, distance_fn, domain, proof, max_bytes, only_bytes, seed)
     else:
         contents = build(leaf)
-    warn_if_cut_off(None if contents.folding is not None else reach, contents)
+    warn_if_cut_off(reach if contents.folding is None else None, contents)
     plr = plr_of_leaves(contents)
     if isinstance(distance_fn, NearestFn) and not isinstance(contents.leaf, Cone):  # files of cones name goals
         return plr.with_nearest_goal(distance_fn.which)
@@ -217,7 +220,8 @@ def _build_leaves(
     root: CellSources | None,
     reach: Reach | None,
 ) -> DecodedFile:
-    # 1. Check the arguments.
+    """Build the content of a file with one leaf model. ``root`` has the sources of the whole domain, if known."""
+    # 1. Check the arguments. Cones, proofs, and distance functions that answer for cells are not folded.
     model.check_dim(domain.dim)
     table_corners(domain)  # raises if 32-bit queries cannot represent the domain
     require_integer("seed", seed, 0)
@@ -247,7 +251,8 @@ def _build_leaves(
         distance_fn = partial(_folded_distances, distance_fn, folding)
 
     # 3. Grow the partition.
-    margin, rule = float(options.margin), options.compute_coefficients
+    margin = float(options.margin)
+    rule = options.compute_coefficients
     for factor in _SAMPLE_FACTORS:  # more samples if hardly one reaches the goal
         pattern, dense = (
             sample_pattern(domain.dim, min(density * int(num_samples), _MAX_SAMPLES), margin, int(seed))
@@ -290,24 +295,29 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
     """Warn if most of free space cannot reach the goal, or a PLR answers free points there with a finite number."""
     if reach is None:
         return
-    (lo, hi), dim = contents.tree.leaves.fractions, contents.domain.dim
+    dim = contents.domain.dim
+    lo, hi = contents.tree.leaves.fractions
     try:
-        # Divide finite leaves with cut-off points into equal boxes; add up the volumes of boxes with far ones.
+        # 1. Find the leaves with finite answers and cut-off points.
         is_finite = np.isfinite(filled_coefficients(contents)[:, 0])
         is_wrong = is_finite & (reach.is_border(lo, hi) | reach.is_cut_off(lo, hi))
         lo, hi = lo[is_wrong], hi[is_wrong]
+        # 2. Divide each into _PARTS**dim equal boxes, whose lower corners are ``part``; add up the volumes of boxes
+        #    with cut-off points far from all points that reach the goal. All are in fractions of the domain.
         steps = np.moveaxis(np.indices((_PARTS,) * dim), 0, -1).reshape(-1, dim)
         part = lo[:, None] + (hi - lo)[:, None] * steps / _PARTS
         size = np.broadcast_to((hi - lo)[:, None] / _PARTS, part.shape).reshape(-1, dim)
         part = part.reshape(size.shape)
-        wrong, cut_off = size[reach.far(part, part + size)].prod(axis=1).sum(), reach.cut_off_fraction(dim)
+        wrong = size[reach.far(part, part + size)].prod(axis=1).sum()
+        cut_off = reach.cut_off_fraction(dim)
     except KeyboardInterrupt:  # the PLR is complete without these warnings
         return
     if wrong > 0:
+        where = f"In about {100 * wrong:.2g} % of the domain"
         message = (
-            f"In about {100 * wrong:.2g} % of the domain, the PLR answers a finite number, but no path leads to "
+            f"{where}, the PLR answers a finite number, but no path leads to the goal. Allow more bytes or leaves."
         )
-        warnings.warn(f"{message}the goal. Allow more bytes or leaves.", stacklevel=3)
+        warnings.warn(message, stacklevel=3)
     if cut_off > 0.5:
         message = f"The goal cannot be reached from about {cut_off:.0%} of free space: is the goal in the right part?"
         warnings.warn(message, stacklevel=3)
@@ -322,12 +332,19 @@ def build_best_model(
     only_bytes: bool,  # whether max_bytes is the only limit and all rules are the defaults
     seed: int,
 ) -> DecodedFile:
-    # Build a PLR with each suitable leaf model, until Ctrl-C, and return the one of the smallest error.
+    """Build a PLR with each suitable leaf model, until Ctrl-C, and return the one of the smallest error.
+
+    ``ValueError`` if no model can be built: the refusal of the model that needs the fewest bytes, or the first one.
+    """
+    # 1. Find the sources of the whole domain once, for all models.
     root = None
     if isinstance(distance_fn, CellwiseFn) and domain.dim == 2 and not domain.is_periodic:
         root = distance_fn.cell_sources(grown_domain(domain))
     names = _models_to_try(root, domain, proof, max_bytes, only_bytes)
-    best, least, refused, is_interrupted = None, math.inf, [], False
+    # 2. Build the models. An interrupt ends a build with a warning and what was built so far; it also ends this loop.
+    best, least_error = None, math.inf
+    refused: list[ValueError] = []
+    is_interrupted = False
     with tqdm(names, "construct", unit=" models", leave=False, disable=None) as progress:
         try:
             for name in progress:
@@ -339,24 +356,26 @@ def build_best_model(
                 except ValueError as refusal:  # for example, a budget too small for one leaf
                     refused.append(refusal)
                     continue
-                for warning in caught:
+                for warning in caught:  # the warning of an interrupt is given once, at the end
                     if issubclass(warning.category, ConstructionInterrupted):
                         is_interrupted = True
                     else:
                         warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
-                best, error = best or contents, math.inf
+                best = best or contents
+                error = math.inf
                 if contents.certificate is not None:  # an interrupted build has none
                     error = contents.certificate.max_error
                 elif proof is Proof.NONE and len(names) > 1:
                     error = _sampled_error(contents, distance_fn, seed)
-                if error < least:
-                    best, least = contents, error
+                if error < least_error:
+                    best, least_error = contents, error
                 if is_interrupted:
                     break
         except KeyboardInterrupt:
             if best is None:
                 raise
             is_interrupted = True
+    # 3. Return the best one.
     if best is None:
         raise min(refused, key=lambda error: getattr(error, "num_bytes", math.inf))
     if is_interrupted:
