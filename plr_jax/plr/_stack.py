@@ -3,7 +3,11 @@
 A stack finds a point's leaf in a *trie*, level by level. The tables of the trie, *pages*, have an entry for each cell
 of a grid: the first page of each PLR covers its domain, any other page a cell of the level above with several leaves.
 An odd entry ``2 * i + 1`` leads to the page that starts at entry ``i``, an even entry ``2 * i`` to row ``i`` of the
-leaf parameters. For each row ``i``, entry ``i`` is ``2 * i``: later levels do not change a row that was found.
+leaf parameters. For each row ``i``, entry ``i`` is ``2 * i``: later levels do not change a row that was found::
+
+    0             num_rows                                                                       entries
+    | 0, 2, 4, ... | first page of PLR 0 | first page of PLR 1 | ... | other pages of PLR 0, 1, ... |
+
 Reference: Srinivasan, Varghese, "Fast address lookups using controlled prefix expansion", TOCS 1999.
 """
 
@@ -49,36 +53,48 @@ _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
 def trie_levels(bits: _PerAxis) -> list[_PerAxis]:
-    # How often the grid of each level halves each axis; the first grid is the whole domain.
+    """Return how often the grid of each level halves each axis, from the whole domain to the finest leaves.
+
+    ``bits`` has the halvings of the finest leaves. The first page has up to ``_FIRST_BITS`` index bits. The other
+    halvings are spread evenly over as few levels as ``_PAGE_BITS`` allows.
+    """
     ends = [0 * bits, spread_bits(bits, _FIRST_BITS)]
-    for left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
-        rest = bits - ends[-1]
-        ends.append(ends[-1] + spread_bits(rest, -(-int(rest.sum()) // left)))
+    for levels_left in range(-(-int((bits - ends[1]).sum()) // _PAGE_BITS), 0, -1):
+        missing = bits - ends[-1]
+        ends.append(ends[-1] + spread_bits(missing, -(-int(missing.sum()) // levels_left)))  # rounded up
     return ends
 
 
 def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."]], levels: list[_PerAxis]) -> Trie:
-    # Masks and shifts that turn the fraction bits between two levels into an index into a page.
+    """Build the trie of several PLRs with the leaves ``partitions``; ``rows`` has each leaf's row of parameters."""
+    # 1. Masks and shifts that turn the fraction bits between two levels into a row-major index into a page:
+    #
+    #    fraction of a point along an axis   | above: level's begin | step bits | below end |   FRACTION_BITS bits
+    #    index into a page                   | step bits of axis 0 | step bits of axis 1 | ... |
     ends = np.array(levels)
     steps = np.diff(ends, axis=0)
     shifts = FRACTION_BITS - ends[1:] - (np.cumsum(steps[:, ::-1], axis=1)[:, ::-1] - steps)
     bits = np.stack([((1 << steps) - 1) << (FRACTION_BITS - ends[1:]), shifts], axis=1)
-    num_rows = 1 + max(int(of_leaf.max()) for of_leaf in rows)
-    end = num_rows + len(partitions) * (1 << int(levels[1].sum()))
+    # 2. Entries of each PLR. A level has at most a page for each pair of a deeper leaf and a cell that it overlaps.
+    num_rows = 1 + max(int(row.max()) for row in rows)
+    total = num_rows + len(partitions) * (1 << int(levels[1].sum()))
     first_pages, others = [], []
-    for cells, of_leaf in zip(partitions, rows, strict=True):
+    for cells, row in zip(partitions, rows, strict=True):
         most = 0.0
-        for begin, behind in pairwise(levels):
+        for begin, end in pairwise(levels):
             pairs = num_pairs(cells[(cells.depth > begin).any(axis=1)], begin)
-            most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (behind - begin).sum()
+            most += min(pairs, 2.0 ** begin.sum()) * 2.0 ** (end - begin).sum()
         if most > _MOST_ENTRIES or (shifts < 0).any():  # a left shift is not supported
             raise ValueError("A PLR is too deep for a stack: construct it with a lower max_depth, or call it alone.")
-        first, *below = _pages(cells, of_leaf, levels, end)
-        first_pages.append(first)
-        others += below
-        end += sum(map(len, below))
-    if end >= _MOST_INDICES:
-        raise ValueError(f"A stack needs fewer than 2**31 entries, got {end:,}: split the {len(partitions):,} PLRs.")
+        first_page, *later_levels = _pages(cells, row, levels, total)
+        first_pages.append(first_page)
+        others += later_levels
+        total += sum(map(len, later_levels))
+    if total >= _MOST_INDICES:
+        raise ValueError(
+            f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(partitions):,} PLRs."
+        )
+    # 3. Entries of rows, first pages and other pages.
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
     entries = padded(entries, size_in_eighths(len(entries)))
     return Trie(jax.device_put(entries), jax.device_put(bits.astype(np.uint32)), jax.device_put(np.uint32(num_rows)))
@@ -87,22 +103,28 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."
 def _pages(
     cells: Cells, row: Int[np.ndarray, " leaves"], levels: Sequence[_PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, " entries"]]:
-    # Yield the entries of one PLR level by level; ``next_start`` is the first entry of the second level.
-    page = np.zeros(1, np.int64)  # numbers of the cells of the level above that have a page in this level
-    for number, (begin, end) in enumerate(pairwise(levels)):
+    """Yield the entries of one PLR level by level; ``next_start`` is the first entry of the second level."""
+    # A level divides each cell of its `begin` grid that has a page into the cells of its `end` grid, its entries.
+    page = np.zeros(1, np.int64)  # cells of the `begin` grid that have a page: row-major indices, ascending
+    for level, (begin, end) in enumerate(pairwise(levels)):
         entries = np.zeros((len(page), 1 << (end - begin).sum()), np.int64)
-        is_here = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (number == 0))
-        here = cells[is_here]
-        leaf, place = enumerate_boxes(here.position << (end - here.depth), np.int64(1) << (end - here.depth))
-        entries[_page_entries(place, page, begin, end)] = 2 * row[is_here][leaf]
+        # 1. Leaves that the level resolves fill whole entries: those that are not deeper than its `end` grid, but
+        #    deeper than its `begin` grid, except in the first level.
+        is_resolved = (cells.depth <= end).all(axis=1) & ((cells.depth > begin).any(axis=1) | (level == 0))
+        resolved = cells[is_resolved]
+        halvings = end - resolved.depth
+        leaf, place = enumerate_boxes(resolved.position << halvings, np.int64(1) << halvings)
+        entries[_page_entries(place, page, begin, end)] = 2 * row[is_resolved][leaf]
+        # 2. Entries that overlap deeper leaves lead to pages of the next level, one after another.
         _, place = leaves_in_blocks(cells[(cells.depth > end).any(axis=1)], end)
-        next_page, first = np.unique(row_major(place, end), return_index=True)
-        if len(next_page):
-            starts = next_start + (np.arange(len(next_page)) << (levels[number + 2] - end).sum())
+        page_below, first = np.unique(row_major(place, end), return_index=True)
+        if len(page_below):
+            page_bits = (levels[level + 2] - end).sum()
+            starts = next_start + (np.arange(len(page_below)) << page_bits)
             entries[_page_entries(place[first], page, begin, end)] = 2 * starts + 1
-            next_start = int(starts[-1]) + (1 << (levels[number + 2] - end).sum())
+            next_start = int(starts[-1]) + (1 << page_bits)
         yield entries.ravel().astype(np.uint32)
-        page = next_page
+        page = page_below
         if not len(page):
             return
 
@@ -110,6 +132,7 @@ def _pages(
 def _page_entries(
     place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, " pages"], begin: _PerAxis, end: _PerAxis
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Return, for cells ``place`` of a level's ``end`` grid, the number of their page and the index in this page."""
     step = end - begin
     return np.searchsorted(page, row_major(place >> step, begin)), row_major(place & ((1 << step) - 1), step)
 
@@ -139,7 +162,8 @@ class _SameShapeGroup:
         has_proof = all(plr.band is not None and plr.has_arrays_of_file for plr in plrs)
         for plr, each in zip(plrs, tables, strict=True):  # a row ends with the leaf's two bounds, if there is a proof
             # In paged tables, parameters are stored by slot, and the first slots are the leaves themselves.
-            count, numbers = each.leaf.num_leaf_parameters(each.dim), np.asarray(each.leaf_parameters)
+            count = each.leaf.num_leaf_parameters(each.dim)
+            numbers = np.asarray(each.leaf_parameters)
             of_leaves = (numbers if numbers.ndim == 2 else numbers.reshape(-1, count).T)[:, : plr.num_leaves]
             if has_proof:
                 band = np.asarray(plr.band)[:, : plr.num_leaves]
@@ -153,16 +177,16 @@ class _SameShapeGroup:
             num_rows += len(first)
         table = np.concatenate(distinct)
         table = padded(table, size_in_eighths(len(table)))
-        numbers, band = table[:, :count], jax.device_put(table[:, count:].T) if has_proof else None
+        band = jax.device_put(table[:, count:].T) if has_proof else None
         # 3. Build the trie that leads to the rows.
         levels = trie_levels(np.max([plr.cells.depth.max(axis=0) for plr in plrs], axis=0))
         trie = build_trie([plr.cells for plr in plrs], rows, levels)
         frame = jax.tree_util.tree_structure(frames[0]).unflatten(arrays)
-        numbers = jax.device_put(arrange_parameters(np.ascontiguousarray(numbers)))
+        numbers = jax.device_put(arrange_parameters(np.ascontiguousarray(table[:, :count])))
         return cls(frame, trie, numbers, band, tuple(shapes), int(levels[1].sum()))
 
     def pick(self, which: UInt32[Array, "*batch"]) -> Tables:
-        # ``which`` has the index in this group of each point's PLR.
+        """Return tables for points, of which each has a PLR of its own: ``which`` has its index in this group."""
         arrays, structure = jax.tree_util.tree_flatten(self.frame)
         picked = [
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
@@ -212,8 +236,8 @@ class PLRStack:
     def bounds(self, index: ArrayLike, x: ArrayLike) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Return proven lower and upper bounds of the distance of a PLR at each point; see :meth:`PLR.bounds`.
 
-        Arguments, shapes and errors are as for a call. ``ValueError`` if not every PLR has a proof, or the arrays of
-        one were replaced before it was stacked.
+        Arguments, shapes and errors are as for a call. ``ValueError`` if any PLR of the stack has no proof. A PLR
+        whose arrays were replaced before it was stacked has none.
         """
         self._require_bands()
         return self._query(index, x, None)
@@ -229,7 +253,8 @@ class PLRStack:
             raise ValueError("Every PLR of the stack must have a proof: see certify.")
 
     def _query(self, index: ArrayLike, x: ArrayLike, outside: Outside | None) -> Any:
-        # Return a tuple of distances or, if ``outside`` is None, of lower and upper bounds.
+        """Return a tuple of distances or, if ``outside`` is None, of lower and upper bounds."""
+        # 1. Check index and points. A single NumPy point is repeated by JAX's or NumPy's broadcasting.
         index = index if isinstance(index, jax.Array) else np.asarray(index)
         x = x if isinstance(x, jax.Array) else as_queries(x)
         if index.dtype.kind not in "iu":
@@ -240,6 +265,7 @@ class PLRStack:
             index = np.where((index >= 0) & (index < len(self)), index.astype(np.int32), np.int32(-1))
         if x.ndim == 1 and index.ndim:
             x = jnp.broadcast_to(x, (*index.shape, self.dim)) if isinstance(x, jax.Array) else x[(None,) * index.ndim]
+        # 2. Subtract the origins of tables: here in 64 bits if that is possible, else in compiled code.
         corners = self.corners
         is_rounded = isinstance(index, jax.Array) or isinstance(x, jax.Array) or x.dtype != np.float64
         if corners is None or is_traced(corners) or is_rounded:
@@ -257,13 +283,13 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     ``plrs`` is no list of at least one such PLR, a PLR's leaves are too deep, or all tables together are too large
     for 32-bit indices.
     """
+    # 1. Make each PLR's tables. Tables of a far domain take points relative to its corner.
     plrs = as_plrs(plrs)
     if len(dims := {plr.dim for plr in plrs}) != 1:
         raise ValueError(f"A stack needs PLRs of one dimension, got {sorted(dims)}: make a stack for each.")
-    # Tables of a far domain take points relative to its corner.
     tables = [plr.tables_from_corner if is_far(plr.domain) else plr.tables for plr in plrs]
     corners = [plr.domain.lo if is_far(plr.domain) else np.zeros(plr.dim) for plr in plrs]
-    # Group the PLRs by the structure of their tables without leaves.
+    # 2. Group the PLRs by the structure of their tables without leaves.
     kinds: dict[Hashable, list[int]] = {}
     frames = [
         replace(
@@ -279,10 +305,12 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
     for i, frame in enumerate(frames):
         of_straight = tuple(array.shape for array in frame.straight or ())
         kinds.setdefault((jax.tree_util.tree_structure(frame), of_straight), []).append(i)
+    # 3. Merge the tables of each group.
     group, place = np.zeros((2, len(plrs)), np.uint32)
     groups = []
     for members in kinds.values():
-        group[members], place[members] = len(groups), np.arange(len(members))
+        group[members] = len(groups)
+        place[members] = np.arange(len(members))
         of_members: Any = ([row[i] for i in members] for row in (plrs, tables, frames))
         groups.append(_SameShapeGroup.of(*of_members))
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
@@ -297,23 +325,26 @@ def _evaluate(stacked: PLRStack, index: Array, x: Array, outside: Outside | None
 
     They are NaN if there is no PLR of this index.
     """
+    # 1. Broadcast; PLR 0 takes the place of PLRs that do not exist.
     shape = jnp.broadcast_shapes(index.shape, x.shape[:-1])
     index, x = jnp.broadcast_to(index, shape), jnp.broadcast_to(x, (*shape, x.shape[-1]))
-    is_one = (index >= 0) & (index < len(stacked))
-    known = jnp.where(is_one, index, 0).astype(np.uint32)
+    exists = (index >= 0) & (index < len(stacked))
+    number = jnp.where(exists, index, 0).astype(np.uint32)
+    # 2. Subtract the origin of each point's tables, a sum of floats.
     if stacked.corners is not None:
         x = x.astype(jnp.promote_types(x.dtype, np.float32))
-        for part in jnp.moveaxis(stacked.corners[known].astype(x.dtype), -2, 0):
+        for part in jnp.moveaxis(stacked.corners[number].astype(x.dtype), -2, 0):
             x = x - part
-    has_kinds = len(stacked.groups) > 1
-    place, group = (stacked.place[known], stacked.group[known]) if has_kinds else (known, np.uint32(0))
+    # 3. Evaluate every group at all points, and select the answers of the points' groups.
+    has_groups = len(stacked.groups) > 1
+    place, group = (stacked.place[number], stacked.group[number]) if has_groups else (number, np.uint32(0))
     values = np.nan, np.nan
-    for number, alike in enumerate(stacked.groups):
-        here = group == number
-        tables = alike.pick(jnp.where(here, place, np.uint32(0)))
-        found = (evaluate_tables(tables, x, outside),) if outside else bounds_of_tables(tables, alike.band, x)
-        values = [jnp.where(here, each, value) for each, value in zip(found, values, strict=False)]
-    return tuple(jnp.where(is_one, value, np.nan) for value in values)
+    for i, merged in enumerate(stacked.groups):
+        is_in_group = group == i
+        tables = merged.pick(jnp.where(is_in_group, place, np.uint32(0)))
+        answers = (evaluate_tables(tables, x, outside),) if outside else bounds_of_tables(tables, merged.band, x)
+        values = [jnp.where(is_in_group, answer, value) for answer, value in zip(answers, values, strict=False)]
+    return tuple(jnp.where(exists, value, np.nan) for value in values)
 
 
 def evaluate(plr: PLR, x: ArrayLike, *, outside: Outside = "inf") -> Float[Array, "*batch"]:
