@@ -3,7 +3,13 @@
 In each leaf, a function is multilinear (order 0) or cubic along each axis with a continuous gradient (order 1).
 Leaves that share a free face are *tied*: they must agree on it. Every corner of every leaf is a *node*. Nodes of tied
 leaves at one point form a *group* with one value. A corner inside the face of a tied leaf *hangs* on that leaf: its
-value is interpolated there, from corners on coarser dyadic levels, so these dependencies have no cycles.
+value is interpolated there, from corners on coarser dyadic levels, so these dependencies have no cycles::
+
+    o-----------o-----o     Three tied leaves, with 12 corners: the nodes.
+    |           |  b  |     Each o is a group of 1 or 2 nodes.
+    |     a     x-----o     x is a group of two nodes, corners of b and c. It hangs on its host leaf a:
+    |           |  c  |     its value is the mean of a's corners above and below.
+    o-----------o-----o
 """
 
 import math
@@ -27,9 +33,10 @@ from plr_jax.plr.tree import Tree, corner_bits
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Largest number of weights in the constraint equations: in all, or per leaf if that gives more. Trees of random
+# The constraint equations have at most max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * leaves) weights. Trees of random
 # splits have 2,000 weights a leaf in 6 dimensions, 50 in 3.
-_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF = 2**20, 2**8
+_MOST_WEIGHTS = 2**20
+_MOST_WEIGHTS_OF_LEAF = 2**8
 _GROWTH = 4  # the elimination of constraints may use this many times more weights
 
 
@@ -60,40 +67,49 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components
 
-    cells, dim, bits = tree.leaves, tree.cells.dim, corner_bits(tree.cells.dim)
+    cells = tree.leaves
+    dim = cells.dim
+    corners = corner_bits(dim)  # (2**dim, dim) of 0 and 1
     num_nodes = len(cells) << dim
     most = max(_MOST_WEIGHTS, _MOST_WEIGHTS_OF_LEAF * len(cells))
     check_num_weights(len(tied) * 2 ** (dim - 1), most)
-    # 1. Constraint points: corners of the shared part of each tied face, in local coordinates of both leaves.
+    # 1. Constraint points: corners of the shared part of each tied face, in local coordinates of both leaves. Index 0
+    #    on the first axis of these arrays is the leaf below the face, index 1 the leaf above it.
     leaves, places = [], []
     for axis in range(dim):
-        faces, w = tied[tied.axis == axis], bits[bits[:, axis] == 0].astype(float)
+        faces = tied[tied.axis == axis]
+        w = corners[corners[:, axis] == 0].astype(float)
         x = face_points(cells, faces, w).reshape(-1, dim)
         leaves.append(np.repeat(np.stack([faces.lower, faces.upper]), len(w), axis=1))
         places.append(np.ldexp(x, cells.depth[leaves[-1]]) - cells.position[leaves[-1]])
         places[-1][:, :, axis] = [[1.0], [0.0]]  # exact, also across a periodic seam
-    leaf, t = np.concatenate(leaves, axis=1), np.concatenate(places, axis=1)
+    leaf, t = np.concatenate(leaves, axis=1), np.concatenate(places, axis=1)  # (2, points), (2, points, dim)
     is_end = (t == 0) | (t == 1)
     is_corner = is_end.all(axis=2)
-    is_shared = is_corner.all(axis=0)
+    is_shared = is_corner.all(axis=0)  # corners of both leaves
     node = (leaf << dim) + t.astype(np.int64) @ (1 << np.arange(dim)[::-1])  # meaningless where t is no corner
     # 2. Groups: nodes of tied leaves that are the same point, numbered by their first node.
     pairs = tuple(node[:, is_shared])
     graph = coo_array((np.ones(len(pairs[0])), pairs), (num_nodes, num_nodes))
     _, label = connected_components(graph, directed=False)
     _, first_node, group = np.unique(label, return_index=True, return_inverse=True)
-    group, num_groups = np.argsort(np.argsort(first_node))[group], len(first_node)
-    # 3. Hanging groups: interpolate each from the first leaf on which it hangs, until only free groups remain. Row i
-    # of `of_groups` then has the weights of free groups in the value of group i.
+    group = np.argsort(np.argsort(first_node))[group]
+    num_groups = len(first_node)
+    # 3. Hanging groups: corners of one leaf that are no corner of the other. Interpolate each from the first leaf on
+    #    which it hangs, until only free groups remain. Row i of `of_groups` then has the weights of free groups in
+    #    the value of group i.
     hangs = is_corner & ~is_corner[::-1]
-    hanging, first = np.unique(group[node[hangs]], return_index=True)
-    host_leaf, at = leaf[::-1][hangs][first], t[::-1][hangs][first]
+    hanging, first_point = np.unique(group[node[hangs]], return_index=True)
+    host_leaf = leaf[::-1][hangs][first_point]
+    host_t = t[::-1][hangs][first_point]
     is_free = np.ones(num_groups)
     is_free[hanging] = 0
-    of_groups = resolve_constraints(_interpolation(group, host_leaf, at, hanging, (num_groups, num_groups)), is_free)
-    # 4. Level of a group: exponents of two in the denominators of its point, summed over the axes.
-    numerator = (cells.position[:, None] + bits).reshape(-1, dim)
-    depth = np.repeat(cells.depth, len(bits), axis=0)
+    step = _interpolation(group, host_leaf, host_t, hanging, (num_groups, num_groups))
+    of_groups = resolve_constraints(step, is_free)
+    # 4. Level of a group: exponents of two in the denominators of its point, summed over the axes. A corner's
+    #    coordinate is numerator / 2**depth; the numerator's lowest bit tells by how much the fraction is reduced.
+    numerator = (cells.position[:, None] + corners).reshape(-1, dim)
+    depth = np.repeat(cells.depth, len(corners), axis=0)
     lowest_bit = np.frexp((numerator & -numerator).astype(float))[1] - 1
     level = np.zeros(num_groups, np.int64)
     level[group] = np.where(numerator == 0, 0, depth - np.minimum(lowest_bit, depth)).sum(axis=1)
@@ -119,8 +135,9 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     free_dofs = np.flatnonzero(is_free_dof)
     free_dofs = free_dofs[np.argsort(level[free_dofs], kind="stable")]
     values = csr_array(of_groups[group][:, free_dofs])
-    # 7. Prediction: at each node that a split made, the mean of the halved edge's ends; averaged over the group.
-    ends, is_made = corner_parents(tree)
+    # 7. Prediction: at each node that a split made, the mean of the halved edge's ends; averaged over the group. An
+    #    end counts if both its leaf and the node's leaf are reachable, and the node's group is a degree of freedom.
+    ends, is_made = corner_parents(tree)  # (leaves, corners, 2), (leaves, corners)
     counts = is_made[..., None] & ~unreachable[ends >> dim] & ~unreachable[:, None, None]
     dof_of_group = np.full(num_groups, -1)
     dof_of_group[free_dofs] = np.arange(len(free_dofs))
@@ -129,7 +146,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     weight = 1.0 / np.maximum(np.bincount(row[counts], minlength=len(free_dofs)), 1)
     mean = csr_array((weight[row[counts]], (row[counts], ends[counts])), (len(free_dofs), num_nodes))
     prediction = csr_array(mean @ values)
-    return NodalSpace(tree, group, hanging, host_leaf, at, free_dofs, level[free_dofs], values, prediction)
+    return NodalSpace(tree, group, hanging, host_leaf, host_t, free_dofs, level[free_dofs], values, prediction)
 
 
 def _interpolation(
@@ -142,8 +159,11 @@ def _interpolation(
     from scipy.sparse import csr_array
 
     # Row ``row[i]`` interpolates values of groups (tied corners) at point ``t[i]`` of leaf ``leaf[i]``. A corner's
-    # weight is a product over the axes: ``t`` along an axis at whose upper end the corner lies, else ``1 - t``.
-    point, corner, weight = np.arange(len(t)), np.zeros(len(t), np.int64), np.ones(len(t))
+    # weight is a product over the axes: ``t`` along an axis at whose upper end the corner lies, else ``1 - t``. Each
+    # axis appends a bit to the corners and so doubles the pairs (point, corner).
+    point = np.arange(len(t))
+    corner = np.zeros(len(t), np.int64)
+    weight = np.ones(len(t))
     for axis in range(t.shape[1]):  # skip ends of weight 0
         along = t[point, axis]
         lower, upper = along < 1, along > 0
@@ -164,6 +184,8 @@ POWERS = (2, 4)  # number of powers of t along each axis, by order
 # hang on two leaves with different cubics.
 MAX_DIM_OF_ORDER = (6, 2)
 # By order: coefficients of the basis functions on [0, 1]. Axes: end of the interval, value or derivative, power of t.
+#   order 0:  1 - t, t
+#   order 1:  (1 - t)**2 (1 + 2 t), t (1 - t)**2;  t**2 (3 - 2 t), -t**2 (1 - t)
 _BASIS_1D = (
     np.array([[1, -1], [0, 1]], float).reshape(2, 1, 2),
     np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], float).reshape(2, 2, 4),
@@ -179,7 +201,7 @@ def design(order: int, t: Points) -> Float[np.ndarray, "n terms"]:
 
 
 def coefficient_matrix(order: int, space: NodalSpace) -> "csr_array":
-    # From the free degrees of freedom to the coefficients of all leaves' basis functions.
+    """Return the matrix from the free degrees of freedom to the coefficients of all leaves' basis functions."""
     return space.values if order == 0 else _values_and_derivatives(space)
 
 
@@ -194,14 +216,14 @@ def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.
         return values
     coefficients = np.zeros((*values.shape, len(corners)))
     coefficients[:, :, 0] = values
-    for axis, kind in enumerate(1 << np.arange(half.shape[1])[::-1]):
+    for axis, kind in enumerate(1 << np.arange(half.shape[1])[::-1]):  # the derivative along this axis alone
         coefficients[:, :, kind] = 2 * half[:, axis, None]  # a leaf has width 1 in t
     return coefficients.reshape(len(values), -1)
 
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
     """Return each basis function's coefficients of all products of powers of ``t``, last axis fastest."""
-    along = _BASIS_1D[order]
+    along = _BASIS_1D[order]  # by end (one bit of the corner), kind, and power
     table = np.ones((1, 1, 1))  # by corner, kind of derivative, and product of powers
     for _ in range(dim):
         table = np.einsum("cmp,adq->camdpq", table, along).reshape(
@@ -218,6 +240,8 @@ def enclosing_planes(
     ``center`` and ``reach`` (the half-widths of boxes) are in local coordinates, from 0 to 1 across the leaf.
     ``order`` is 0 for multilinear and 1 for cubic functions.
     """
+    # In the plane, f = sum of P[p, q] x**p y**q = sum of Q[a, b] (x - cx)**a (y - cy)**b over the exponents. Beside
+    # Q[0, 0], Q[1, 0] and Q[0, 1], each term is at most |Q[a, b]| * reach_x**a * reach_y**b.
     count = POWERS[order]
     powers = (coefficients @ monomials(order, 2)).reshape(-1, count, count)
     shifts = (_shifted_powers(count, center[:, axis]) for axis in range(2))
@@ -231,16 +255,17 @@ def enclosing_planes(
 def _shifted_powers(count: int, center: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n power power"]:
     # Coefficients of each power of ``t`` in powers of ``t - center``, by the binomial theorem:
     #   t**n = sum over k of comb(n, k) * center**(n - k) * (t - center)**k.
-    power, of_difference = np.arange(count)[:, None], np.arange(count)
-    binomials = np.array([[math.comb(n, k) for k in range(count)] for n in range(count)])
-    return binomials * center[:, None, None] ** np.maximum(power - of_difference, 0)
+    n, k = np.arange(count)[:, None], np.arange(count)
+    binomials = np.array([[math.comb(i, j) for j in range(count)] for i in range(count)])  # 0 for j > i
+    return binomials * center[:, None, None] ** np.maximum(n - k, 0)
 
 
 def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> Float[np.ndarray, "n terms"]:
     # Differentiate along all axes where ``derivative`` is 1. Basis functions are products of functions of one axis
     # each: by axis, multiply the values so far, by corner and kind, with those of the axis.
-    n, (_, kinds, num_powers) = len(t), _BASIS_1D[order].shape
-    values, powers = np.ones((n, 1, 1)), np.arange(num_powers)
+    _, kinds, num_powers = _BASIS_1D[order].shape
+    n, powers = len(t), np.arange(num_powers)
+    values = np.ones((n, 1, 1))
     for axis, is_along in enumerate(derivative):
         slopes = powers * t[:, axis, None] ** np.maximum(powers - 1, 0)
         along = (slopes if is_along else t[:, axis, None] ** powers) @ _BASIS_1D[order].reshape(-1, num_powers).T
@@ -258,12 +283,16 @@ def _values_and_derivatives(space: NodalSpace) -> "csr_array":
     # of the leaf (0 to 1 along each axis), its function with the Hermite basis B is
     #   f = sum over corners c and kinds k of B[c, k](t) * 2**-(h . k) * D[group of c, k].
     # Its derivative of kind j is 2**(h . j) times this sum, with the derivative of kind j of B[c, k] in place of it.
-    kinds, group, leaf_depth = corner_bits(space.dim), space.group, space.tree.leaves.depth
-    size, num_groups, nodes = len(kinds), int(group.max()) + 1, np.arange(len(group))
-    depth = np.repeat(leaf_depth, size, axis=0)
+    # D is stored as a vector with D[g, k] in row g * size + k, and B's coefficients with [c, k] of a leaf likewise.
+    kinds = corner_bits(space.dim)
+    size = len(kinds)
+    group = space.group
+    num_groups = int(group.max()) + 1
+    leaf_depth = space.tree.leaves.depth
+    depth = np.repeat(leaf_depth, size, axis=0)  # of each node's leaf
     is_answered = np.diff(space.values.indptr) > 0
-    # 1. At groups that do not hang, derivatives by fractions of the domain: means of the (mixed) derivatives of the
-    # multilinear functions of the leaves around the corner.
+    # 1. At groups that do not hang, D is a mean of (mixed) derivatives of the multilinear functions of the leaves
+    #    around the corner. Such a derivative is a difference of corner values along each axis of the kind.
     is_averaged = is_answered & ~np.isin(group, space.hanging)
     of_free_dofs = csr_array((num_groups * size, len(space.free_dofs)))
     for kind, along in enumerate(kinds):
@@ -275,17 +304,17 @@ def _values_and_derivatives(space: NodalSpace) -> "csr_array":
         # The difference over the smaller of two adjacent cells is the better derivative, so it weighs more.
         weight = np.ldexp(1.0, depth @ along) * is_averaged
         weight /= np.bincount(group, weight)[group] + (weight == 0)
-        mean = csr_array((weight, (group * size + kind, nodes)), (num_groups * size, len(nodes)))
+        mean = csr_array((weight, (group * size + kind, np.arange(len(group)))), (num_groups * size, len(group)))
         of_free_dofs = of_free_dofs + mean @ (differences @ space.values)
     # 2. Hanging groups: D[hanging, j] is the derivative of kind j of the host leaf's cubic, as above.
-    on_depth, on_group = leaf_depth[space.host_leaf], group.reshape(-1, size)[space.host_leaf]
-    to_leaf = np.tile(np.ldexp(1.0, -(on_depth @ kinds.T)), size)  # by corner, then kind
-    columns = (on_group[:, :, None] * size + np.arange(size)).reshape(len(on_group), size * size)
+    host_depth = leaf_depth[space.host_leaf]
+    host_group = group.reshape(-1, size)[space.host_leaf]
+    to_leaf = np.tile(np.ldexp(1.0, -(host_depth @ kinds.T)), size)  # 2**-(h . k), by corner, then kind
+    columns = (host_group[:, :, None] * size + np.arange(size)).reshape(len(host_group), size * size)
     rows, weights = [], []
     for kind, along in enumerate(kinds):
-        weights.append(
-            _derivatives(1, space.host_position, along) * to_leaf * np.ldexp(1.0, on_depth @ along)[:, None]
-        )
+        of_domain = np.ldexp(1.0, host_depth @ along)[:, None]  # 2**(h . j)
+        weights.append(_derivatives(1, space.host_position, along) * to_leaf * of_domain)
         rows.append(np.broadcast_to((space.hanging * size + kind)[:, None], columns.shape))
     entries = np.stack(weights).ravel(), (np.stack(rows).ravel(), np.tile(columns, (size, 1)).ravel())
     of_hanging = csr_array(entries, (num_groups * size, num_groups * size))

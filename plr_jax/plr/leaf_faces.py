@@ -1,4 +1,7 @@
-"""Find touching or overlapping leaves and their shared faces; solve linear constraints between values at corners."""
+"""Find touching or overlapping leaves and their shared faces; solve linear constraints between values at corners.
+
+Pairs of leaves are found by descending from pairs of nodes, without the pairs that do not touch: :func:`leaf_pairs`.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,15 +28,18 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
     column of ``pairs`` has a node of ``a``, a node of ``b`` and any data that new pairs copy. The result has indices
     of leaves instead of nodes.
     """
-    trees, finished = (a, b), [pairs[:, :0]]
+    trees = a, b
+    finished = [pairs[:, :0]]
     depths = [tree.cells.depth.sum(axis=1) for tree in trees]
     while pairs.shape[1]:
-        inner = np.stack([tree.child[nodes] >= 0 for tree, nodes in zip(trees, pairs, strict=False)])
-        finished.append(pairs[:, ~inner.any(axis=0)])
-        first = inner[0] & (~inner[1] | (depths[0][pairs[0]] <= depths[1][pairs[1]]))
+        # 1. Put aside the pairs of two leaves. Choose the node to split: the less deep one, if it is no leaf.
+        is_inner = np.stack([tree.child[nodes] >= 0 for tree, nodes in zip(trees, pairs, strict=False)])
+        finished.append(pairs[:, ~is_inner.any(axis=0)])
+        splits_a = is_inner[0] & (~is_inner[1] | (depths[0][pairs[0]] <= depths[1][pairs[1]]))
+        # 2. Replace the node by either half.
         children = []
-        for side, chosen in enumerate((first, inner.any(axis=0) & ~first)):
-            parents = pairs[:, chosen]
+        for side, is_split in enumerate((splits_a, is_inner.any(axis=0) & ~splits_a)):
+            parents = pairs[:, is_split]
             axis = trees[side].axis[parents[side]]
             for half in range(2):
                 child = parents.copy()
@@ -47,11 +53,15 @@ def leaf_pairs(a: Tree, b: Tree, pairs: Pairs, keep: Keep) -> Int[np.ndarray, "r
 
 
 def overlap(a: Cells, i: Indices, b: Cells, j: Indices, axis: Indices) -> Bool[np.ndarray, " n"]:
+    """Return whether cells ``i`` of ``a`` and ``j`` of ``b`` overlap along ``axis``."""
+    # One interval then contains the other: both have the same position at the lower one of their depths.
     common = np.minimum(a.depth[i, axis], b.depth[j, axis])
     return a.position[i, axis] >> (a.depth[i, axis] - common) == b.position[j, axis] >> (b.depth[j, axis] - common)
 
 
 def overlapping_leaves(a: Tree, b: Tree) -> Int[np.ndarray, "2 pairs"]:
+    """Return all pairs of a leaf of ``a`` and a leaf of ``b`` whose cells overlap."""
+
     def keep(pairs: Pairs, side: int, half: int, axis: Indices) -> Bool[np.ndarray, " pairs"]:
         return overlap(a.cells, pairs[0], b.cells, pairs[1], axis)
 
@@ -68,7 +78,8 @@ def resolve_constraints(step: "csr_array", is_free: Float[np.ndarray, " n"]) -> 
     """
     from scipy.sparse import csr_array, diags_array
 
-    # Substitute repeatedly, squaring the matrix, until all rows name free values only.
+    # Squaring the matrix substitutes every value by its sum at once, so that the number of substitutions doubles. It
+    # ends, since there are no cycles: then all rows name free values only. Rows of free values are unit vectors.
     step = csr_array(step + diags_array(is_free))
     while step[:, np.flatnonzero(is_free == 0)].nnz:
         step = csr_array(step @ step)
@@ -80,7 +91,7 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
     """Return a square matrix ``m`` with ``rows @ m == 0``, which maps any values to solutions of these equations.
 
     Each equation is solved for its variable of the highest ``level``, a number for each variable. ``ValueError`` if
-    this takes more than ``most_weights`` additions.
+    this takes more than ``most_weights`` additions. Modifies ``rows`` in place: weights up to ``ZERO`` become 0.
     """
     from scipy.sparse import csr_array
 
@@ -88,6 +99,7 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
     #   1. replace each solved variable in it by its solution;
     #   2. solve it for its pivot: x[pivot] = -sum over the others of row[i] / row[pivot] * x[i];
     #   3. replace the pivot in all earlier solutions that use it, so that solutions name unsolved variables only.
+    # An equation that is empty after step 1 follows from the earlier ones.
     solved: dict[int, dict[int, float]] = {}  # eliminated variable -> combination of others
     uses: dict[int, set[int]] = {}  # variable -> eliminated variables that use it
     rows.data[np.abs(rows.data) <= ZERO] = 0
@@ -109,10 +121,11 @@ def eliminate_constraints(rows: "csr_array", level: Int[np.ndarray, " variables"
             work += _add(solved[user], solved[user].pop(pivot), solution)
         for index in solution:
             uses.setdefault(index, set()).update(users)
-    table = [(group, index, weight) for group, row in solved.items() for index, weight in row.items()]
-    group, index, weight = np.array(table).reshape(-1, 3).T
+    # The matrix: rows of solved variables have their solutions, all other rows are unit vectors.
+    table = [(pivot, index, weight) for pivot, row in solved.items() for index, weight in row.items()]
+    pivots, index, weight = np.array(table).reshape(-1, 3).T
     free = np.setdiff1d(np.arange(len(level)), np.array(list(solved), np.int64))
-    coordinates = np.concatenate([group, free]).astype(int), np.concatenate([index, free]).astype(int)
+    coordinates = np.concatenate([pivots, free]).astype(int), np.concatenate([index, free]).astype(int)
     return csr_array((np.concatenate([weight, np.ones(len(free))]), coordinates), (len(level), len(level)))
 
 
@@ -146,21 +159,24 @@ def neighbor_of_largest_contact(
 ) -> Int[np.ndarray, " unreachable"]:
     """Return the reachable leaf that shares the largest face, edge or corner with each unreachable leaf, or -1."""
     tree = tree_of(cells)
-    place = np.argsort(tree.order)
-    pairs = lost, others = tree.order[touching_leaves(tree, place[unreachable], place[reachable], periodic)]
+    leaf_of_cell = np.argsort(tree.order)
+    touching = touching_leaves(tree, leaf_of_cell[unreachable], leaf_of_cell[reachable], periodic)
+    pairs = borrower, donor = tree.order[touching]  # indices of cells
     # Of several assignments to one leaf, the last counts: the largest contact and, among equal ones, the first leaf.
-    order = np.lexsort((-others, _contacts(cells, cells.depth.max(axis=0), pairs, periodic)))
-    donor = np.full(len(cells), -1)
-    donor[lost[order]] = others[order]
-    return donor[unreachable]
+    order = np.lexsort((-donor, _contacts(cells, cells.depth.max(axis=0), pairs, periodic)))
+    donor_of = np.full(len(cells), -1)
+    donor_of[borrower[order]] = donor[order]
+    return donor_of[unreachable]
 
 
 def touching_leaves(
     tree: Tree, some: Int[np.ndarray, " some"], others: Int[np.ndarray, " others"], periodic: tuple[bool, ...]
 ) -> Int[np.ndarray, "2 pairs"]:
     """Return pairs of a leaf of ``some`` and a leaf of ``others`` that share a face, an edge or a corner."""
+    # A pair of nodes stays if they touch or overlap, the first contains a leaf of ``some``, and the second, of
+    # ``others``.
     finest = tree.cells.depth.max(axis=0)
-    holds = np.zeros((2, len(tree.child)), bool)  # which nodes contain leaves of either kind
+    holds = np.zeros((2, len(tree.child)), bool)
     holds[0, tree.node_of_leaf[some]] = holds[1, tree.node_of_leaf[others]] = True
     for splits in reversed(tree.splits):
         holds[:, splits] = holds[:, tree.child[splits]] | holds[:, tree.child[splits] + 1]
@@ -174,23 +190,33 @@ def touching_leaves(
 
 
 def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool, ...]) -> Float[np.ndarray, " pairs"]:
-    # The size of the face that both cells share; tiny for an edge or a corner, 0 if the cells are apart.
-    (a, b), contact = pairs, np.ones(pairs.shape[1])
+    """Return the size of the face that the cells of each pair share: tiny for an edge or a corner, 0 if apart.
+
+    It is the product over the axes of the length of the contact, as a share of the domain. ``finest`` has the largest
+    depth of cells along each axis.
+    """
+    # Along an axis, in widths of finest cells:
+    #     lo_a ------------- hi_a
+    #               lo_b ------------- hi_b
+    #               low      high                cells touch if low == high, and are apart if low > high
+    a, b = pairs
+    contact = np.ones(pairs.shape[1])
     for axis in range(cells.dim):
         up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
         lo_a, lo_b = cells.position[a, axis] << up_a, cells.position[b, axis] << up_b
         hi_a, hi_b = (cells.position[a, axis] + 1) << up_a, (cells.position[b, axis] + 1) << up_b
         low, high = np.maximum(lo_a, lo_b), np.minimum(hi_a, hi_b)
-        touch = high == low
-        if periodic[axis]:
+        touches = high == low
+        if periodic[axis]:  # cells at both ends of the axis touch across the seam
             first, last = np.minimum(lo_a, lo_b), np.maximum(hi_a, hi_b)
-            touch |= (high < low) & (first == 0) & (last == 1 << finest[axis])
-        contact *= np.where(touch, _TOUCH, np.maximum(high - low, 0)) / 2.0 ** finest[axis]
+            touches |= (high < low) & (first == 0) & (last == 1 << finest[axis])
+        contact *= np.where(touches, _TOUCH, np.maximum(high - low, 0)) / 2.0 ** finest[axis]
     return contact
 
 
-# Largest number of shared faces: in all, or per leaf if that gives more.
-_MOST_FACES, _MOST_FACES_OF_LEAF = 2**18, 2**7
+# Trees have at most max(_MOST_FACES, _MOST_FACES_OF_LEAF * leaves) shared faces.
+_MOST_FACES = 2**18
+_MOST_FACES_OF_LEAF = 2**7
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +235,8 @@ class SharedFaces(Rows):
 def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
     """Return all faces that two leaves share, also across periodic seams, by lower, then upper leaf."""
     most = max(_MOST_FACES, _MOST_FACES_OF_LEAF * len(tree.node_of_leaf))
-    # Start at the halves of every split, and at the root with itself across each periodic seam.
+    # Start at the halves of every split, and at the root with itself across each periodic seam. A column has the node
+    # below the face, the node above it, and the face's axis.
     split = np.flatnonzero(tree.child >= 0)
     pairs = np.stack([tree.child[split], tree.child[split] + 1, tree.axis[split]])
     seams = np.flatnonzero(periodic)
@@ -220,7 +247,8 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
             raise ValueError(
                 f"its {len(tree.node_of_leaf)} leaves share more than {most} faces. Build it with fewer leaves"
             )
-        # If the split is along the face's axis, only the half next to the face touches the face.
+        # If the split is along the face's axis, only the half next to the face touches the face: the upper half (1)
+        # of the node below (side 0), the lower half of the node above. Else the half must overlap the other node.
         return np.where(axis == pairs[2], half != side, overlap(tree.cells, pairs[0], tree.cells, pairs[1], axis))
 
     lower, upper, axis = leaf_pairs(tree, tree, pairs, keep)
@@ -245,19 +273,24 @@ def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Boo
     Ends are corners of leaves, numbered ``leaf * 2**dim + corner``. The second result is False for corners of the
     domain, which no split created.
     """
-    bits = corner_bits(tree.cells.dim)
-    weight = 1 << np.arange(tree.cells.dim)[::-1]
+    #     end 0 ------- corner ------- end 1        an edge of the node ``made_by``, which was halved along this edge:
+    #       lower half    |    upper half           the ends are corners of this node
+    bits = corner_bits(tree.cells.dim)  # (corners, dim) of 0 and 1
+    corners = np.arange(len(bits))
+    # 1. Downward: the node whose split made each corner of each node. A half keeps the corners on its outer side.
     origin = np.full((len(tree.child), len(bits)), -1)
     for split in tree.splits:
         for half in range(2):
             stays = (bits == half)[:, tree.axis[split]].T
             origin[tree.child[split] + half] = np.where(stays, origin[split], split[:, None])
+    # 2. Upward: the leaf in each corner of each node.
     leaf_at = np.empty_like(origin)
     leaf_at[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))[:, None]
-    corners = np.arange(len(bits))
     for split in reversed(tree.splits):
         leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, corners]
+    # 3. The ends of the halved edge: clear and set the corner's bit of the split axis. For corners of the domain, this
+    #    has no meaning.
     made_by = origin[tree.node_of_leaf]
-    across = weight[tree.axis[made_by]]
+    across = (1 << np.arange(tree.cells.dim)[::-1])[tree.axis[made_by]]
     ends = np.stack([corners & ~across, corners | across], axis=-1)
     return leaf_at[made_by[..., None], ends] * len(bits) + ends, made_by >= 0
