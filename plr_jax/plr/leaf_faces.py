@@ -288,8 +288,8 @@ def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Boo
     leaf_at[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))[:, None]
     for split in reversed(tree.splits):
         leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, corners]
-    # 3. The ends of the halved edge: clear and set the corner's bit of the split axis. For corners of the domain, this
-    #    has no meaning.
+    # 3. The ends of the halved edge: clear and set the corner's bit of the split axis. For corners of the domain,
+    #    this has no meaning.
     made_by = origin[tree.node_of_leaf]
     across = (1 << np.arange(tree.cells.dim)[::-1])[tree.axis[made_by]]
     ends = np.stack([corners & ~across, corners | across], axis=-1)

@@ -30,9 +30,9 @@ def evaluate_tables(tables: Tables, x: Array, outside: Outside = "inf") -> Value
     """Return the PLR's distance at each point, NaN for NaN; ``outside`` tells the answer outside the domain."""
     x = _as_float_points(tables, x)
     if outside == "clamp":
-        nearest, way = _clamp(tables if tables.folding is None else tables.folding, x)
-        return evaluate_tables(tables, nearest) + way
-    if tables.folding is not None:
+        nearest, distance = _clamp(tables if tables.folding is None else tables.folding, x)
+        return evaluate_tables(tables, nearest) + distance
+    if tables.folding is not None:  # the domain before folding decides what is outside
         is_outside, answer = outside_domain(tables.folding, x)
         value = evaluate_tables(replace(tables, folding=None), _fold(tables.folding, x, is_outside))
     else:
@@ -80,7 +80,8 @@ def bounds_of_tables(tables: Tables, band: Float[Array, "2 rows"], x: Array) -> 
 
 
 def _straight_bound(tables: Tables, x: Points) -> Values:
-    # Points must lie in the domain along periodic axes.
+    # Along periodic axes, points must lie in the domain. With the arrays of a :class:`StraightBound`, the bound is
+    #   max(min over goals of (sum over groups of rate * sqrt(sum over the group's axes of change**2)) - margin, 0)
     goals, groups, rates, margin = (each.astype(x.dtype) for each in tables.straight or ())
     frame = tables.frame.astype(x.dtype)
     ends = (frame[Frame.HI] - frame[Frame.HI_REST]) - (frame[Frame.LO] + frame[Frame.LO_REST])
@@ -137,8 +138,8 @@ def find_row(tables: Tables, x: Points) -> Bits:
     if tables.trie is not None:
         return _row_in_trie(tables, tables.trie, x)
     fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
-    index = _join_bits(fractions, *tables.bits)
-    if tables.pages is not None:
+    index = _join_bits(fractions, *tables.bits)  # of a block, or of an entry of a flat table
+    if tables.pages is not None:  # the row is the page's start, plus those bits below the block that the word selects
         mask, right, start = tables.pages.bits
         word = gather(tables.pages.words, index)
         return (word >> (start[0] & _SHIFTS)) + (word & _join_bits(fractions, mask, right))
@@ -148,7 +149,12 @@ def find_row(tables: Tables, x: Points) -> Bits:
 
 
 def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
-    # Index into ``Tables.leaf_of_slot``; ``block`` is a point's cell of the coarse grid.
+    # Index into ``Tables.leaf_of_slot``; ``block`` is a point's cell of the coarse grid. Axis by axis, a field of the
+    # block's word says how many fraction bits below the block go into the index:
+    #
+    #   first word                | start of the table | ... | bits of axis 1 | bits of axis 0 |
+    #   fraction bits of an axis  | block | index bits | below the slot |
+    #                                     | <------ shift ------------> |
     index = start = jnp.zeros_like(block)
     axis = 0
     for number, (table, axes) in enumerate(zip(blocks.words, blocks.axes, strict=True)):
@@ -164,7 +170,8 @@ def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
 
 
 def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
-    # Points outside the domain go to the center of the mirrors.
+    # z = A (x - center); then each mirror negates its axes at points whose pivot coordinate is negative. Points
+    # outside the domain go to the center of the mirrors.
     axes, (center, rest) = range(window.dim), window.center.astype(x.dtype)
     z = [jnp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
     if window.axes is not None:
@@ -182,7 +189,10 @@ def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
 
 
 def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Values]:
-    # Whether points, wrapped along periodic axes, are outside the closed domain, and the answer there: inf or NaN.
+    """Return whether points, wrapped along periodic axes, are outside the closed domain, and the answer there.
+
+    The answer is ``inf``, or NaN if a coordinate is NaN.
+    """
     x, frame = _constant(x), tables.frame.astype(x.dtype)
     outside, answer = jnp.zeros(x.shape[:-1], bool), jnp.full(x.shape[:-1], np.inf, x.dtype)
     for axis in range(tables.dim):
@@ -218,12 +228,13 @@ def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[Arra
         inside = jnp.where(along < lo, lo, jnp.where(along > hi, hi, along))
         nearest[axis] = jnp.where(is_finite, inside, along)
         beyond.append(jnp.where(is_finite, along - inside, 0))
-    way = length_of(beyond) if beyond else jnp.zeros(is_finite.shape, x.dtype)
-    return jnp.stack(nearest, axis=-1), way
+    distance = length_of(beyond) if beyond else jnp.zeros(is_finite.shape, x.dtype)
+    return jnp.stack(nearest, axis=-1), distance
 
 
 def length_of(along: list[Values]) -> Float[Array, "*#batch"]:
     """Return the lengths of vectors given axis by axis, without overflow or underflow; the gradient at 0 is 0."""
+    # |v| = s * |v / s|, with s the largest coordinate.
     largest = _constant(reduce(jnp.maximum, map(jnp.abs, along)))
     scale = jnp.where(largest > 0, largest, 1)
     square = reduce(add, (without_fusion(jnp.square(each / scale)) for each in along))
@@ -250,8 +261,10 @@ def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
         if tables.leaf.is_cell_relative:
-            # Local coordinate, from 0 to 1, or slightly beyond where the lookup rounds across a border. Products and
-            # the difference are exact, so both leaves at a face see the same point.
+            # Local coordinate, from 0 to 1, or slightly beyond where the lookup rounds across a border. An axis has
+            # the number 2**depth + position of its cell, whose exponent alone is 2**depth. With u the fraction of the
+            # domain, the local coordinate is u * 2**depth - position. Products and the difference are exact, so both
+            # leaves at a face see the same point.
             u = without_fusion(along * frame[Frame.SCALE, axis]) + (frame[Frame.START, axis] - 1)
             number = numbers[axis].astype(np.float32).view(np.uint32)
             count = (number & _EXPONENT).view(np.float32).astype(u.dtype)
@@ -279,6 +292,7 @@ class _Unfused:
 
 
 def _leaf_parameters(tables: Tables, row: Bits, dtype: np.dtype) -> list[Values]:
+    # Parameters are stored in columns, or row by row in a flat table (``arrange_parameters``).
     numbers, count = tables.leaf_parameters, tables.leaf.num_leaf_parameters(tables.dim)
     if numbers.ndim == 2:
         return [gather(numbers[i], row).astype(dtype) for i in range(len(numbers))]
@@ -286,6 +300,8 @@ def _leaf_parameters(tables: Tables, row: Bits, dtype: np.dtype) -> list[Values]
 
 
 def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
+    # ``placed`` is 1 plus the point's fraction of the domain. The bits of a float from 1 to below 2 are
+    #   | sign and exponent, always the same | 23 bits of the fraction |
     lo, start, scale, top = (
         tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
     )
@@ -294,16 +310,19 @@ def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
     # near a border could get the block (coarse cell) of one leaf and the entry of another.
     # The maximum keeps points that rounding puts below the lower edge from wrapping to the upper edge.
     placed = jnp.maximum(jnp.where(share < top, share, top) + start, 1)
-    return placed.astype(np.float32).view(np.uint32)  # bits of a float in [1, 2); the lowest 23 locate the point
+    return placed.astype(np.float32).view(np.uint32)
 
 
 def _join_bits(fractions: list[Bits], mask: UInt32[Array, " dim"], right: UInt32[Array, " dim"]) -> Bits:
+    # A row-major index: the bits under each axis's mask, side by side, the last axis lowest.
     return reduce(or_, [(place & mask[axis]) >> (right[axis] & _SHIFTS) for axis, place in enumerate(fractions)])
 
 
 def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
     """Return the row of each point's leaf in a stack of PLRs, level by level of the trie."""
 
+    # Entry 2 * i + 1 leads to the page that starts at entry i, where the point's bits select an entry. Entry 2 * i
+    # leads to row i; it reads entry i, which is 2 * i again.
     def descend(entry: Bits, bits: UInt32[Array, "2 dim"]) -> Bits:
         fractions = [_fraction_bits(tables, x, axis) for axis in range(tables.dim)]
         is_page = np.uint32(0) - (entry & np.uint32(1))  # all ones or zero
@@ -335,6 +354,7 @@ straight_through.defjvp(lambda primals, tangents: (primals[1], tangents[0]))
 
 def without_fusion(value: Values) -> Values:
     """Return a product or sum that the compiler cannot fuse with later operations."""
+    # The selection returns the value itself, but compilers do not fuse across it.
     constant = _constant(value)
     return straight_through(value, jnp.where(constant == constant, constant, jnp.nan))
 
