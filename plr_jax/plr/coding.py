@@ -6,9 +6,11 @@ from jaxtyping import Bool, Float, Int, UInt8
 from plr_jax._arrays import ragged_indices
 from plr_jax.plr.tree import MAX_DEPTH, Tree, tree_of_axes
 
-_BITS, _MOST_BYTES = 7, 10  # bits of the value in each byte of a varint; most bytes of a varint
+_BITS = 7  # bits of the value in each byte of a varint
+_MOST_BYTES = 10  # of a varint
 _MAX_WIDTH = 62  # most bits of an integer, so that sums and shifts fit 64 bits
-_COUNT_BITS, _ORDER_BITS = 32, 5  # bits of a set's size, and of the order of Exp-Golomb codes
+_COUNT_BITS = 32  # of a set's size
+_ORDER_BITS = 5  # of the order of Exp-Golomb codes
 _MAX_CODED = 2**40  # limit of integers in Exp-Golomb codes, not included
 
 
@@ -70,6 +72,8 @@ class BitWriter:
         return self
 
     def write_unary(self, values: Int[np.ndarray, " n"]) -> "BitWriter":
+        """Append each value ``v`` as ``v`` zeros and a one."""
+        # Integers 0, 1, 0, 1, ... in v, 1, v, 1, ... bits.
         widths = np.stack([values, np.ones_like(values)], axis=1).ravel()
         return self.write(np.arange(len(widths)) % 2, widths)
 
@@ -98,6 +102,7 @@ class BitWriter:
         orders = range(min(int(values.max()).bit_length() + 1, 1 << _ORDER_BITS))  # higher orders only add bits
         order = min(orders, key=lambda order: int((2 * _extra_bits(values, order) + order).sum()))
         extra = _extra_bits(values, order)
+        # v + 2**k has a leading one at bit k + e; the bits below it are left after the mask.
         self.write(np.array([order]), _ORDER_BITS).write_unary(extra)
         return self.write((values + (1 << order)) & ((1 << (order + extra)) - 1), order + extra)
 
@@ -128,6 +133,7 @@ class BitReader:
         self._at = 0
 
     def read(self, widths: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+        """Read unsigned integers of the given bit widths."""
         bits = self._take(int(widths.sum()))
         field, within = ragged_indices(widths)
         values = np.zeros(len(widths), np.int64)
@@ -138,7 +144,7 @@ class BitReader:
         return self._take(num_values * width).reshape(num_values, width) @ (np.int64(1) << np.arange(width))
 
     def read_unary(self, num_values: int) -> Int[np.ndarray, " n"]:
-        ends = np.flatnonzero(self._bits[self._at :])[:num_values]
+        ends = np.flatnonzero(self._bits[self._at :])[:num_values]  # the ones
         if len(ends) < num_values:
             raise ValueError("the data end too early")
         self._at += int(ends[-1]) + 1 if num_values else 0
@@ -148,6 +154,7 @@ class BitReader:
         return floats_of_bits(self.read_fixed_width(num_values, 32))
 
     def read_set(self, size: int) -> Bool[np.ndarray, " n"]:
+        """Read a subset of ``range(size)``: whether each number is a member."""
         member = np.zeros(size, bool)
         member[self.read_members(size)] = True
         return member
@@ -220,11 +227,12 @@ def body_size(dim: int, num_leaves: int, num_bits: int) -> int:
 
 def write_tree(body: BitWriter, tree: Tree) -> None:
     """Append each level of a tree: a bit per node (1 if split), then ``ceil(log2(dim))`` bits per split axis."""
-    first, num_nodes = 0, 1
+    first, num_nodes = 0, 1  # nodes of a level
     for split in tree.splits:
         body.write((tree.child[first : first + num_nodes] >= 0).astype(np.int64), 1)
         body.write(tree.axis[split], _axis_bits(tree.cells.dim))
-        first, num_nodes = first + num_nodes, 2 * len(split)
+        first += num_nodes
+        num_nodes = 2 * len(split)
 
 
 def read_tree(body: BitReader, dim: int) -> Tree:

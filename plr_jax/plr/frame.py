@@ -23,8 +23,10 @@ MOST_ROWS = 2**14  # most leaves of a size class whose tables all have one shape
 _MAX_FLAT_BITS = 18  # a flat table of 16-bit entries then fits a core's second-level cache
 _DEEP_BITS = 28  # most halvings, summed over the axes, for more leaves than MOST_ROWS or more than two axes
 _PAGED_DEPTH = 14  # most halvings along an axis of tables with pages, so that blocks and pages stay small
-# Log2 of the largest number of entries of lookup tables, per byte of the file, and least and largest value of it.
-_MAX_BITS_BEYOND_CLASS, _LEAST_ENTRIES_BITS, _MOST_ENTRIES_BITS = 9, 20, 27
+# Limit of entries of lookup tables: 2**9 for each byte of the file's size class, from 2**20 to 2**27.
+_MAX_BITS_BEYOND_CLASS = 9
+_LEAST_ENTRIES_BITS = 20
+_MOST_ENTRIES_BITS = 27
 
 
 def block_shapes(cells: Cells, block_bits: Int[np.ndarray, " dim"]) -> Int[np.ndarray, "blocks dim"]:
@@ -55,6 +57,8 @@ def slots_in_blocks(
     cells of the overlap along each axis of the finer grid in this block. The coarse grid has ``2**block_bits`` cells
     along each axis, the finer grid in each block ``2**shape`` (:func:`block_shapes`).
     """
+    #   position of a leaf along an axis, in binary   | block | `below` bits |
+    #   its first slot in the block                           | `below` bits | zeros |      `shape` bits
     leaf, block = leaves_in_blocks(cells, block_bits)
     index = row_major(block, block_bits)
     below = np.maximum(cells.depth[leaf] - block_bits, 0)
@@ -69,6 +73,8 @@ def leaves_in_blocks(
 
     The grid has ``2**block_bits`` cells along each axis.
     """
+    # Along an axis, a leaf as narrow as a block lies in one block; a wider leaf covers 2**(block_bits - depth)
+    # blocks.
     first = np.where(
         cells.depth >= block_bits,
         cells.position >> np.maximum(cells.depth - block_bits, 0),
@@ -81,6 +87,8 @@ def enumerate_boxes(
     first: Int[np.ndarray, "boxes dim"], count: Int[np.ndarray, "boxes dim"]
 ) -> tuple[Int[np.ndarray, " points"], Int[np.ndarray, "points dim"]]:
     """Enumerate integer points ``p`` of boxes ``first <= p < first + count``; return each one's box, and ``p``."""
+    # Points of a box are numbered in row-major order; the digits of this number, the last axis lowest, are the
+    # offsets.
     box, index = ragged_indices(count.prod(axis=1))
     points = np.empty((len(box), first.shape[1]), np.int64)
     for axis in reversed(range(first.shape[1])):
@@ -100,6 +108,7 @@ def spread_bits(bits: Int[np.ndarray, " dim"], most: int) -> Int[np.ndarray, " d
 def row_major(
     slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | Int[np.ndarray, " dim"]
 ) -> Int[np.ndarray, " n"]:
+    """Return row-major indices of slots in grids with ``2**bits`` cells along each axis."""
     index = np.zeros(len(slots), np.int64)
     for axis in range(slots.shape[1]):
         index = (index << bits[..., axis]) | slots[:, axis]
@@ -107,6 +116,7 @@ def row_major(
 
 
 def byte_class(num_bytes: int) -> int:
+    """Return the size class of a file: log2 of its bytes, rounded up, at least 8."""
     return max(_MIN_CLASS, (num_bytes - 1).bit_length())
 
 
@@ -140,6 +150,7 @@ def max_entries(num_bytes: int) -> int:
     return 1 << min(max(bits, _LEAST_ENTRIES_BITS), _MOST_ENTRIES_BITS)
 
 
+# How far from the origin a domain may be.
 _FAR = 4.0  # a domain is far beyond this many widths from the origin: 32-bit coordinates are coarser than its tables
 # Least number of 32-bit floats along an axis of the domain, by type of the points. With fewer, 32-bit points are off
 # by more than 1e-4 widths, as much as a distance in a small file errs, and tables of 64-bit points are wrong.
@@ -191,7 +202,7 @@ def is_far(domain: Box) -> bool:
 def unresolved_types(domain: Box) -> tuple[str, ...]:
     """Return the names of float types, such as "float32", that are too coarse to tell points of the domain apart."""
     apart = np.spacing(_largest_coordinates(domain).astype(np.float32)).astype(np.float64)
-    places = (domain.width / apart).min()
+    places = (domain.width / apart).min()  # 32-bit floats along the axis with the fewest
     return tuple(dtype for dtype, fewest in _FEWEST_PLACES.items() if places < fewest)
 
 
@@ -216,11 +227,14 @@ def in_parts(corners: Float[np.ndarray, "n dim"]) -> Float[np.ndarray, "n 3 dim"
 
 
 def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
+    """Return the rows of :class:`Frame`."""
     lo, hi = table_corners(domain)
     frame = np.empty((len(Frame), domain.dim), np.float32)
     frame[Frame.LO], frame[Frame.HI] = lo, hi
     frame[Frame.LO_REST], frame[Frame.HI_REST] = domain.single_rests
-    frame[Frame.START], frame[Frame.SCALE] = 1 - (domain.lo - lo) / domain.width, 1 / domain.width
+    frame[Frame.START] = 1 - (domain.lo - lo) / domain.width
+    frame[Frame.SCALE] = 1 / domain.width
+    # The largest float below 2 is 2 - 2**-23. TOP is rounded down.
     top = 2 - 2.0**-FRACTION_BITS - frame[Frame.START].astype(np.float64)
     rounded = top.astype(np.float32)
     frame[Frame.TOP] = np.where(rounded > top, np.nextafter(rounded, np.float32(0)), rounded)
@@ -228,6 +242,7 @@ def frame_of(domain: Box) -> Float[np.ndarray, "7 dim"]:
 
 
 def corner_if_far(domain: Box) -> Corner | None:
+    """Return the origin of a far domain's tables, its lower corner; None for any other domain."""
     return domain.lo if is_far(domain) else None
 
 

@@ -119,16 +119,18 @@ def pack_blocks(shape: PerBlock, offset: Int[np.ndarray, " blocks_plus_one"], sh
 
     ``shift`` has the number of bits of a point's position below those of its block, by axis.
     """
+    #   first word  | start | ... | size of axis 1 | size of axis 0 |      `width` bits a size
+    #   next word           | ... | size of axis k | size of axis k - 1 |  with axes that do not fit
     width = max(1, int(shape.max()).bit_length())
     axes_per_word = (WORD_BITS - int(offset[-1]).bit_length()) // width
     words, axes = [], []
     while not words or sum(axes) < shape.shape[1]:
-        here = shape[:, sum(axes) : sum(axes) + axes_per_word]
+        sizes = shape[:, sum(axes) : sum(axes) + axes_per_word]
         word = np.zeros(len(shape), np.int64) if words else offset[:-1]
-        for column in here.T[::-1]:
-            word = (word << width) | column
+        for size in sizes.T[::-1]:
+            word = (word << width) | size
         words.append(jax.device_put(word.astype(np.uint32)))
-        axes.append(here.shape[1])
+        axes.append(sizes.shape[1])
         axes_per_word = WORD_BITS // width
     return Blocks(tuple(words), jax.device_put(shift.astype(np.uint32)), tuple(axes), width)
 
@@ -144,7 +146,7 @@ def choose_block_bits(cells: Cells, bits: PerAxis, max_entries: int) -> PerAxis:
         if num_pairs(cells, block_bits) > max_entries:
             break  # finer blocks meet more leaves
         slots = np.sum(2.0 ** block_shapes(cells, block_bits).sum(axis=1))
-        size = 4 * 2.0 ** block_bits.sum() + 2 * slots
+        size = 4 * 2.0 ** block_bits.sum() + 2 * slots  # bytes
         if slots <= max_entries and size < fewest:
             best, fewest = block_bits, size
     if best is not None:
@@ -193,6 +195,12 @@ def build_pages(
     Return the pages, how often their grid halves each axis, the leaf in each entry, and the number of entries after
     padding: one of ``entry_counts`` (ascending). Among coarse grids, choose the one whose table takes least memory.
     """
+    # 1. Choose the coarse grid. An index into a page has a field of `page_bits` bits for each axis, the last axis
+    #    lowest, with `later_bits` bits below it. A page that is halved less often along an axis uses the highest
+    #    `shape` bits of the field; the bits below them are gaps:
+    #
+    #      fraction bits of an axis  | block_bits | page_bits | not used |
+    #      index into a page         | ... | shape | gaps | later_bits |
     bits = cells.depth.max(axis=0)
     best, fewest = None, np.inf
     for most_bits in _BLOCK_BITS:
@@ -201,7 +209,7 @@ def build_pages(
             break  # finer blocks meet more leaves
         # Skip blocks whose words cannot hold mask and start, or whose fraction bits would need a left shift.
         page_bits = bits - block_bits
-        later_bits = np.cumsum(page_bits[::-1])[::-1] - page_bits  # index bits of all later axes
+        later_bits = np.cumsum(page_bits[::-1])[::-1] - page_bits
         right_shift = FRACTION_BITS - bits - later_bits
         if page_bits.sum() + entry_counts[-1].bit_length() > WORD_BITS or (right_shift < 0).any():
             continue
@@ -209,25 +217,27 @@ def build_pages(
         if len(cells) + np.sum(2.0 ** shape[shape.any(axis=1)].sum(axis=1)) > entry_counts[-1]:
             continue
         start, num_entries = _place_pages(shape, page_bits, later_bits, len(cells))
-        total = next((each for each in entry_counts if num_entries <= each), None)
+        total = next((count for count in entry_counts if num_entries <= count), None)
         # Bytes: 4 a block; an entry takes 2 for the leaf's index, and 4 a parameter.
         if total is not None and (size := (4 << most_bits) + total * (2 + 4 * parameters_per_entry)) < fewest:
-            best, fewest = (block_bits, page_bits, later_bits, shape, start, num_entries, total), size
+            best = block_bits, page_bits, later_bits, shape, start, num_entries, total
+            fewest = size
         if total == entry_counts[0]:
             break  # finer blocks take more memory
     if best is None:
         return None
     block_bits, page_bits, later_bits, shape, start, num_entries, total = best
-    # An index into a page has a field of `page_bits` bits for each axis, the last axis lowest. A page that is halved
-    # less often along an axis uses the highest `shape` bits of the field; the bits below them are gaps.
+    # 2. A block in one leaf refers to the leaf's own entry, with the mask 0.
     leaf, block, first, count = slots_in_blocks(cells, block_bits, shape)
-    alone = ~shape[block].any(axis=1)
-    start[block[alone]] = leaf[alone]
+    is_alone = ~shape[block].any(axis=1)
+    start[block[is_alone]] = leaf[is_alone]
+    # 3. Write the leaves of all pages.
     pair, slot = enumerate_boxes(first, count)
     leaf_of_entry = np.zeros(num_entries, np.uint16)
     gaps = page_bits - shape[block[pair]]
     leaf_of_entry[start[block[pair]] + np.sum(slot << (gaps + later_bits), axis=1)] = leaf[pair]
     leaf_of_entry[: len(cells)] = np.arange(len(cells))
+    # 4. Pack the masks and starts of blocks into words.
     mask = np.sum(((1 << shape) - 1) << (page_bits - shape + later_bits), axis=1)
     words = padded((start << page_bits.sum()) | mask, 1 << int(block_bits.sum()))
     below_block = ((1 << page_bits) - 1) << (FRACTION_BITS - bits)
@@ -244,19 +254,23 @@ def _place_pages(
     A buddy allocator places pages by decreasing size, from entry ``first`` on. ``later_bits`` has the number of index
     bits of all later axes in the largest page.
     """
-    # Halving a free range along an axis gives its even and its odd entries:
+    # Halving a free range along an axis gives its even and its odd entries, a `step` apart: the lowest bit of the
+    # axis's field that the range uses.
     #
     #     range          0 1 2 3 4 5 6 7
     #     even half      0   2   4   6     begins at 0
     #     odd half         1   3   5   7   begins at 1
     finest = tuple(page_bits.tolist())
     free_starts: dict[tuple[int, ...], Int[np.ndarray, " _"]] = {}  # starts of free ranges, by their shape
-    start, end = np.zeros(len(shape), np.int64), first
+    start = np.zeros(len(shape), np.int64)
+    end = first
+    # 1. Sort blocks with a page by decreasing size, then shape, and take all blocks of one shape at once.
     order = np.flatnonzero(shape.any(axis=1))
     order = order[np.lexsort((*shape[order].T, -shape[order].sum(axis=1)))]
     for blocks in np.split(order, 1 + np.flatnonzero((shape[order[1:]] != shape[order[:-1]]).any(axis=1))):
         page = tuple(shape[blocks[0]].tolist()) if len(blocks) else ()
         while len(blocks):
+            # 2. Take ranges of the smallest shape into which the pages fit, or append one as large as any page.
             fitting = (each for each, starts in free_starts.items() if len(starts) and all(map(ge, each, page)))
             free_range = min(fitting, key=sum, default=None)
             if free_range is None:
@@ -264,15 +278,16 @@ def _place_pages(
                 free_starts[finest] = np.array([end])
                 end += 1 << sum(finest)
             count = -(-len(blocks) >> (sum(free_range) - sum(page)))  # ceil(pages / pages per range)
-            places, free_starts[free_range] = np.split(free_starts[free_range], [count])
+            taken, free_starts[free_range] = np.split(free_starts[free_range], [count])
+            # 3. Place pages in ranges of their own shape. Halve larger ranges, and try again.
             if free_range == page:
-                start[blocks[: len(places)]] = places
-                blocks = blocks[len(places) :]
+                start[blocks[: len(taken)]] = taken
+                blocks = blocks[len(taken) :]
                 continue
             axis = next(axis for axis, wanted in enumerate(page) if free_range[axis] > wanted)
             half = (*free_range[:axis], free_range[axis] - 1, *free_range[axis + 1 :])
             step = 1 << int(later_bits[axis] + page_bits[axis] - free_range[axis])
-            free_starts[half] = np.concatenate([free_starts.get(half, places[:0]), places, places + step])
+            free_starts[half] = np.concatenate([free_starts.get(half, taken[:0]), taken, taken + step])
     return start, end
 
 
@@ -305,7 +320,8 @@ class Tables:
         """Return tables whose queries first mirror points (given minus ``origin``) into the part the tree covers."""
         if folding is None:
             return self
-        domain, (*arrays, mirrors) = folding.domain.moved(-origin), folding_numbers(folding, origin)
+        domain = folding.domain.moved(-origin)
+        *arrays, mirrors = folding_numbers(folding, origin)
         periodic = tuple(np.flatnonzero(domain.periodic).tolist())
         frame, center, corners, axes = map(jax.device_put, (frame_of(domain), *arrays))
         window = FoldedDomain(frame, center, corners, axes, mirrors, periodic)
@@ -322,6 +338,7 @@ def build_tables(
     rows = rows_of_file if rows_of_file <= MOST_ROWS else padded_size(len(cells))
     leaf_parameters = leaf_parameters.astype(np.float32)
     blocks = pages = paged = None
+    # `top` has the halvings of the grid whose cells are the first entries that a query reads.
     # 1. Try pages.
     if leaf.has_deep_trees and rows <= MOST_ROWS:
         counts = [count for count in _PAGED_ENTRIES if count >= _PAGED_ENTRIES_PER_ROW * rows]
@@ -342,7 +359,7 @@ def build_tables(
         top = bits if flat else block_bits
         blocks = None if flat else pack_blocks(shape, offset, FRACTION_BITS - top)
         arranged = arrange_parameters(padded(leaf_parameters, rows))
-    # Select the highest fraction bits along each axis.
+    # 3. Masks that select the highest fraction bits along each axis.
     mask = ((1 << top) - 1) << (FRACTION_BITS - top)
     return Tables(
         frame=jax.device_put(frame_of(domain)),
