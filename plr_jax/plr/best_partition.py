@@ -18,12 +18,15 @@ from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, check_memory
 from plr_jax.plr.tree import leaf_order
 
-# The longest side of a box is at most 2**2 times its shortest, in fractions of the domain. Without a proof, it may be
-# 2**4 times as long if its largest error makes a tenth of the box's cost, as only long boxes beside walls have small
-# errors: at 8 KB, the largest falls from 7.0 to 0.9 cm on the map arena. With proofs, proven errors would be larger.
-MAX_ASPECT_BITS, _MAX_ASPECT_BITS_OF_PEAKS, _PEAKED = 2, 4, 0.1
+# The longest side of a box is at most 2**MAX_ASPECT_BITS times its shortest, in fractions of the domain. Without a
+# proof, a box whose largest error costs over _PEAKED of its integral may be longer, as only long boxes beside walls
+# have small errors: at 8 KB, the largest falls from 7.0 to 0.9 cm on the map arena. Proven errors would be larger.
+MAX_ASPECT_BITS = 2
+_MAX_ASPECT_BITS_OF_PEAKS = 4
+_PEAKED = 0.1
 # Weight of a box's largest error (its peak) beside the integral of its error, in volumes of an average leaf.
-PEAK_WEIGHT, PEAK_WEIGHT_PROVEN = 0.01, 0.05
+PEAK_WEIGHT = 0.01
+PEAK_WEIGHT_PROVEN = 0.05
 # One more leaf is expected to divide a box's peak by this factor at most. Measured for certified cones: without this
 # assumption, a quarter more boxes are computed for errors as small; with a factor of 2, some bounds are less narrow.
 _MOST_DROP = 3.0
@@ -48,7 +51,7 @@ class BoxLevel:
         return self.boxes.integral + weight * self.boxes.peak
 
     def is_open(self, limits: Limits, weight: float) -> Bool[np.ndarray, "2 boxes"]:
-        # Whether each box may be halved along each axis, but has not been halved yet.
+        """Return whether each box may be halved along each axis, but has not been halved yet."""
         depth = self.boxes.cells.depth.T
         shallow = (depth < limits.max_axis_depth) & (depth.sum(axis=0) < limits.max_depth)
         is_peaked = (limits.proof is Proof.NONE) & (weight * self.boxes.peak > _PEAKED * self.boxes.integral)
@@ -78,14 +81,18 @@ class TreeCosts(NamedTuple):
         if below is None:
             return TreeCosts(best, least)
         for lower, upper in level.child:
-            is_known = np.flatnonzero(lower >= 0)
+            known = np.flatnonzero(lower >= 0)
             for total, of_halves in ((best, below.best), (least, below.least)):
-                total[is_known] = np.minimum(total[is_known], of_halves[lower[is_known]] + of_halves[upper[is_known]])
+                total[known] = np.minimum(total[known], of_halves[lower[known]] + of_halves[upper[known]])
         return TreeCosts(best, least)
 
 
 def cost_if_halved(peak: Float[np.ndarray, " boxes"], price: float) -> Float[np.ndarray, " boxes"]:
-    # Each further leaf divides the peak by _MOST_DROP at best; the integral of the error may vanish.
+    """Return a cost that no tree below boxes of cost ``peak`` (weighted) is expected to undercut."""
+    # The integral of the error may vanish, and m >= 1 more leaves divide the peak by D**m at best, with D =
+    # _MOST_DROP. So trees cost at least the least (1 + m) price + peak D**-m. Leaf m + 1 is worth its price if
+    #   peak D**-m (1 - 1/D) > price,
+    # so the best m is the logarithm of peak / price * (1 - 1/D) to the base D, rounded up.
     lowest = _MOST_DROP / (_MOST_DROP - 1)  # a peak of fewer prices is not worth another leaf
     more = np.ceil(np.log(np.maximum(peak / price / lowest, _MOST_DROP)) / np.log(_MOST_DROP))
     return (1 + more) * price + peak * _MOST_DROP**-more
@@ -102,6 +109,7 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
     # A tree of b that costs at least most(b) improves no tree that contains it. The root has no such limit. Along an
     # axis, the two halves of b share what b may cost:
     #   most(half) = max over all boxes b with this half of min(best(b), most(b)) - least(other half of b).
+    # 1. Upward: costs of the boxes of every level.
     costs: dict[int, TreeCosts] = {}
 
     def update_costs(depth: int) -> None:
@@ -109,6 +117,7 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
 
     for depth in reversed(range(len(levels))):
         update_costs(depth)
+    # 2. Downward: halve boxes, then limit the costs of the next level.
     most = np.full(len(levels[0].key), np.inf)
     for depth, level in enumerate(levels):  # including the levels that are added meanwhile
         axis, parent = np.nonzero(
@@ -119,12 +128,13 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
             update_costs(depth + 1)
             update_costs(depth)
         if depth + 1 < len(levels):
-            allowed, below = np.minimum(costs[depth].best, most), costs[depth + 1].least
-            most = np.full(len(below), -np.inf)
+            allowed = np.minimum(costs[depth].best, most)
+            least_below = costs[depth + 1].least
+            most = np.full(len(least_below), -np.inf)
             for lower, upper in level.child:
-                is_known = np.flatnonzero(lower >= 0)
-                for half, other in ((lower[is_known], upper[is_known]), (upper[is_known], lower[is_known])):
-                    np.maximum.at(most, half, allowed[is_known] - below[other])
+                known = np.flatnonzero(lower >= 0)
+                for half, other in ((lower[known], upper[known]), (upper[known], lower[known])):
+                    np.maximum.at(most, half, allowed[known] - least_below[other])
     check_memory(float(sum(len(level.key) for level in levels)))
 
 
@@ -137,6 +147,8 @@ def _add_halves(
     """
     level = levels[depth]
     is_upper = np.arange(len(parent)) % 2 == 1
+    # Halves of several parents may be one box: sorted by hash, equal ones are computed in one batch or known to the
+    # next.
     order = np.argsort(level.boxes.cells[parent].halves(axis, is_upper).hashes(), kind="stable")
     parent, axis, is_upper = parent[order], axis[order], is_upper[order]
     for begin in range(0, len(parent), BOXES_PER_BATCH):
@@ -147,22 +159,27 @@ def _add_halves(
             levels.append(BoxLevel.of(boxes, key))
         elif len(key):
             levels[depth + 1].append(boxes, key)
+        # Let the parents refer to their halves, which the next level now has.
         keys = levels[depth + 1].key
         by_key = np.argsort(keys)
         place = by_key[np.searchsorted(keys, of_half, sorter=by_key)]
         level.child[axis[batch], is_upper[batch].astype(int), parent[batch]] = place
 
 
-# How prices are chosen. A round multiplies the price by a factor between the first two numbers.
-_LARGEST_DROP, _SMALLEST_DROP = 0.005, 0.7
+# How prices are chosen. A round multiplies the price by a factor from _LARGEST_DROP to _SMALLEST_DROP.
+_LARGEST_DROP = 0.005
+_SMALLEST_DROP = 0.7
 _RATE_STEP = 8.0  # trees at two prices of this ratio show how the number of leaves depends on the price
 _MUCH_ROOM = 8.0  # if the limits allow this many times more leaves, the price falls by the largest drop
 _BEYOND = 1.15  # near the limits, the next tree should exceed them by this factor
-_FIRST_RATE, _UNLIMITED = 2.2, 1e7  # guess: price ~ leaves**-2.2; this many leaves or more count as unlimited
+_FIRST_RATE = 2.2  # guess: price ~ leaves**-2.2
 _FIRST_FILL = 0.25  # the first price aims at this share of the limits, since the guess is rough
-_BITS_A_LEAF, _BITS_A_SOURCE = 5.0, 56.0  # estimated bits of one more leaf, and of a source that it needs
-# Most prices to try between two trees; the share of the limits to aim at, and the share at which the search stops.
-_ATTEMPTS, _AIM, _FULL = 12, 0.9985, 0.997
+_UNLIMITED = 1e7  # this many leaves or more count as unlimited
+_BITS_A_LEAF = 5.0  # estimated bits of one more leaf
+_BITS_A_SOURCE = 56.0  # estimated bits of a source that a leaf needs
+_ATTEMPTS = 12  # most prices to try between a tree that fits and a tree that is too large
+_AIM = 0.9985  # share of the limits that such a price aims at
+_FULL = 0.997  # the search stops at a tree that fills this share of the limits
 _LAST = 1e-4  # factor of the price once no box is left to halve; not 0, so that the smaller of equal trees is chosen
 Leaves: TypeAlias = list[Int[np.ndarray, " _"]]
 """For each level, the indices of the boxes that are leaves of a tree."""
@@ -172,7 +189,7 @@ Leaves: TypeAlias = list[Int[np.ndarray, " _"]]
 class PricedTree:
     """The tree with the least sum of its leaves' errors and a ``price`` per leaf, stored level by level."""
 
-    leaves: Leaves
+    leaves: Leaves  # as indices into the levels' boxes
     axes: list[Int[np.ndarray, " _"]]  # split axis of each node; -1 for a leaf
     order: Int[np.ndarray, " leaves"]  # permutation of the leaves into the order of the tree's traversal
     price: float
@@ -184,6 +201,7 @@ class PricedTree:
 
 
 def peak_weight(num_leaves: float, is_proven: bool) -> float:
+    """Return the weight of a leaf's peak in its cost, for trees of about ``num_leaves`` leaves."""
     return PEAK_WEIGHT_PROVEN / num_leaves if is_proven else PEAK_WEIGHT / float(np.sqrt(num_leaves))
 
 
@@ -242,20 +260,22 @@ class PriceSearch:
         )
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
-        # A lower price, for a larger tree, and the weight of a leaf's largest error in its cost.
-        # Estimate the largest number of leaves from the bytes that are left.
+        """Return a lower price, for a larger tree, and the weight of a leaf's largest error in its cost."""
+        # 1. Estimate the largest number of leaves from the bytes that are left.
         bits = (self._limits.max_bytes - now.num_bytes) * 8
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
         more = bits / (self._bits_a_leaf + _BITS_A_SOURCE * is_crowded)  # each new leaf brings its source
         most = float(min(self._limits.max_leaves, len(now) + more))
-        weight, room = self._peak_weight(most if most < _UNLIMITED else len(now)), most / len(now)
+        weight = self._peak_weight(most if most < _UNLIMITED else len(now))
+        room = most / len(now)
+        # 2. After the root, guess. Far from the limits, drop the price as far as possible.
         if len(now) == 1:
             room = max(_FIRST_FILL * room, 2.0)
             return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), weight
         before = len(self._best_tree(_RATE_STEP * now.price, weight))
         if before == len(now) or room > _MUCH_ROOM:
             return _LARGEST_DROP * now.price, weight
-        # Assume leaves ~ price**-rate, with the rate between the last price and a higher one.
+        # 3. Assume leaves ~ price**-rate, with the rate between the last price and a higher one.
         rate = np.log(len(now) / before) / np.log(_RATE_STEP)
         drop = float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
         return drop * now.price, weight
@@ -265,9 +285,11 @@ class PriceSearch:
         return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
 
     def _fill(self, tree: PricedTree) -> float:
+        """Return the share of the limits that a tree takes, more than 1 if it exceeds them."""
         return max(len(tree) / self._limits.max_leaves, tree.num_bytes / self._limits.max_bytes)
 
     def _largest(self, fits: PricedTree, beyond: PricedTree, weight: float) -> PricedTree:
+        """Return the largest tree found that is within the limits, from tree ``fits`` on; ``beyond`` exceeds them."""
         # Regula falsi: between the prices of a tree that fits and of a tree that is too large, the logarithm of the
         # used share of the limits counts as linear in the logarithm of the price. Every fourth attempt bisects.
         largest = fits
@@ -333,13 +355,15 @@ def best_axes(
     """
     choices, below = [], np.zeros(0)
     for level, (box, child) in zip(reversed(levels[: len(selected)]), reversed(selected), strict=True):
-        total, choice = level.costs(weight)[box] + price, np.full(len(box), -1)
+        total = level.costs(weight)[box] + price
+        choice = np.full(len(box), -1)
         for axis, (lower, upper) in enumerate(child):
             halved = np.flatnonzero(lower >= 0)
             split_cost = below[lower[halved]] + below[upper[halved]]
-            cheaper = split_cost < total[halved]
+            cheaper = split_cost < total[halved]  # of equal costs, a leaf and the first axis win
             halved = halved[cheaper]
-            total[halved], choice[halved] = split_cost[cheaper], axis
+            total[halved] = split_cost[cheaper]
+            choice[halved] = axis
         below = total
         choices.append(choice)
     return choices[::-1]

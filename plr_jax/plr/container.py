@@ -19,7 +19,8 @@ from plr_jax.plr.coding import ByteReader, signed_varint, varint
 from plr_jax.plr.folding import Folding
 
 VERSION = 5  # of files without the parts below; release 0.2 asks for an update of other versions
-_NAMING_GOALS, _WITH_CUT_OFF = 1, 2  # added to the version if a file names goals, or leaves that answer ``inf``
+_NAMING_GOALS = 1  # added to the version if a file names goals
+_WITH_CUT_OFF = 2  # added to the version if a file names leaves that answer ``inf``
 PAIRS_CODE = 7  # in place of a leaf model's code, in files of distances between pairs of points
 MOST_LABEL_BYTES = 1000
 MOST_BYTES = 2**28  # largest size of a file
@@ -29,7 +30,10 @@ GRID_MAGIC = b"PGP\n"  # first bytes of files of distances between cells of a gr
 _EARLIER = b"PLR\n", b"CPL\n"  # first bytes of files of earlier versions
 MOST_LAYERS = 32
 _MOST_IN_BITS = 15  # most axes that fit into four bits of the header's first byte
-_FOLDED, _EXTENDED, _FLOATS = 1 << 5, 1 << 6, 1 << 7  # flags in the header's second byte
+# Flags in the header's second byte.
+_FOLDED = 1 << 5  # mirror symmetries follow the domain
+_EXTENDED = 1 << 6  # a label and the sizes of layers follow
+_FLOATS = 1 << 7  # the domain's corners are floats, not decimal numbers
 _CRC = struct.Struct("<I")
 _START = 2**12  # bytes that are read before the first bytes are checked
 _ORTHOGONAL = 1e-9  # tolerance for entries of ``axes @ axes.T``
@@ -64,10 +68,15 @@ class Header:
     @cached_property
     def data(self) -> bytes:
         """The bytes of the header, as ``portable/FORMAT.md`` describes them."""
-        dim, (domain, is_floats) = self.domain.dim, domain_to_bytes(self.domain)
+        # After MAGIC, from the highest bit down:
+        #   first byte   | number of axes, 0 if a varint follows: 4 | version: 4 |
+        #   second byte  | floats: 1 | extended: 1 | folded: 1 | kind of proof: 2 | leaf model: 3 |
+        dim = self.domain.dim
+        domain, is_floats = domain_to_bytes(self.domain)
         if dim > MOST_AXES:
             raise ValueError(f"A domain must have at most {MOST_AXES} axes, got {dim}.")
-        fits, label = dim <= _MOST_IN_BITS, self.label.encode()
+        fits = dim <= _MOST_IN_BITS
+        label = self.label.encode()
         flags = _FOLDED * (self.folding is not None) | _EXTENDED * bool(label or self.sizes) | _FLOATS * is_floats
         version = VERSION + _NAMING_GOALS * self.names_goals + _WITH_CUT_OFF * self.has_cut_off
         parts = [MAGIC, bytes([version | (dim * fits) << 4, self.leaf_code | self.proof_code << 3 | flags])]
@@ -80,11 +89,13 @@ class Header:
 
     @property
     def marks(self) -> tuple[int, ...]:
+        """The byte at which each layer but the last ends."""
         return tuple(accumulate(self.sizes, initial=len(self.data)))[1:]
 
     @staticmethod
     def read(data: bytes) -> "Header":
         """Decode the header of a file; ``ValueError`` if it is invalid, or not encoded as ``data`` does it."""
+        # 1. Magic bytes, version and number of axes.
         if data.startswith(_EARLIER):
             raise ValueError(f"it must have format version {VERSION}, but has an earlier one; build it again")
         reader = ByteReader(data)
@@ -102,6 +113,7 @@ class Header:
             raise ValueError("it names goals or leaves of distances between any two points")
         if not 1 <= (dim := first >> 4 or reader.varint()) <= MOST_AXES:
             raise ValueError(f"it must have 1 to {MOST_AXES} axes, but states {dim}")
+        # 2. Domain, mirror symmetries, label and sizes of layers.
         domain = read_domain(reader, dim, bool(second & _FLOATS))
         folding = read_folding(reader, domain) if second & _FOLDED else None
         label, sizes = "", ()
@@ -117,6 +129,7 @@ class Header:
             if count and second & 7 != PAIRS_CODE:
                 raise ValueError("it is a progressive file of PLRs, which only plr_jax 0.1 reads; build it again")
             sizes = tuple(reader.varint() for _ in range(count))
+        # 3. Every header has one encoding: no other one decodes to it.
         header = Header(domain, second & 7, second >> 3 & 3, folding, label, sizes, names_goals, has_cut_off)
         if header.data != data[: reader.at]:
             raise ValueError("its header is not in canonical form")
@@ -210,6 +223,8 @@ def folding_to_bytes(folding: Folding) -> bytes:
 
 def read_folding(reader: ByteReader, domain: Box) -> Folding:
     """Decode mirror symmetries; ``ValueError`` if one is invalid or does not cut the domain."""
+    # 1. Read the center, the axes if they are rotated, and a row of ``marks`` for each mirror: 1 where it reverses an
+    #    axis. Release 0.1 marked straight lines in one more row.
     dim = domain.dim
     center = np.frombuffer(reader.take(8 * dim), "<f8").astype(np.float64)
     axes = np.eye(dim)
@@ -219,9 +234,11 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
     mirrors = tuple(tuple(map(bool, row)) for row in marks[:-1])
     if marks[-1].any():
         raise ValueError("it stores distances minus straight lines, which only plr_jax 0.1 reads; build it again")
+    # 2. Check them.
     if not (np.isfinite(center).all() and np.isfinite(axes).all()):
         raise ValueError("its folding has values that are not finite")
-    unit, periodic = np.eye(dim), np.array(domain.periodic)
+    unit = np.eye(dim)
+    periodic = np.array(domain.periodic)
     if np.abs(axes).max() > 2 or np.abs(axes @ axes.T - unit).max() > _ORTHOGONAL or (axes != unit)[periodic].any():
         raise ValueError("the axes of its folding are not orthogonal, or rotate a periodic axis")
     if not mirrors:
@@ -236,7 +253,8 @@ def domain_to_bytes(domain: Box) -> tuple[bytes, bool]:
     """Encode a domain as in ``portable/FORMAT.md``; also return whether its coordinates are stored as floats."""
     first, second = np.where(domain.periodic, (domain.hi, domain.lo), (domain.lo, domain.hi))
     numbers = np.concatenate([first, second])
-    floats, decimals = numbers.astype("<f8").tobytes(), _decimals(numbers.tolist())
+    floats = numbers.astype("<f8").tobytes()
+    decimals = _decimals(numbers.tolist())
     return (floats, True) if decimals is None or len(decimals) > len(floats) else (decimals, False)
 
 
@@ -258,7 +276,7 @@ def read_domain(reader: ByteReader, dim: int, is_floats: bool) -> Box:
 
 
 def _decimals(numbers: list[float]) -> bytes | None:
-    # Encode numbers as integers divided by one power of ten, unless that is not exact.
+    """Encode numbers as integers divided by one power of ten; None unless that is exact."""
     shortest = [Decimal(repr(number)) for number in numbers]
     decimals = max(0, *(-int(number.normalize(_EXACT).as_tuple().exponent) for number in shortest))
     integers = [int(number.scaleb(decimals, _EXACT)) for number in shortest]
