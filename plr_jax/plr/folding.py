@@ -39,6 +39,8 @@ class Folding:
     @cached_property
     def box(self) -> Box:
         """Box of all points of the domain after mirroring, which a PLR's leaves partition."""
+        # A mirror's pivot becomes 0 or more. The other axes that the mirror reverses may get either sign, so their
+        # range becomes symmetric.
         lo, hi = self._range_before_mirroring
         largest = np.maximum(np.abs(lo), np.abs(hi))
         is_reversed = np.any(np.array(self.mirrors).reshape(-1, self.domain.dim), axis=0)
@@ -50,6 +52,7 @@ class Folding:
 
     @property
     def cutting_mirrors(self) -> tuple[tuple[bool, ...], ...]:
+        """The mirrors whose plane has more than ``_CUT`` of the domain's width on both sides."""
         lo, hi = self._range_before_mirroring
         least = _CUT * (hi - lo)
         pairs = zip(self.mirrors, self.pivots, strict=True)
@@ -57,10 +60,13 @@ class Folding:
 
     @property
     def _range_before_mirroring(self) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
+        """Least and largest coordinates of the domain's points, after shift and rotation."""
+        # z_i = sum over j of axes_ij (x_j - center_j): each term is extreme at an end of the domain's axis j.
         ends = self.axes * (self.domain.lo - self.center), self.axes * (self.domain.hi - self.center)
         return np.minimum(*ends).sum(axis=1), np.maximum(*ends).sum(axis=1)
 
     def __call__(self, x: Float[np.ndarray, "*batch dim"]) -> Float[np.ndarray, "*batch dim"]:
+        """Return the folded points ``z`` of points ``x``."""
         z = np.asarray(x, np.float64) - self.center
         z = z @ self.axes.T if self.is_turned else z
         for mirror, pivot in zip(self.mirrors, self.pivots, strict=True):
@@ -79,6 +85,7 @@ class Folding:
 
     @property
     def _reversals(self) -> Bool[np.ndarray, "subsets dim"]:
+        """Whether each subset of mirrors reverses each axis: it does if an odd number of its mirrors does."""
         num, dim = len(self.mirrors), self.domain.dim
         subsets = np.array(list(product((0, 1), repeat=num)), int).reshape(2**num, num)
         return subsets @ np.array(self.mirrors, int).reshape(num, dim) % 2 == 1
@@ -125,9 +132,9 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
     # 1. Keep symmetric involutions that commute and do not mix periodic axes with others.
     symmetries: list[Symmetry] = []
     for symmetry in distance_fn.symmetries if isinstance(distance_fn, SymmetricFn) else ():
-        matrix, dim = symmetry.matrix, domain.dim
+        matrix = symmetry.matrix
         is_symmetric = np.allclose(matrix, matrix.T, atol=_SAME)
-        is_involution = np.allclose(matrix @ matrix, np.eye(dim), atol=_SAME)
+        is_involution = np.allclose(matrix @ matrix, np.eye(domain.dim), atol=_SAME)
         mixes = np.abs(matrix - np.diag(np.diag(matrix))).max(axis=1) > _SAME
         commutes = all(np.allclose(matrix @ other.matrix, other.matrix @ matrix, atol=_SAME) for other in symmetries)
         if is_symmetric and is_involution and commutes and not (mixes & np.array(domain.periodic)).any():
@@ -143,7 +150,7 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
         weight = 2.0 ** -np.arange(len(matrices))  # different combinations of signs have different weighted sums
         block = np.einsum("n,nij->ij", weight, matrices)[np.ix_(mixes, mixes)]
         _, vectors = np.linalg.eigh(block)
-        largest = np.abs(vectors).argmax(axis=0)
+        largest = np.abs(vectors).argmax(axis=0)  # made positive, whichever sign LAPACK chooses
         vectors *= np.sign(vectors[largest, np.arange(len(largest))])
         axes[np.ix_(mixes, mixes)] = vectors.T
     signs = np.einsum("ij,njk,ik->ni", axes, matrices, axes)
@@ -157,9 +164,10 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
     step = np.linalg.lstsq(moved, shift, rcond=None)[0]
     scale = _SAME_PLACE * (np.abs(middle) + domain.width)
     is_fixed = np.abs(moved @ step - shift).max() <= scale.max()
-    if not is_fixed or np.abs(np.abs(signs) - 1).max() > _SAME_PLACE or not mirrors:
+    are_common = np.abs(np.abs(signs) - 1).max() <= _SAME_PLACE  # whether `axes` are eigenvectors of all symmetries
+    if not (is_fixed and are_common and mirrors):  # without mirrors, only periodic axes are reversed
         return None
-    center = np.where(np.abs(step) <= scale * 1e-3, middle, middle + step)
+    center = np.where(np.abs(step) <= scale * 1e-3, middle, middle + step)  # no step by a rounding error
 
     # 4. Keep the mirrors that cut the domain, if they make it smaller.
     folding = Folding(domain, center, axes, mirrors)
@@ -171,13 +179,16 @@ def folding_of(distance_fn: DistanceFn, domain: Box) -> Folding | None:
 def _assign_pivots(
     mirrors: Bool[np.ndarray, "n dim"], may_pivot: Bool[np.ndarray, " dim"]
 ) -> tuple[tuple[bool, ...], ...]:
-    # Combine mirrors until each reverses an axis alone (reduced row echelon form modulo 2); drop all others.
-    rows, rank = mirrors.copy(), 0
+    # Combine mirrors until each reverses an axis alone (reduced row echelon form modulo 2); drop all others, which
+    # reverse no axis that may be a pivot. Two mirrors one after the other are again a symmetry: it reverses the axes
+    # that exactly one of them reverses, the XOR of their rows.
+    rows = mirrors.copy()
+    rank = 0  # rows above it have pivots
     for axis in np.flatnonzero(may_pivot):
         below = np.flatnonzero(rows[rank:, axis])
         if not len(below):
             continue
-        rows[[rank, rank + below[0]]] = rows[[rank + below[0], rank]]
+        rows[[rank, rank + below[0]]] = rows[[rank + below[0], rank]]  # swap
         others = rows[:, axis].copy()
         others[rank] = False
         rows[others] ^= rows[rank]

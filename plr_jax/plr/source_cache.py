@@ -18,25 +18,29 @@ class SourceCache:
     def __init__(self, domain: Box, root: CellSources) -> None:
         self._domain = domain
         self._parts: list[CellSources] = []
-        # Sorted hashes of known cells; the part that holds each cell, and the cell's index in that part.
-        self._hashes, self._place = np.zeros(0, np.uint64), np.zeros((2, 0), np.int64)
+        self._hashes = np.zeros(0, np.uint64)  # of known cells, sorted
+        self._place = np.zeros((2, 0), np.int64)  # the part that holds each known cell, and its index in this part
         self.remember(Cells.root(2), root)
 
     def remember(self, cells: Cells, visible: CellSources) -> None:
-        hashes, part = np.append(self._hashes, cells.hashes()), np.full(len(cells), len(self._parts))
+        """Add the sources of cells, as a new part."""
+        hashes = np.append(self._hashes, cells.hashes())
+        part = np.full(len(cells), len(self._parts))
         place = np.append(self._place, np.stack([part, np.arange(len(cells))]), axis=1)
         order = np.argsort(hashes, kind="stable")
         self._hashes, self._place = hashes[order], place[:, order]
         self._parts.append(visible)
 
     def sources(self, cells: Cells) -> CellSources:
-        # Each cell must be cached or half of a cached cell.
+        """Return the sources of cells; each cell must be cached or half of a cached cell."""
         new = cells[np.flatnonzero(~self._knows(cells))]
         if len(new):
-            # Halve cached cells along the first axis if possible, else along the second.
+            # 1. Find the whole of each new cell: the cached cell along the first axis if there is one, else along the
+            #    second. `wholes` has the candidates of both axes.
             wholes = [Cells(np.maximum(new.depth - step, 0), new.position >> step) for step in np.eye(2, dtype=int)]
             axis = np.where((new.depth[:, 0] > 0) & self._knows(wholes[0]), 0, 1)
             whole = wholes[0].append(wholes[1])[axis * len(new) + np.arange(len(new))]
+            # 2. Cut each whole once for all of its halves: sort the new cells by whole (their `parent`).
             _, first, parent = np.unique(whole.hashes(), return_index=True, return_inverse=True)
             order = np.argsort(parent, kind="stable")
             is_upper = new.position[np.arange(len(new)), axis] % 2 == 1
@@ -48,12 +52,14 @@ class SourceCache:
     def sources_of_leaves(self, tree: Tree) -> CellSources:
         """Return the sources of a tree's leaves; unless all are known, descend from the domain's sources."""
         if not self._knows(tree.leaves).all():
-            nodes, visible = np.zeros(1, np.int64), self.sources(Cells.root(2))
+            nodes = np.zeros(1, np.int64)  # of a level; `visible` has their sources
+            visible = self.sources(Cells.root(2))
             while len(nodes):
                 is_leaf = tree.child[nodes] < 0
                 leaf, inner = np.flatnonzero(is_leaf), np.flatnonzero(~is_leaf)
                 self.remember(tree.cells[nodes[leaf]], visible.of_cells(leaf))
-                parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
+                parent = np.repeat(inner, 2)
+                axis = np.repeat(tree.axis[nodes[inner]], 2)
                 nodes = tree.halves(nodes[inner])
                 lo, hi = tree.cells[nodes].grown_boxes(self._domain)
                 visible = visible.parts(parent, axis, np.arange(len(nodes)) % 2 == 1, lo, hi)
@@ -61,10 +67,11 @@ class SourceCache:
 
     def _knows(self, cells: Cells) -> Bool[np.ndarray, " cells"]:
         hashes = cells.hashes()
-        at = np.minimum(np.searchsorted(self._hashes, hashes), len(self._hashes) - 1)
-        return self._hashes[at] == hashes
+        nearest = np.minimum(np.searchsorted(self._hashes, hashes), len(self._hashes) - 1)
+        return self._hashes[nearest] == hashes
 
     def _recall(self, cells: Cells) -> CellSources:
+        # Read each part once: sort the cells by part, and restore their order at the end.
         part, place = self._place[:, np.searchsorted(self._hashes, cells.hashes())]
         order = np.argsort(part, kind="stable")
         runs = np.split(order, np.flatnonzero(np.diff(part[order])) + 1)
@@ -74,6 +81,7 @@ class SourceCache:
 
 def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) -> Float[np.ndarray, "cells k"]:
     """Return exact distances to the goal at ``k`` points of each cell; ``inf`` where it cannot be reached."""
+    # 1. Find all pairs of a piece of free space and a point in it; the point is ``x[cell of the piece, column]``.
     distance = np.full(x.shape[:2], np.inf)
     at_once = max(1, _POINTS_AT_ONCE // x.shape[1])
     containing = [np.zeros((2, 0), int)]
@@ -82,16 +90,18 @@ def distances_in_cells(visible: CellSources, x: Float[np.ndarray, "cells k 2"]) 
         row, column = np.nonzero(visible.hold(piece, x[visible.cell[piece]]))
         containing.append(np.stack([piece[row], column]))
     piece, column = np.concatenate(containing, axis=1)
-    # For each piece that contains a point, find the shortest path by way of a source that the point sees.
-    for some in parts(np.diff(visible.first_pair)[piece], _PAIRS_AT_ONCE):
-        pair, row = take_ragged(visible.first_pair, piece[some])
-        source, sources = visible.source[pair], visible.sources
-        place = visible.cell[piece[some][row]], column[some][row]
-        dx, dy = (x[place] - sources.points[source]).T
-        length = sources.distances[source] + np.sqrt(dx * dx + dy * dy)
+    # 2. Find each point's shortest path by way of a source that it sees. First take the sources that all of the piece
+    #    sees; then test sight only where another source would be nearer.
+    for batch in parts(np.diff(visible.first_pair)[piece], _PAIRS_AT_ONCE):
+        pair, row = take_ragged(visible.first_pair, piece[batch])
+        source = visible.source[pair]
+        cell, of_cell = visible.cell[piece[batch][row]], column[batch][row]
+        point = x[cell, of_cell]
+        dx, dy = (point - visible.sources.points[source]).T
+        length = visible.sources.distances[source] + np.sqrt(dx * dx + dy * dy)
         by_all = visible.by_all[pair]
-        np.minimum.at(distance, tuple(each[by_all] for each in place), length[by_all])
-        unsure = np.flatnonzero(~by_all & (length < distance[place]))
-        seen = unsure[visible.see(source[unsure], x[place][unsure])]
-        np.minimum.at(distance, tuple(each[seen] for each in place), length[seen])
+        np.minimum.at(distance, (cell[by_all], of_cell[by_all]), length[by_all])
+        unsure = np.flatnonzero(~by_all & (length < distance[cell, of_cell]))
+        seen = unsure[visible.see(source[unsure], point[unsure])]
+        np.minimum.at(distance, (cell[seen], of_cell[seen]), length[seen])
     return distance

@@ -20,18 +20,22 @@ class SourceSight:
 
     def __init__(self, plr: PLR, workspace: Workspace, rounding: float):
         sources, _ = as_sourced(plr.leaf).sources(plr.stored)
-        self._distances, root = sources.distances, sources.parents
-        self._workspace, self._tolerance = workspace, max(workspace.tolerance, rounding)  # files round sources
+        self._distances = sources.distances
+        self._workspace = workspace
+        self._tolerance = max(workspace.tolerance, rounding)  # files round sources
         # 1. Undo the rounding of corners: beside a point where two walls touch, a rounded one lies on either side.
         corners = workspace.boundary.vertices
-        away, corner = KDTree(corners).query(sources.points)
-        self._points = np.where((away <= self._tolerance)[:, None], corners[corner], sources.points)
+        to_corner, nearest = KDTree(corners).query(sources.points)
+        self._points = np.where((to_corner <= self._tolerance)[:, None], corners[nearest], sources.points)
         # 2. Compute what sources in free space see. The others have no view, -1.
-        is_free, self._view = workspace.is_free(self._points), np.full(len(self._points), -1)
+        is_free = workspace.is_free(self._points)
+        self._view = np.full(len(self._points), -1)
         points, self._view[is_free] = np.unique(self._points[is_free], axis=0, return_inverse=True)
         mesh = workspace.triangulation
         self._table, _ = visibility_of(mesh, viewpoints_at(mesh, points))
-        # 3. Test the paths from all sources to their roots; each round, they are followed twice as far.
+        # 3. Test the paths from all sources to their roots by pointer doubling: after round k, a source's path is
+        #    tested up to `root`, its ancestor 2**k steps away; a root is its own parent.
+        root = sources.parents
         self._is_clear = workspace.is_visible(self._points, self._points[root], self._tolerance)
         while (root[root] != root).any():
             self._is_clear &= self._is_clear[root]
@@ -46,28 +50,33 @@ class SourceSight:
         ``first``, the source of the start's leaf, stays if the path through it is free and reaches the goal.
         Otherwise the source of the shortest free path to the goal replaces it, if there is such a path.
         """
-        first, is_free = first.copy(), self._is_clear[first] & self._sees(first, x)
+        # 1. Test the given sources.
+        is_free = self._is_clear[first] & self._sees(first, x)
+        first = first.copy()
         failing = np.flatnonzero(~(is_free & self._arrives[first]))
         if not len(failing):
             return first, is_free
-        # A segment of length zero is free if its point is: starts in obstacles see no source.
+        # 2. Find the nearest visible source with a path to the goal. A segment of length zero is free if its point
+        #    is: starts in obstacles see no source.
         failing = failing[self._workspace.is_visible(x[failing], x[failing], self._tolerance)]
         starts, sources = x[failing], np.flatnonzero(self._arrives)
-        way, length = first_visible_in_parts(
+        nearest, length = first_visible_in_parts(
             lambda rows: distances_between(starts[rows], self._points[sources]) + self._distances[sources],
             len(starts),
             len(sources),
-            lambda start, way: self._sees(sources[way], starts[start]),
+            lambda start, source: self._sees(sources[source], starts[start]),
         )
         is_mended = np.isfinite(length[:, 0])
-        is_free[failing[is_mended]], first[failing[is_mended]] = True, sources[way[is_mended, 0]]
+        is_free[failing[is_mended]] = True
+        first[failing[is_mended]] = sources[nearest[is_mended, 0]]
         return first, is_free
 
     def _sees(self, source: Int[np.ndarray, " n"], x: Points) -> Bool[np.ndarray, " n"]:
+        """Return whether each point sees its source, up to the tolerance."""
         view = self._view[source]
         sees = view >= 0
         sees[sees] = self._table.sees(view[sees], x[sees])
-        if len(pending := np.flatnonzero(~sees)):  # these may see the source up to the tolerance
+        if len(pending := np.flatnonzero(~sees)):
             sees[pending] = self._workspace.is_visible(x[pending], self._points[source[pending]], self._tolerance)
         return sees
 

@@ -21,6 +21,7 @@ class Rows:
         return cast(Any, replace)(self, **{name: column[index] for name, column in self._columns().items()})
 
     def append(self, *others: Self) -> Self:
+        """Concatenate the arrays; all other attributes stay those of the first object."""
         columns = {}
         for name, column in self._columns().items():
             parts = [getattr(other, name) for other in others]
@@ -78,6 +79,7 @@ class Cells(Rows):
         return x
 
     def hashes(self) -> UInt64[np.ndarray, " cells"]:
+        """Return a hash of each cell's depths and positions; equal hashes count as equal cells."""
         numbers = (np.int64(1) << self.depth) + self.position  # 1 is the whole axis, 2 and 3 are its halves
         total = np.zeros(len(self), np.uint64)
         for along in numbers.T:
@@ -90,6 +92,7 @@ class Cells(Rows):
         return self[parent].halves(axis[parent], np.arange(len(parent)) % 2 == 1)
 
     def halves(self, axis: Int[np.ndarray, " cells"], is_upper: Bool[np.ndarray, " cells"]) -> "Cells":
+        """Return one half of each cell along its axis."""
         halved = np.eye(self.dim, dtype=np.int64)[axis]
         return Cells(self.depth + halved, (self.position << halved) + halved * is_upper[:, None])
 
@@ -120,36 +123,44 @@ class Tree:
 
     @cached_property
     def leaf_of_node(self) -> Int[np.ndarray, " nodes"]:
+        """Index of the leaf that each node is; -1 for a split node."""
         leaf = np.full(len(self.child), -1)
         leaf[self.node_of_leaf] = np.arange(len(self.node_of_leaf))
         return leaf
 
     def halves(self, nodes: Int[np.ndarray, " splits"]) -> Int[np.ndarray, "halves"]:
+        """Return both children of each node, the lower one first."""
         return (self.child[nodes][:, None] + np.arange(2)).ravel()
 
 
 def tree_of(cells: Cells) -> Tree:
     """Build the tree of given leaves; a node is split along the first axis on which all its leaves are narrower."""
-    node = np.zeros(len(cells), np.int64)
-    active = np.arange(len(cells))
+    # The tree grows level by level. All arrays of nodes are of the current level.
+    node = np.zeros(len(cells), np.int64)  # of each leaf: the node of the level that contains it, at last its own
+    active = np.arange(len(cells))  # leaves below the level
     node_depth = np.zeros((1, cells.dim), np.int64)
     axes = []
     while len(active):
+        # 1. Along each axis, by how many halvings all leaves of a node are narrower at least.
         narrower = np.full(node_depth.shape, np.iinfo(np.int64).max)
-        for each_axis in range(cells.dim):  # ``np.minimum.at`` is fast only with one index array
-            below = cells.depth[active, each_axis] - node_depth[node[active], each_axis]
-            np.minimum.at(narrower[:, each_axis], node[active], below)
-        inner = np.any(narrower, axis=1)
-        axis = np.argmax(narrower > 0, axis=1)
-        axes.append(np.where(inner, axis, -1))
-        active = active[inner[node[active]]]
-        split = axis[node[active]]
-        below = cells.depth[active, split] - node_depth[node[active], split] - 1
-        upper = (cells.position[active, split] >> below) & 1
-        node[active] = 2 * (np.cumsum(inner) - 1)[node[active]] + upper
-        node_depth = np.repeat(node_depth[inner] + np.eye(cells.dim, dtype=np.int64)[axis[inner]], 2, axis=0)
+        for axis in range(cells.dim):  # ``np.minimum.at`` is fast only with one index array
+            below = cells.depth[active, axis] - node_depth[node[active], axis]
+            np.minimum.at(narrower[:, axis], node[active], below)
+        # 2. Split nodes along the first such axis; without one, a node is a leaf.
+        is_inner = np.any(narrower, axis=1)
+        split_axis = np.argmax(narrower > 0, axis=1)
+        axes.append(np.where(is_inner, split_axis, -1))
+        # 3. Move leaves to their half: the next binary digit of their position. Halves of inner node i are 2 i, 2 i +
+        #    1.
+        active = active[is_inner[node[active]]]
+        along = split_axis[node[active]]
+        below = cells.depth[active, along] - node_depth[node[active], along] - 1
+        is_upper = (cells.position[active, along] >> below) & 1
+        node[active] = 2 * (np.cumsum(is_inner) - 1)[node[active]] + is_upper
+        halved = np.eye(cells.dim, dtype=np.int64)[split_axis[is_inner]]
+        node_depth = np.repeat(node_depth[is_inner] + halved, 2, axis=0)
     tree = tree_of_axes(axes, cells.dim)
-    # The level of a leaf (its number of splits) and its place in that level identify its node.
+    # 4. The level of a leaf (its number of splits) and its place in that level identify its node.
     first = np.cumsum([0, *(len(axis) for axis in axes)])
     index = np.empty(len(tree.child), np.int64)
     index[first[cells.depth.sum(axis=1)] + node] = np.arange(len(cells))
@@ -159,24 +170,27 @@ def tree_of(cells: Cells) -> Tree:
 def tree_of_axes(axes: list[Int[np.ndarray, " _"]], dim: int) -> Tree:
     """Build a tree from the split axes of its nodes, one array for each level; -1 marks a leaf."""
     child = np.full(sum(map(len, axes)), -1)
-    nodes, parts, splits, first = Cells.root(dim), [], [], 0
+    cells = Cells.root(dim)  # of a level
+    levels, splits = [], []
+    first = 0  # node of the level
     for axis in axes:
         inner = np.flatnonzero(axis >= 0)
         split = first + inner
         first += len(axis)
         child[split] = first + 2 * np.arange(len(split))
-        parts.append(nodes)
+        levels.append(cells)
         splits.append(split)
-        nodes = nodes[inner].split(axis[inner])
+        cells = cells[inner].split(axis[inner])
     node_of_leaf = np.flatnonzero(child < 0)[leaf_order(axes)]
     axis = np.maximum(np.concatenate(axes), 0)
-    return Tree(parts[0].append(*parts[1:]), axis, child, node_of_leaf, splits, np.arange(len(node_of_leaf)))
+    return Tree(levels[0].append(*levels[1:]), axis, child, node_of_leaf, splits, np.arange(len(node_of_leaf)))
 
 
 def leaf_order(axes: list[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " leaves"]:
-    # From left to right; leaves are numbered level by level as in ``axes``. A leaf's path from the root, one bit for
-    # each split from the highest bit down, 1 for the upper half, sorts them.
-    paths, path = [], np.zeros(1, np.int64)
+    """Return the leaves, numbered level by level as in ``axes``, from left to right."""
+    # A leaf's path from the root, one bit for each split from the highest bit down, 1 for the upper half, sorts them.
+    paths = []
+    path = np.zeros(1, np.int64)  # of each node of a level
     for depth, axis in enumerate(axes):
         paths.append(path[axis < 0])
         path = (path[axis >= 0, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()
