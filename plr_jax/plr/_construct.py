@@ -97,9 +97,8 @@ class BuildOptions:
             if self.num_samples > _MAX_SAMPLES:
                 raise ValueError(f"num_samples must be at most {_MAX_SAMPLES:,} a cell, got {self.num_samples:,}.")
         if self.executor is not None and not isinstance(self.executor, Executor):
-            raise ValueError(
-                f"executor must be a concurrent.futures.Executor or None, got {shortened(self.executor)}."
-            )
+            message = f"executor must be a concurrent.futures.Executor or None, got {shortened(self.executor)}."
+            raise ValueError(message)
 
 
 DEFAULT_OPTIONS = BuildOptions()
@@ -193,9 +192,7 @@ def construct(
     limits = max_depth, max_leaves, max_bytes, tolerance
     reach = reach_of(distance_fn, domain)
 
-    def build(name: LeafModel | str, root: CellSources | None = None) -> DecodedFile:
-        return _build_leaves(distance_fn, domain, leaf_model(name), limits, proof, seed, options, root, reach)
-
+    build = partial(_build_leaves, distance_fn, domain, limits, reach, proof, seed, options)
     if leaf == "best":
         has_rules = (options.weight_fn, options.should_split, options.split) != (None, largest_error, best_axis)
         only_bytes = max_leaves is None and max_depth is None and not has_rules
@@ -212,25 +209,25 @@ def construct(
 def _build_leaves(
     distance_fn: DistanceFn,
     domain: Box,
-    model: LeafModel,
     limits: tuple[int | None, int | None, int | None, int | float | None],
+    reach: Reach | None,
     proof: Proof,
     seed: int,
     options: BuildOptions,
-    root: CellSources | None,
-    reach: Reach | None,
+    leaf: LeafModel | str,
+    root: CellSources | None = None,
 ) -> DecodedFile:
     """Build the content of a file with one leaf model. ``root`` has the sources of the whole domain, if known."""
     # 1. Check the arguments. Cones, proofs, and distance functions that answer for cells are not folded.
+    model = leaf_model(leaf)
     model.check_dim(domain.dim)
     table_corners(domain)  # raises if 32-bit queries cannot represent the domain
     require_integer("seed", seed, 0)
     answers_for_cells = isinstance(distance_fn, CellwiseFn)
     if proof is not Proof.NONE:
         require_certifiable(distance_fn, domain)
-    folding = None
-    if proof is Proof.NONE and not isinstance(model, Cone) and not answers_for_cells:
-        folding = folding_of(distance_fn, domain)
+    may_fold = proof is Proof.NONE and not isinstance(model, Cone) and not answers_for_cells
+    folding = folding_of(distance_fn, domain) if may_fold else None
     reach = None if folding is not None else reach
     has_border = reach is not None and bool(reach.is_border(*Cells.root(domain.dim).fractions)[0])
     if limits == (None,) * 4 and domain.dim > 2 and has_border:
@@ -251,13 +248,10 @@ def _build_leaves(
         distance_fn = partial(_folded_distances, distance_fn, folding)
 
     # 3. Grow the partition.
-    margin = float(options.margin)
     rule = options.compute_coefficients
     for factor in _SAMPLE_FACTORS:  # more samples if hardly one reaches the goal
-        pattern, dense = (
-            sample_pattern(domain.dim, min(density * int(num_samples), _MAX_SAMPLES), margin, int(seed))
-            for density in (factor, max(factor, _DENSE_FACTOR))
-        )
+        counts = (min(k * int(num_samples), _MAX_SAMPLES) for k in (factor, max(factor, _DENSE_FACTOR)))
+        pattern, dense = (sample_pattern(domain.dim, k, float(options.margin), int(seed)) for k in counts)
         sampler = Sampler(distance_fn, domain, weight_fn, pattern, dense, checked.max_axis_depth, rule, cache, reach)
         seen = sampler(Cells.root(domain.dim)).reachable
         if reach is not None or seen.sum() > few_samples(domain.dim):
@@ -265,17 +259,15 @@ def _build_leaves(
     sampler = replace(sampler, is_sparse=bool(seen.mean() < _SPARSE))
     tree, stored = model.construct(sampler, Rules(options.should_split, options.split), checked)
     model = leaf_model(model.name)  # files store no options of a model
-    cut_off = cut_off_leaves(reach, tree)
-    contents = DecodedFile(domain, model, tree, stored, folding=folding, cut_off=cut_off)
+    contents = DecodedFile(domain, model, tree, stored, folding=folding, cut_off=cut_off_leaves(reach, tree))
 
     # 4. Prove its error bounds.
     if proof is not Proof.NONE and cache is not None:
         try:
-            certificate = certificate_of(contents, cache.sources_of_leaves(tree), proof)
-            contents = replace(contents, certificate=certificate)
+            contents = replace(contents, certificate=certificate_of(contents, cache.sources_of_leaves(tree), proof))
         except KeyboardInterrupt:
             message = "Interrupted during the proof: the PLR is complete, but has no certificate."
-            warnings.warn(message, ConstructionInterrupted, stacklevel=4)
+            warnings.warn(message, ConstructionInterrupted, stacklevel=3)
     return contents
 
 
@@ -313,11 +305,8 @@ def warn_if_cut_off(reach: Reach | None, contents: DecodedFile) -> None:
     except KeyboardInterrupt:  # the PLR is complete without these warnings
         return
     if wrong > 0:
-        where = f"In about {100 * wrong:.2g} % of the domain"
-        message = (
-            f"{where}, the PLR answers a finite number, but no path leads to the goal. Allow more bytes or leaves."
-        )
-        warnings.warn(message, stacklevel=3)
+        message = f"In about {100 * wrong:.2g} % of the domain, the PLR answers a finite number, but no path leads"
+        warnings.warn(f"{message} to the goal. Allow more bytes or leaves.", stacklevel=3)
     if cut_off > 0.5:
         message = f"The goal cannot be reached from about {cut_off:.0%} of free space: is the goal in the right part?"
         warnings.warn(message, stacklevel=3)

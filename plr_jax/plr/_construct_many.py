@@ -78,6 +78,7 @@ def construct_many(
     Raises:
         ValueError: If ``oracles`` is empty, or as for :func:`construct`.
     """
+    # 1. Check the arguments.
     try:
         oracles = list(oracles)
     except TypeError:
@@ -89,17 +90,20 @@ def construct_many(
             raise ValueError(f"oracles must be functions, got {shortened(oracle)} at index {number}.")
     domain, model, proof = Box.of(domain), leaf_model(leaf), proof_of(certified)
     require_integer("seed", seed, 0)
-    executor, options = options.executor, replace(options, executor=None)
+    executor = options.executor
+    options = replace(options, executor=None)
     limits = check_limits(model, domain.dim, max_depth, max_leaves, max_bytes, tolerance, proof, frame_size(domain))
+    # 2. Group the oracles: families whose cones are built together, and single oracles.
     is_plane = domain.dim == 2 and not domain.is_periodic
     as_family = isinstance(model, Cone) and is_plane and limits.tolerance == 0 and options == DEFAULT_OPTIONS
     most = {"max_bytes": max_bytes, "max_leaves": max_leaves, "max_depth": max_depth, "tolerance": tolerance}
     alone = partial(construct, domain=domain, leaf=leaf, **most, certified=certified, seed=seed, options=options)
-    families: dict[int, list[int]] = {}  # keys of single oracles are negative
+    families: dict[int, list[int]] = {}  # indices of oracles; keys of single oracles are negative
     for number, oracle in enumerate(oracles):
         is_member = as_family and isinstance(oracle, FamilyFn) and reach_of(oracle, domain) is None
         key = id(oracle.family) if is_member else -1 - number
         families.setdefault(key, []).append(number)
+    # 3. Divide the groups into tasks for workers, and run them.
     chunks: list[Chunk] = []
     for key, numbers in families.items():
         first = oracles[numbers[0]]
@@ -119,12 +123,12 @@ def construct_many(
 def _files(
     alone: Callable[[DistanceFn], Any], task: FamilyTask | WorstFirst | None, leaf: LeafModel, oracles: Sequence[Any]
 ) -> list[bytes]:
-    # Build PLRs with ``task``, which shares work among oracles; build a PLR that it leaves out with ``alone``.
+    """Build PLRs with ``task``, which shares work among oracles; build PLRs that it leaves out with ``alone``."""
     if task is None:
         return [alone(oracle).to_bytes() for oracle in oracles]
     files: dict[int, bytes] = {}
     for begin in range(0, len(oracles), task.goals_at_once):
-        trees, visible = task(oracles[begin : begin + task.goals_at_once])
+        trees, visible = task(oracles[begin : begin + task.goals_at_once])  # None for a tree that is left out
         built = {i: tree for i, tree in enumerate(trees, begin) if tree is not None}
         contents = [DecodedFile(task.domain, leaf, *tree) for tree in built.values()]
         if contents and visible is not None:

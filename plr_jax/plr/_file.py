@@ -35,6 +35,7 @@ class DecodedFile:
 
 
 def cut_off_leaves(reach: Reach | None, tree: Tree) -> Bool[np.ndarray, " leaves"] | None:
+    """Return the leaves with free points that cannot reach the goal, and no others; None if that is not known."""
     return None if reach is None else reach.is_cut_off(*tree.leaves.fractions)
 
 
@@ -64,7 +65,9 @@ def body_of_leaves(contents: DecodedFile) -> BitWriter:
 def decode(data: bytes) -> DecodedFile:
     """Decode the bytes of a PLR's file; ``ValueError`` if they are invalid."""
     container = Container.from_bytes(data)
-    layer, dim = container.last, container.domain.dim
+    layer = container.last
+    dim = container.domain.dim
+    # 1. The tree and its leaves.
     leaf = leaf_of_code(layer.leaf_code)
     leaf.check_dim(dim)
     body = BitReader(layer.body)
@@ -75,6 +78,7 @@ def decode(data: bytes) -> DecodedFile:
     if container.folding is not None and isinstance(leaf, Cone):
         raise ValueError("its points are folded, but its leaves have sources, which cannot be folded")
     stored = leaf.read(body, container.folded_domain, cells)
+    # 2. The proof, then goals and cut-off leaves, if the header says so.
     if layer.proof_code not in tuple(Proof):
         raise ValueError(f"its proof must be of kind 0 to {max(Proof)}, got {layer.proof_code}; update plr_jax")
     certificate, straight = read_proof(body, Proof(layer.proof_code), len(cells), dim)
@@ -90,8 +94,11 @@ def decode(data: bytes) -> DecodedFile:
 
 
 def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Float[np.ndarray, "leaves count"]]:
-    # The leaf parameters are for points relative to the domain's lower corner in 32-bit floats.
-    # Mirrored points are relative to the center of the symmetries already.
+    """Return the domain and the leaf parameters for points given relative to ``origin``.
+
+    The parameters are for these points minus the lower corner of their domain in 32-bit floats. Mirrored points are
+    relative to the center of the symmetries already.
+    """
     origin = origin if contents.folding is None else np.zeros(contents.domain.dim)
     domain = contents.domain.moved(-origin)
     corner = origin + table_corners(domain)[0]
@@ -104,7 +111,7 @@ def relative_to_origin(contents: DecodedFile, origin: Corner) -> tuple[Box, Floa
 
 def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves terms"]:
     """Return the coefficients of each leaf's function; a leaf without one gets a neighbor's plane, or ``inf``."""
-    # The neighbor, if any, shares the largest face, edge or corner. Leaves that are cut off answer ``inf``.
+    # 1. Find the leaves without a function. Leaves that are cut off answer ``inf``.
     leaf, cells = contents.leaf, contents.tree.leaves
     coefficients = leaf.coefficients(cells, contents.stored)
     unreachable = coefficients[:, 0] == np.inf
@@ -114,12 +121,17 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
         unreachable &= ~contents.cut_off
     if unreachable.any() and isinstance(leaf, LinearLeafModel):
         periodic = contents.domain.periodic
-        borrower, reachable = np.flatnonzero(unreachable), np.flatnonzero(np.isfinite(coefficients[:, 0]))
+        # 2. The neighbor, or donor, shares the largest face, edge or corner. Not all leaves have one.
+        borrower = np.flatnonzero(unreachable)
+        reachable = np.flatnonzero(np.isfinite(coefficients[:, 0]))
         donor = neighbor_of_largest_contact(cells, borrower, reachable, periodic)
         borrower, donor = borrower[donor >= 0], donor[donor >= 0]
+        # 3. The donor's plane rises by `half` from its center to its side. At the borrower's center, `along` half
+        #    widths of the donor away, it is center + half . along. The borrower is `widths` times as wide as the
+        #    donor.
         center, half = leaf.mean_planes(*cells[donor].boxes(contents.domain), coefficients[donor])
-        widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])  # of borrowers' cells, in units of donors'
-        place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)
+        widths = np.ldexp(1.0, cells.depth[donor] - cells.depth[borrower])
+        place = (cells.position + 0.5) * np.ldexp(1.0, -cells.depth)  # centers, in fractions of the domain
         apart = place[borrower] - place[donor]
         apart -= np.where(periodic, np.rint(apart), 0.0)  # the short way around periodic axes
         along = 2 * apart * np.ldexp(1.0, cells.depth[donor])
@@ -127,14 +139,3 @@ def filled_coefficients(contents: DecodedFile) -> Float[np.ndarray, "leaves term
     if contents.cut_off is not None:
         coefficients[contents.cut_off, 0] = np.inf
     return coefficients
-
-
-def planes_of_leaves(
-    contents: DecodedFile, coefficients: Float[np.ndarray, "leaves terms"]
-) -> tuple[Float[np.ndarray, " leaves"], Float[np.ndarray, "leaves dim"]]:
-    """Return the constant term and the gradient of each leaf's plane, for curved leaves of their mean plane."""
-    is_inf = np.isinf(coefficients[:, 0])
-    lo, hi = contents.tree.leaves.boxes(contents.domain)
-    center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))
-    slope = half * 2 / (hi - lo)
-    return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope

@@ -11,33 +11,18 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, UInt8
 
-from plr_jax._arrays import (
-    as_points,
-    as_queries,
-    is_traced,
-    no_attribute,
-    padded,
-    padded_size,
-    require_function,
-    shortened,
-)
+from plr_jax._arrays import as_points, as_queries, no_attribute, padded, padded_size, require_function, shortened
 from plr_jax._compiled import has_doubles, is_on_one_host, pytree, serializable
 from plr_jax._types import ArrayLike
 from plr_jax.geometry.box import Box
-from plr_jax.plr._file import DecodedFile, decode, encode, filled_coefficients, planes_of_leaves, relative_to_origin
+from plr_jax.plr._file import DecodedFile, decode, encode, filled_coefficients, relative_to_origin
 from plr_jax.plr.coding import BitReader, read_tree
 from plr_jax.plr.container import Container, FileBacked, padded_file
 from plr_jax.plr.frame import Corner, Outside, as_outside, corner_if_far
 from plr_jax.plr.leaves import as_sourced, goal_of_leaves, leaf_model, require_goals
 from plr_jax.plr.leaves.base import LeafModel
 from plr_jax.plr.portable.numpy import NumpyPLR
-from plr_jax.plr.query import (
-    bound_points,
-    evaluate_points,
-    evaluate_points_anywhere,
-    goals_of_points,
-    waypoints_of_points,
-)
+from plr_jax.plr.query import bound_points, evaluate_anywhere, evaluate_points, goals_of_points, waypoints_of_points
 from plr_jax.plr.tables import Tables, build_tables
 from plr_jax.plr.team import TableStack
 from plr_jax.plr.tree import Cells
@@ -114,14 +99,16 @@ class PLR(FileBacked):
         tables, x = self.tables_and_points(x)
         if outside == "inf":
             return evaluate_points(tables, x)
-        return evaluate_points_anywhere(tables, x, as_outside(outside))
+        return evaluate_anywhere(tables, x, as_outside(outside))
 
     def _reader_of_few(self, x: Array | np.ndarray) -> NumpyPLR | None:
-        """Return what answers few points without compiling, with equal bits; None where compiled code must answer."""
+        """Return a reader that answers few points without compiling, with equal bits; None if JAX must answer."""
         if not is_on_one_host(x) or has_doubles() or x.size > _FEW * self.tables.dim:
             return None
         is_double = x.dtype == np.float64
-        if not is_double and (x.dtype != np.float32 or is_traced(self.file) or self._corner_if_far is not None):
+        if not is_double and (
+            x.dtype != np.float32 or isinstance(self.file, Tracer) or self._corner_if_far is not None
+        ):
             return None  # in a domain far from the origin, the reader tells points apart that 32 bits do not
         return self._reader
 
@@ -166,7 +153,8 @@ class PLR(FileBacked):
         free, or connected to the goal, only because of the workspace's tolerance. In a domain far from the origin,
         bounds hold for points as :func:`evaluate` rounds them.
         """
-        band, x = self._require_band(), x if isinstance(x, jax.Array) else as_queries(x)
+        band = self._require_band()
+        x = x if isinstance(x, jax.Array) else as_queries(x)
         if (reader := self._reader_of_few(x)) is not None:
             return jax.device_put(reader.bounds(x))
         tables, x = self.tables_and_points(x)
@@ -371,7 +359,8 @@ class PLR(FileBacked):
     @property
     def unreachable(self) -> Bool[np.ndarray, " leaves"]:
         """Whether each leaf is stored as unreachable; such a leaf continues a neighbor's plane or answers ``inf``."""
-        is_inf, cut_off = np.isinf(self.leaf.coefficients(self.cells, self.stored)[:, 0]), self._contents.cut_off
+        is_inf = np.isinf(self.leaf.coefficients(self.cells, self.stored)[:, 0])
+        cut_off = self._contents.cut_off
         return is_inf if cut_off is None else is_inf | cut_off
 
     @property
@@ -406,7 +395,13 @@ class PLR(FileBacked):
 
     @cached_property
     def _planes(self) -> tuple[Float[np.ndarray, " leaves"], Float[np.ndarray, "leaves dim"]]:
-        return planes_of_leaves(self._contents, self._coefficients)
+        """Constant term and gradient of each leaf's plane, for curved leaves of their mean plane."""
+        contents, coefficients = self._contents, self._coefficients
+        is_inf = np.isinf(coefficients[:, 0])
+        lo, hi = contents.tree.leaves.boxes(contents.domain)
+        center, half = contents.leaf.mean_planes(lo, hi, np.where(is_inf[:, None], 0.0, coefficients))
+        slope = half * 2 / (hi - lo)
+        return np.where(is_inf, np.inf, center - np.sum(slope * (lo + hi) / 2, axis=1)), slope
 
 
 def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
@@ -423,7 +418,8 @@ def as_plrs(plrs: Iterable[PLR]) -> list[PLR]:
 
 def tables_of_contents(contents: DecodedFile, origin: Corner, num_bytes: int) -> Tables:
     """Build the lookup tables of a decoded file of ``num_bytes`` bytes, for points given relative to ``origin``."""
-    (domain, numbers), leaf = relative_to_origin(contents, origin), leaf_model(contents.leaf.name)  # as from a file
+    domain, numbers = relative_to_origin(contents, origin)
+    leaf = leaf_model(contents.leaf.name)  # as from a file, without the options of a construction
     tables = build_tables(domain, contents.tree.leaves, numbers, leaf, num_bytes)
     if contents.straight is not None:
         tables = replace(tables, straight=jax.device_put(contents.straight.arrays))
@@ -471,6 +467,7 @@ def plr_of_leaves(contents: DecodedFile, data: bytes | None = None) -> PLR:
     plr = PLR(padded_file(encode(contents) if data is None else data))
     plr._contents = contents
     plr.domain = contents.domain if contents.folding is None else contents.folding.domain
+    # Compute what queries need, then drop the decoded content, which takes memory and can be decoded again.
     _ = plr.tables, plr.band, plr.goals, plr._corner_if_far
     del plr._contents
     return plr

@@ -21,7 +21,11 @@ def certificate_of(contents: DecodedFile, visible: CellSources, proof: Proof) ->
 
 
 def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof: Proof) -> list[Certificate]:
-    # The PLRs have one leaf model and one domain; ``visible`` has the leaves of all PLRs, one after another.
+    """Prove the bounds of several PLRs of one leaf model and one domain at once.
+
+    ``visible`` has the leaves of all PLRs, one after another.
+    """
+    # 1. Concatenate the functions of all leaves. A leaf without a function may have no point that reaches the goal.
     domain, leaf = contents[0].domain, contents[0].leaf
     if visible.slack > _COARSEST * domain.width.min():
         raise ValueError(
@@ -39,19 +43,22 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
             "certified=True."
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
+    # 2. For each PLR, find out which bounds suffice for its file.
     ends = np.cumsum([0, *(len(file.tree.leaves) for file in contents)]).tolist()
     targets = []
     for file, leaves in zip(contents, (slice(*rows) for rows in pairwise(ends)), strict=True):
         rounding = leaf.rounding_bounds(domain, file.tree.leaves, coefficients[leaves])
-        volume, size = np.ldexp(1.0, -file.tree.leaves.depth.sum(axis=1)), len(body_of_leaves(file).to_bytes())
-        encode = partial(Certificate.of, proof=proof, volume=volume, num_bytes=size)
-        targets.append(_Targets(leaves, rounding, encode))
+        volume = np.ldexp(1.0, -file.tree.leaves.depth.sum(axis=1))
+        num_bytes = len(body_of_leaves(file).to_bytes())
+        certificate = partial(Certificate.of, proof=proof, volume=volume, num_bytes=num_bytes)
+        targets.append(_Targets(leaves, rounding, certificate))
 
     def sufficient(least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
         bounds = [target(least[target.leaves], most[target.leaves], recompute) for target in targets]
         low, high = map(np.concatenate, zip(*bounds, strict=True))
         return low, high
 
+    # 3. Prove the bounds together, and encode them for each file.
     proven = prove_bounds(LeafFunctions(leaf, lo, hi, coefficients), visible, sufficient)
     return [target.encode(proven.lower[target.leaves], proven.upper[target.leaves]) for target in targets]
 
@@ -60,19 +67,22 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
 class _Targets:
     """The bounds that suffice for the file of one of several PLRs, so that a proof can stop."""
 
-    leaves: slice
+    leaves: slice  # the PLR's leaves among all
     rounding: Errors
-    certificate: Callable[..., Certificate]
-    last: Certificate | None = None
-    attained: Float[np.ndarray, "3 leaves"] | None = None
+    certificate: Callable[..., Certificate]  # ``Certificate.of`` for this PLR
+    last: Certificate | None = None  # of the attained errors that were encoded last
+    attained: Float[np.ndarray, "3 leaves"] | None = None  # arguments of the last call
 
     def encode(self, lower: Errors, upper: Errors, before: Certificate | None = None) -> Certificate:
         return self.certificate(LeafBounds(lower, upper), self.rounding, before=before)
 
     def __call__(self, least: Errors, most: Errors, recompute: bool) -> tuple[Errors, Errors]:
-        # Tighter bounds would hardly change the file. Encode again only if attained errors changed: late in a proof,
-        # few of its PLRs still improve.
-        attained, last = np.stack([least, most, np.full(len(least), recompute)]), self.last
+        """Return bounds of errors that suffice, a ``SufficientFn`` for the leaves of this PLR."""
+        # Tighter bounds would hardly change the file of the attained errors. Encode this file again only if attained
+        # errors changed, since late in a proof, few PLRs still improve. If `recompute` is False, an earlier file
+        # whose leaves share one bound will do as long as this bound holds all attained errors.
+        attained = np.stack([least, most, np.full(len(least), recompute)])
+        last = self.last
         if last is None or self.attained is None or not np.array_equal(self.attained, attained):
             self.attained = attained
             if last is None or recompute or last.codes is not None or max(most.max(), -least.min()) > last.scale:

@@ -30,6 +30,7 @@ from plr_jax.plr._plr import PLR, LowerBound, as_plrs
 from plr_jax.plr.frame import (
     FRACTION_BITS,
     Outside,
+    PerAxis,
     as_outside,
     enumerate_boxes,
     in_parts,
@@ -45,14 +46,13 @@ from plr_jax.plr.query import bounds_of_tables, evaluate_tables
 from plr_jax.plr.tables import PerPointTable, Tables, Trie, arrange_parameters
 from plr_jax.plr.tree import Cells
 
-_PerAxis = Int[np.ndarray, "dim"]
 _FIRST_BITS = 10  # index bits of first pages: those of 1,000 PLRs take 4 MB, and most points need no other page
 _PAGE_BITS = 6  # most index bits of other pages
 _MOST_ENTRIES = 2**25  # most entries of one PLR; the estimate counts a page of k leaves up to k times
 _MOST_INDICES = 2**31  # an entry uses one of its 32 bits as a flag
 
 
-def trie_levels(bits: _PerAxis) -> list[_PerAxis]:
+def trie_levels(bits: PerAxis) -> list[PerAxis]:
     """Return how often the grid of each level halves each axis, from the whole domain to the finest leaves.
 
     ``bits`` has the halvings of the finest leaves. The first page has up to ``_FIRST_BITS`` index bits. The other
@@ -65,7 +65,7 @@ def trie_levels(bits: _PerAxis) -> list[_PerAxis]:
     return ends
 
 
-def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."]], levels: list[_PerAxis]) -> Trie:
+def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."]], levels: list[PerAxis]) -> Trie:
     """Build the trie of several PLRs with the leaves ``partitions``; ``rows`` has each leaf's row of parameters."""
     # 1. Masks and shifts that turn the fraction bits between two levels into a row-major index into a page:
     #
@@ -91,17 +91,16 @@ def build_trie(partitions: Sequence[Cells], rows: Sequence[Int[np.ndarray, "..."
         others += later_levels
         total += sum(map(len, later_levels))
     if total >= _MOST_INDICES:
-        raise ValueError(
-            f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(partitions):,} PLRs."
-        )
+        message = f"A stack needs fewer than 2**31 entries, got {total:,}: split the {len(partitions):,} PLRs."
+        raise ValueError(message)
     # 3. Entries of rows, first pages and other pages.
     entries = np.concatenate([2 * np.arange(num_rows, dtype=np.uint32), *first_pages, *others])
-    entries = padded(entries, size_in_eighths(len(entries)))
-    return Trie(jax.device_put(entries), jax.device_put(bits.astype(np.uint32)), jax.device_put(np.uint32(num_rows)))
+    entries = padded(entries, size_in_eighths(total))
+    return Trie(*jax.device_put((entries, bits.astype(np.uint32), np.uint32(num_rows))))
 
 
 def _pages(
-    cells: Cells, row: Int[np.ndarray, " leaves"], levels: Sequence[_PerAxis], next_start: int
+    cells: Cells, row: Int[np.ndarray, " leaves"], levels: Sequence[PerAxis], next_start: int
 ) -> Iterator[UInt32[np.ndarray, " entries"]]:
     """Yield the entries of one PLR level by level; ``next_start`` is the first entry of the second level."""
     # A level divides each cell of its `begin` grid that has a page into the cells of its `end` grid, its entries.
@@ -130,7 +129,7 @@ def _pages(
 
 
 def _page_entries(
-    place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, " pages"], begin: _PerAxis, end: _PerAxis
+    place: Int[np.ndarray, "n dim"], page: Int[np.ndarray, " pages"], begin: PerAxis, end: PerAxis
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
     """Return, for cells ``place`` of a level's ``end`` grid, the number of their page and the index in this page."""
     step = end - begin
@@ -175,8 +174,7 @@ class _SameShapeGroup:
             rows.append(num_rows + row)
             distinct.append(of_leaves.T[first])
             num_rows += len(first)
-        table = np.concatenate(distinct)
-        table = padded(table, size_in_eighths(len(table)))
+        table = padded(np.concatenate(distinct), size_in_eighths(num_rows))
         band = jax.device_put(table[:, count:].T) if has_proof else None
         # 3. Build the trie that leads to the rows.
         levels = trie_levels(np.max([plr.cells.depth.max(axis=0) for plr in plrs], axis=0))
@@ -192,9 +190,8 @@ class _SameShapeGroup:
             array if shape is None else PerPointTable(array, shape, which * np.uint32(prod(shape)), array.dtype)
             for array, shape in zip(arrays, self.shapes, strict=True)
         ]
-        tables = structure.unflatten(picked)
         trie = replace(self.trie, start=self.trie.start + (which << np.uint32(self.first_bits)))
-        return replace(tables, trie=trie, leaf_parameters=self.leaf_parameters)
+        return replace(structure.unflatten(picked), trie=trie, leaf_parameters=self.leaf_parameters)
 
 
 @pytree
@@ -315,8 +312,7 @@ def stack(plrs: Sequence[PLR]) -> PLRStack:
         groups.append(_SameShapeGroup.of(*of_members))
     unresolved = max((unresolved_types(plr.domain) for plr in plrs), key=len)
     parts = jax.device_put(in_parts(np.array(corners))) if np.any(corners) else None
-    arrays = jax.device_put(group), jax.device_put(place), parts
-    return PLRStack(tuple(groups), *arrays, dim=plrs[0].dim, unresolved=unresolved)
+    return PLRStack(tuple(groups), *jax.device_put((group, place)), parts, dim=plrs[0].dim, unresolved=unresolved)
 
 
 @partial(jax.jit, static_argnums=3)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
 
+from plr_jax._arrays import index_of
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits, check_memory
 from plr_jax.plr.tree import leaf_order
@@ -120,9 +121,8 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
     # 2. Downward: halve boxes, then limit the costs of the next level.
     most = np.full(len(levels[0].key), np.inf)
     for depth, level in enumerate(levels):  # including the levels that are added meanwhile
-        axis, parent = np.nonzero(
-            level.is_open(limits, weight) & (np.minimum(costs[depth].best, most) > costs[depth].least)
-        )
+        may_improve = np.minimum(costs[depth].best, most) > costs[depth].least
+        axis, parent = np.nonzero(level.is_open(limits, weight) & may_improve)
         if len(parent):
             _add_halves(levels, depth, np.repeat(parent, 2), np.repeat(axis, 2))
             update_costs(depth + 1)
@@ -138,9 +138,10 @@ def expand(levels: list[BoxLevel], price: float, weight: float, limits: Limits) 
     check_memory(float(sum(len(level.key) for level in levels)))
 
 
-def _add_halves(
-    levels: list[BoxLevel], depth: int, parent: Int[np.ndarray, " new"], axis: Int[np.ndarray, " new"]
-) -> None:
+Halves: TypeAlias = Int[np.ndarray, " halves"]
+
+
+def _add_halves(levels: list[BoxLevel], depth: int, parent: Halves, axis: Halves) -> None:
     """Halve boxes ``parent`` of a level along ``axis``: add their halves to the next level, unless it has them.
 
     Both arrays have two equal entries for each halving, one for the lower half and one for the upper half.
@@ -160,9 +161,7 @@ def _add_halves(
         elif len(key):
             levels[depth + 1].append(boxes, key)
         # Let the parents refer to their halves, which the next level now has.
-        keys = levels[depth + 1].key
-        by_key = np.argsort(keys)
-        place = by_key[np.searchsorted(keys, of_half, sorter=by_key)]
+        place = index_of(levels[depth + 1].key, of_half)
         level.child[axis[batch], is_upper[batch].astype(int), parent[batch]] = place
 
 
@@ -253,11 +252,10 @@ class PriceSearch:
         return sum(len(level.key) for level in self.levels)
 
     def _is_finest(self, tree: PricedTree, weight: float) -> bool:
-        leaves = zip(self.levels, tree.leaves, strict=False)
-        return not any(
-            (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any()
-            for level, boxes in leaves
-        )
+        for level, boxes in zip(self.levels, tree.leaves, strict=False):
+            if (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any():
+                return False
+        return True
 
     def _next_price(self, now: PricedTree) -> tuple[float, float]:
         """Return a lower price, for a larger tree, and the weight of a leaf's largest error in its cost."""
@@ -308,33 +306,43 @@ class PriceSearch:
         return replace(largest, is_final=True)
 
     def _select_boxes(self, price: float, weight: float) -> None:
-        # Store the boxes that the best tree at this or a higher price may contain. It halves no box whose cost as a
-        # leaf is at most the price: two leaves cost two prices. Descend from the root along all other halvings. The
-        # indices of halves then count the selected boxes of the next level.
+        """Store the boxes that the best tree at this or a higher price may contain."""
+        # It halves no box whose cost as a leaf is at most the price, since two leaves cost two prices. Descend from
+        # the root along all other halvings.
         nodes, selected = np.zeros(1, np.int64), []
-        for depth, level in enumerate(self.levels):
+        for level in self.levels:
             if not len(nodes):
                 break
             child = level.child[:, :, nodes]
             child[:, :, level.costs(weight)[nodes] <= price] = UNKNOWN
             selected.append(SelectedBoxes(nodes, child))
-            if depth + 1 < len(self.levels):
-                is_own = np.zeros(len(self.levels[depth + 1].key), bool)
-                is_known = child >= 0
-                halves = child[is_known]
-                is_own[halves] = True
-                nodes = np.flatnonzero(is_own)
-                place = np.empty(len(is_own), np.int64)
-                place[nodes] = np.arange(len(nodes))
-                child[is_known] = place[halves]
+            # Select the halves in the next level, and let `child` count the selected boxes only.
+            is_known = child >= 0
+            is_selected = np.bincount(child[is_known]) > 0
+            nodes = np.flatnonzero(is_selected)
+            child[is_known] = (np.cumsum(is_selected) - 1)[child[is_known]]
         self._selected = selected
 
     def _best_tree(self, price: float, weight: float) -> PricedTree:
-        # Choose an axis for each selected box upward, then collect the tree's nodes and leaves downward.
-        selected = self._selected
-        axes = best_axes(self.levels, selected, price, weight)
+        """Return the tree of selected boxes with the least sum of leaves' costs and prices."""
+        # 1. Upward, by dynamic programming from the smallest boxes: the cost of a box is the least of its cost as a
+        #    leaf, including the price, and for each axis the sum of the costs of its halves. `choice` is the best
+        #    axis, or -1 for a leaf; of equal costs, a leaf and the first axis win.
+        choices, below, selected = [], np.zeros(0), self._selected
+        for level, (box, child) in zip(reversed(self.levels[: len(selected)]), reversed(selected), strict=True):
+            total = level.costs(weight)[box] + price
+            choice = np.full(len(box), -1)
+            for axis, (lower, upper) in enumerate(child):
+                halved = np.flatnonzero(lower >= 0)
+                split_cost = below[lower[halved]] + below[upper[halved]]
+                is_cheaper = split_cost < total[halved]
+                total[halved[is_cheaper]] = split_cost[is_cheaper]
+                choice[halved[is_cheaper]] = axis
+            below = total
+            choices.append(choice)
+        # 2. Downward from the root, collect the tree's nodes and leaves.
         leaves, walked, nodes = [], [], np.zeros(1, np.int64)
-        for (box, child), choice in zip(selected, axes, strict=True):
+        for (box, child), choice in zip(selected, reversed(choices), strict=True):
             if not len(nodes):
                 break
             axis = choice[nodes]
@@ -343,27 +351,3 @@ class PriceSearch:
             walked.append(axis)
             nodes = child[axis[is_inner], :, nodes[is_inner]].ravel()
         return PricedTree(leaves, walked, leaf_order(walked), price)
-
-
-def best_axes(
-    levels: list[BoxLevel], selected: list[SelectedBoxes], price: float, weight: float
-) -> list[Int[np.ndarray, " own"]]:
-    """Return, for each level, the axis along which the best tree halves each selected box, or -1 for a leaf.
-
-    By dynamic programming from the smallest boxes up, the cost of a box is the least of its cost as a leaf, including
-    the ``price``, and for each axis the sum of the costs of its halves.
-    """
-    choices, below = [], np.zeros(0)
-    for level, (box, child) in zip(reversed(levels[: len(selected)]), reversed(selected), strict=True):
-        total = level.costs(weight)[box] + price
-        choice = np.full(len(box), -1)
-        for axis, (lower, upper) in enumerate(child):
-            halved = np.flatnonzero(lower >= 0)
-            split_cost = below[lower[halved]] + below[upper[halved]]
-            cheaper = split_cost < total[halved]  # of equal costs, a leaf and the first axis win
-            halved = halved[cheaper]
-            total[halved] = split_cost[cheaper]
-            choice[halved] = axis
-        below = total
-        choices.append(choice)
-    return choices[::-1]

@@ -1,5 +1,6 @@
 """Prove bounds of (distance - leaf function) by branch and bound; encode them in files (``portable/FORMAT.md``)."""
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -126,8 +127,7 @@ def prove_bounds(functions: LeafFunctions, visible: CellSources, sufficient: Suf
 
     def open_pieces(recompute: bool) -> Bool[np.ndarray, " pieces"]:
         low, high = sufficient(least - slack, most + slack, recompute)
-        low = np.minimum(low + slack, least - slack)
-        high = np.maximum(high - slack, most + slack)
+        low, high = np.minimum(low + slack, least - slack), np.maximum(high - slack, most + slack)
         return ((below < low[leaf]) | (above > high[leaf])) & (rounds[leaf] < _MOST_ROUNDS)
 
     while True:
@@ -191,8 +191,7 @@ def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellS
 
     In the result, the lower and the upper half of ``piece[i]`` are cells ``2 * i`` and ``2 * i + 1``.
     """
-    parent = np.repeat(np.arange(len(piece)), 2)
-    is_upper = np.tile([False, True], len(piece))
+    parent, is_upper = np.repeat(np.arange(len(piece)), 2), np.tile([False, True], len(piece))
     lo, hi = (extreme(visible.pieces[:, piece], axis=2).T[parent] for extreme in (np.min, np.max))
     axis = np.argmax(hi - lo, axis=1)
     row = np.arange(len(parent))
@@ -203,8 +202,7 @@ def _halve_pieces(visible: CellSources, piece: Int[np.ndarray, "open"]) -> CellS
 
 
 _COUNT_BITS = 4  # bits of the number of classes less one
-_BITS_OF_SET = 37  # least bits of a set with members: its size and the order of its code; the last class has no set
-_BITS_A_CLASS = 2 * 8 + _BITS_OF_SET  # two codes of bounds, and a set
+_BITS_A_CLASS = 2 * 8 + 37  # two codes of bounds, and the least bits of a set: its size and the order of its code
 _PRICES = np.ldexp(1.0, -np.arange(60))  # prices per bit to try, in units of the width of one class of all leaves
 
 
@@ -257,16 +255,9 @@ def classify_bounds(codes: Codes, bound_of_code: Float[np.ndarray, " codes"], vo
         return best[:, rank_of]
 
     # 3. Bisection: of the falling prices, find the last one at which classes fit. If none does, there is one class.
-    shared = np.broadcast_to(of_class[:, :1, -1], codes.shape)
-    low, high = 0, len(_PRICES)
-    while low < high:
-        middle = (low + high) // 2
-        classes = best_classes(_PRICES[middle] * width[-1, 0])
-        if _fits(classes, max_bits):
-            shared, low = classes, middle + 1
-        else:
-            high = middle
-    return shared
+    prices = _PRICES * width[-1, 0]
+    num_fitting = bisect_left(prices, True, key=lambda price: not _fits(best_classes(price), max_bits))
+    return best_classes(prices[num_fitting - 1]) if num_fitting else np.broadcast_to(of_class[:, :1, -1], codes.shape)
 
 
 def requantize_bounds(
@@ -284,16 +275,11 @@ def requantize_bounds(
 
 def _fits(codes: Codes, max_bits: int) -> bool:
     """Return whether shared bounds take at most ``max_bits`` bits in a file."""
-    # First a cheap test, by the least size of the classes' sets.
-    num_classes = distinct_classes(codes).shape[1]
-    if num_classes > 1 << _COUNT_BITS or num_classes * _BITS_A_CLASS > max_bits + _BITS_OF_SET:
-        return False
-    body = BitWriter()
-    write_classes(body, codes)
-    return body.num_bits <= max_bits
+    can_count = distinct_classes(codes).shape[1] <= 1 << _COUNT_BITS
+    return can_count and write_classes(BitWriter(), codes).num_bits <= max_bits
 
 
-def write_classes(body: BitWriter, codes: Codes) -> None:
+def write_classes(body: BitWriter, codes: Codes) -> BitWriter:
     """Write each leaf's pair of error bounds: first all distinct pairs, then the index of each leaf's pair."""
     key, class_of, size = np.unique(_class_keys(codes), return_inverse=True, return_counts=True)
     classes = np.stack(np.divmod(key, 1 << _CODE_BITS))
@@ -303,6 +289,7 @@ def write_classes(body: BitWriter, codes: Codes) -> None:
     for index in range(len(order) - 1):
         body.write_set(place > index)
         place = place[place > index]
+    return body
 
 
 def distinct_classes(codes: Codes) -> Integer[np.ndarray, "2 classes"]:
@@ -440,8 +427,7 @@ class Certificate:
         certificate ``before`` are used again if they suffice.
         """
         # 1. Lengths of the intervals below and above the leaf's function, and a scale that is at least all of them.
-        lower = np.maximum(rounding - bounds.lower, 0.0)
-        upper = np.maximum(rounding + bounds.upper, 0.0)
+        lower, upper = np.maximum(rounding - bounds.lower, 0.0), np.maximum(rounding + bounds.upper, 0.0)
         is_open = np.isinf(upper)
         largest = max(lower.max(), upper[~is_open].max(initial=0.0), np.finfo(np.float32).tiny)
         if proof is Proof.OPEN_LEAVES:
@@ -541,8 +527,7 @@ def read_proof(
         codes = body.read_fixed_width(2 * num_leaves, _CODE_BITS).reshape(2, num_leaves).astype(np.uint8)
     elif scale < 0:
         codes = read_classes(body, num_leaves).astype(np.uint8)
-    has_straight = proof is Proof.OPEN_LEAVES and scale < 0
-    straight = StraightBound.read(body, dim) if has_straight else None
+    straight = StraightBound.read(body, dim) if proof is Proof.OPEN_LEAVES and scale < 0 else None
     return Certificate(abs(scale), codes, proof), straight
 
 

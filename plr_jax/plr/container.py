@@ -101,13 +101,12 @@ class Header:
         reader = ByteReader(data)
         if data[: len(MAGIC)] != MAGIC:
             raise ValueError("it does not start like a PLR file")
-        reader.take(len(MAGIC))
-        first, second = reader.take(2)
+        *_, first, second = reader.take(len(MAGIC) + 2)
         newest = VERSION + _NAMING_GOALS + _WITH_CUT_OFF
         if not VERSION <= (version := first & 15) <= newest:
             remedy = "update plr_jax" if version > VERSION else "build it again"
-            readable = f"versions {VERSION} to {newest}"
-            raise ValueError(f"it has format version {version}, this release reads {readable}; {remedy}")
+            readable = f"this release reads versions {VERSION} to {newest}"
+            raise ValueError(f"it has format version {version}, {readable}; {remedy}")
         names_goals, has_cut_off = (bool(version - VERSION & bit) for bit in (_NAMING_GOALS, _WITH_CUT_OFF))
         if version > VERSION and second & 7 == PAIRS_CODE:
             raise ValueError("it names goals or leaves of distances between any two points")
@@ -227,7 +226,7 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
     #    axis. Release 0.1 marked straight lines in one more row.
     dim = domain.dim
     center = np.frombuffer(reader.take(8 * dim), "<f8").astype(np.float64)
-    axes = np.eye(dim)
+    axes = unit = np.eye(dim)
     if reader.byte():
         axes = np.frombuffer(reader.take(8 * dim * dim), "<f8").astype(np.float64).reshape(dim, dim)
     marks = np.frombuffer(reader.take(dim * (reader.byte() + 1)), np.uint8).reshape(-1, dim)
@@ -237,7 +236,6 @@ def read_folding(reader: ByteReader, domain: Box) -> Folding:
     # 2. Check them.
     if not (np.isfinite(center).all() and np.isfinite(axes).all()):
         raise ValueError("its folding has values that are not finite")
-    unit = np.eye(dim)
     periodic = np.array(domain.periodic)
     if np.abs(axes).max() > 2 or np.abs(axes @ axes.T - unit).max() > _ORTHOGONAL or (axes != unit)[periodic].any():
         raise ValueError("the axes of its folding are not orthogonal, or rotate a periodic axis")

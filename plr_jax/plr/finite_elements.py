@@ -14,6 +14,7 @@ value is interpolated there, from corners on coarser dyadic levels, so these dep
 
 import math
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,7 @@ from jaxtyping import Bool, Float, Int
 
 from plr_jax._types import Distances, Points
 from plr_jax.plr.leaf_faces import (
+    Indices,
     SharedFaces,
     check_num_weights,
     corner_parents,
@@ -100,10 +102,8 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     #    the value of group i.
     hangs = is_corner & ~is_corner[::-1]
     hanging, first_point = np.unique(group[node[hangs]], return_index=True)
-    host_leaf = leaf[::-1][hangs][first_point]
-    host_t = t[::-1][hangs][first_point]
-    is_free = np.ones(num_groups)
-    is_free[hanging] = 0
+    host_leaf, host_t = leaf[::-1][hangs][first_point], t[::-1][hangs][first_point]
+    is_free = np.isin(np.arange(num_groups), hanging, invert=True).astype(float)
     step = _interpolation(group, host_leaf, host_t, hanging, (num_groups, num_groups))
     of_groups = resolve_constraints(step, is_free)
     # 4. Level of a group: exponents of two in the denominators of its point, summed over the axes. A corner's
@@ -120,19 +120,14 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
     if dim > 2:
         row = np.flatnonzero(~is_shared)
         check_num_weights(float(np.sum(2.0 ** np.count_nonzero(~is_end[:, row], axis=2))), most)
-        below, above = (
-            _interpolation(group, leaf[side, row], t[side, row], np.arange(len(row)), (len(row), num_groups))
-            for side in range(2)
-        )
+        shape = len(row), num_groups
+        below, above = (_interpolation(group, leaf[i, row], t[i, row], np.arange(len(row)), shape) for i in range(2))
         rows = csr_array(below - above)
         check_num_weights(int(np.diff(of_groups.indptr)[rows.indices].sum()), _GROWTH * most)
         of_groups = of_groups @ eliminate_constraints(csr_array(rows @ of_groups), level, _GROWTH * most)
     # 6. Free degrees of freedom: groups of reachable leaves that depend on no other group.
-    is_free_dof = np.zeros(num_groups, bool)
-    is_free_dof[group.reshape(len(cells), -1)[~unreachable]] = True
-    is_free_dof[hanging] = False
-    is_free_dof &= of_groups.diagonal() == 1
-    free_dofs = np.flatnonzero(is_free_dof)
+    is_reachable = np.isin(np.arange(num_groups), group.reshape(len(cells), -1)[~unreachable])
+    free_dofs = np.flatnonzero(is_reachable & (of_groups.diagonal() == 1))
     free_dofs = free_dofs[np.argsort(level[free_dofs], kind="stable")]
     values = csr_array(of_groups[group][:, free_dofs])
     # 7. Prediction: at each node that a split made, the mean of the halved edge's ends; averaged over the group. An
@@ -150,11 +145,7 @@ def nodal_space(tree: Tree, tied: SharedFaces, unreachable: Bool[np.ndarray, " l
 
 
 def _interpolation(
-    group: Int[np.ndarray, " nodes"],
-    leaf: Int[np.ndarray, " n"],
-    t: Points,
-    row: Int[np.ndarray, " n"],
-    shape: tuple[int, int],
+    group: Int[np.ndarray, " nodes"], leaf: Indices, t: Points, row: Indices, shape: tuple[int, int]
 ) -> "csr_array":
     from scipy.sparse import csr_array
 
@@ -223,12 +214,7 @@ def plane_coefficients(order: int, center: Distances, half: Points) -> Float[np.
 
 def monomials(order: int, dim: int) -> Float[np.ndarray, "terms powers"]:
     """Return each basis function's coefficients of all products of powers of ``t``, last axis fastest."""
-    along = _BASIS_1D[order]  # by end (one bit of the corner), kind, and power
-    table = np.ones((1, 1, 1))  # by corner, kind of derivative, and product of powers
-    for _ in range(dim):
-        table = np.einsum("cmp,adq->camdpq", table, along).reshape(
-            2 * table.shape[0], along.shape[1] * table.shape[1], along.shape[2] * table.shape[2]
-        )
+    table = reduce(np.kron, [_BASIS_1D[order]] * dim)  # by corner, kind of derivative, and product of powers
     return table.reshape(-1, table.shape[2])
 
 
@@ -244,20 +230,16 @@ def enclosing_planes(
     # Q[0, 0], Q[1, 0] and Q[0, 1], each term is at most |Q[a, b]| * reach_x**a * reach_y**b.
     count = POWERS[order]
     powers = (coefficients @ monomials(order, 2)).reshape(-1, count, count)
-    shifts = (_shifted_powers(count, center[:, axis]) for axis in range(2))
+    # A shift has the coefficients of each power of x in powers of x - c, by the binomial theorem:
+    #   x**n = sum over k of comb(n, k) * c**(n - k) * (x - c)**k.
+    n, k = np.arange(count)[:, None], np.arange(count)
+    binomials = np.array([[math.comb(i, j) for j in range(count)] for i in range(count)])  # 0 for j > i
+    shifts = (binomials * center[:, axis, None, None] ** np.maximum(n - k, 0) for axis in range(2))
     powers = np.einsum("npq,npa,nqb->nab", powers, *shifts)
     x, y = (np.abs(reach[:, axis, None]) ** np.arange(count) for axis in range(2))
     terms = np.abs(powers) * x[:, :, None] * y[:, None]
     terms[:, 0, 0] = terms[:, 1, 0] = terms[:, 0, 1] = 0.0
     return powers[:, 0, 0], np.stack([powers[:, 1, 0], powers[:, 0, 1]], axis=1), terms.sum(axis=(1, 2))
-
-
-def _shifted_powers(count: int, center: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n power power"]:
-    # Coefficients of each power of ``t`` in powers of ``t - center``, by the binomial theorem:
-    #   t**n = sum over k of comb(n, k) * center**(n - k) * (t - center)**k.
-    n, k = np.arange(count)[:, None], np.arange(count)
-    binomials = np.array([[math.comb(i, j) for j in range(count)] for i in range(count)])  # 0 for j > i
-    return binomials * center[:, None, None] ** np.maximum(n - k, 0)
 
 
 def _derivatives(order: int, t: Points, derivative: Int[np.ndarray, " dim"]) -> Float[np.ndarray, "n terms"]:
@@ -296,9 +278,7 @@ def _values_and_derivatives(space: NodalSpace) -> "csr_array":
     is_averaged = is_answered & ~np.isin(group, space.hanging)
     of_free_dofs = csr_array((num_groups * size, len(space.free_dofs)))
     for kind, along in enumerate(kinds):
-        table = np.ones((1, 1))
-        for is_along in along:
-            table = np.kron(table, [[-1, 1], [-1, 1]] if is_along else np.eye(2))
+        table = reduce(np.kron, [np.array([[-1.0, 1.0]] * 2) if is_along else np.eye(2) for is_along in along])
         every_leaf = kron(diags_array(np.ones(len(leaf_depth))), csr_array(table))
         differences = csr_array(diags_array(np.ldexp(1.0, depth @ along)) @ every_leaf)
         # The difference over the smaller of two adjacent cells is the better derivative, so it weighs more.

@@ -46,9 +46,9 @@ class Folding:
         is_reversed = np.any(np.array(self.mirrors).reshape(-1, self.domain.dim), axis=0)
         lo, hi = np.where(is_reversed, -largest, lo), np.where(is_reversed, largest, hi)
         lo[list(self.pivots)] = 0.0
-        periodic = np.array(self.domain.periodic)
         half = self.domain.width / 2
-        return Box(np.where(periodic, -half, lo), np.where(periodic, half, hi), self.domain.periodic)
+        periodic = self.domain.periodic
+        return Box(np.where(periodic, -half, lo), np.where(periodic, half, hi), periodic)
 
     @property
     def cutting_mirrors(self) -> tuple[tuple[bool, ...], ...]:
@@ -110,8 +110,8 @@ class Folding:
             )
         low = np.concatenate([self.center + np.where(is_odd, -hi, lo) for is_odd in self._reversals])
         high = np.concatenate([self.center + np.where(is_odd, -lo, hi) for is_odd in self._reversals])
-        periodic = np.array(self.domain.periodic)
-        low, high = (np.where(periodic, x, np.clip(x, self.domain.lo, self.domain.hi)) for x in (low, high))
+        domain = self.domain
+        low, high = (np.where(domain.periodic, x, np.clip(x, domain.lo, domain.hi)) for x in (low, high))
         is_box = (high > low).all(axis=1)
         return low[is_box], high[is_box], np.flatnonzero(is_box) % len(lo)
 

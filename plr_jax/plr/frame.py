@@ -29,7 +29,13 @@ _LEAST_ENTRIES_BITS = 20
 _MOST_ENTRIES_BITS = 27
 
 
-def block_shapes(cells: Cells, block_bits: Int[np.ndarray, " dim"]) -> Int[np.ndarray, "blocks dim"]:
+PerAxis: TypeAlias = Int[np.ndarray, " dim"]
+PerBlock: TypeAlias = Int[np.ndarray, "blocks dim"]
+Pairs: TypeAlias = Int[np.ndarray, " pairs"]
+OfPairs: TypeAlias = Int[np.ndarray, "pairs dim"]
+
+
+def block_shapes(cells: Cells, block_bits: PerAxis) -> PerBlock:
     """Return log2 of the size, by axis, of the grid that separates the leaves in each cell of a coarse grid.
 
     The coarse grid has ``2**block_bits`` cells along each axis; ``cells`` are the leaves.
@@ -41,16 +47,12 @@ def block_shapes(cells: Cells, block_bits: Int[np.ndarray, " dim"]) -> Int[np.nd
     return shape
 
 
-def num_pairs(cells: Cells, block_bits: Int[np.ndarray, " dim"]) -> float:
+def num_pairs(cells: Cells, block_bits: PerAxis) -> float:
     """Return the number of overlapping pairs of a leaf and a cell of a grid of ``2**block_bits`` cells per axis."""
     return np.sum(2.0 ** np.maximum(block_bits - cells.depth, 0).sum(axis=1))
 
 
-def slots_in_blocks(
-    cells: Cells, block_bits: Int[np.ndarray, " dim"], shape: Int[np.ndarray, "blocks dim"]
-) -> tuple[
-    Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"], Int[np.ndarray, "pairs dim"], Int[np.ndarray, "pairs dim"]
-]:
+def slots_in_blocks(cells: Cells, block_bits: PerAxis, shape: PerBlock) -> tuple[Pairs, Pairs, OfPairs, OfPairs]:
     """Return all pairs of a leaf and a block (a cell of a coarse grid) that overlap, and where they overlap.
 
     The results are the index of the leaf, the row-major index of the block, and the first cell and the number of
@@ -66,9 +68,7 @@ def slots_in_blocks(
     return leaf, index, first, np.int64(1) << (shape[index] - below)
 
 
-def leaves_in_blocks(
-    cells: Cells, block_bits: Int[np.ndarray, " dim"]
-) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, "pairs dim"]]:
+def leaves_in_blocks(cells: Cells, block_bits: PerAxis) -> tuple[Pairs, OfPairs]:
     """Return all overlapping pairs of a leaf (its index) and a cell of a coarse grid (its integer coordinates).
 
     The grid has ``2**block_bits`` cells along each axis.
@@ -97,7 +97,7 @@ def enumerate_boxes(
     return box, points
 
 
-def spread_bits(bits: Int[np.ndarray, " dim"], most: int) -> Int[np.ndarray, " dim"]:
+def spread_bits(bits: PerAxis, most: int) -> PerAxis:
     """Distribute ``most`` halvings over axes that need ``bits``; each goes to the axis that lacks the most."""
     chosen = np.zeros_like(bits)
     while chosen.sum() < min(most, bits.sum()):
@@ -105,9 +105,7 @@ def spread_bits(bits: Int[np.ndarray, " dim"], most: int) -> Int[np.ndarray, " d
     return chosen
 
 
-def row_major(
-    slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | Int[np.ndarray, " dim"]
-) -> Int[np.ndarray, " n"]:
+def row_major(slots: Int[np.ndarray, "n dim"], bits: Int[np.ndarray, "n dim"] | PerAxis) -> Int[np.ndarray, " n"]:
     """Return row-major indices of slots in grids with ``2**bits`` cells along each axis."""
     index = np.zeros(len(slots), np.int64)
     for axis in range(slots.shape[1]):
@@ -159,6 +157,8 @@ LARGEST = 1e30  # bound of coordinates, distances and slopes, well below the lar
 
 Corner: TypeAlias = Float[np.ndarray, " dim"]
 """A point, such as the domain's lower corner, relative to which other points are given."""
+Mirrors: TypeAlias = tuple[tuple[int, tuple[int, ...]], ...]
+"""For each mirror, its *pivot* axis and all axes that it reverses; it mirrors points of negative pivot coordinate."""
 Outside: TypeAlias = Literal["inf", "clamp", "nan"]
 """Answer to a query outside the domain; ``"clamp"``: the value at the nearest point plus the distance to it."""
 
@@ -188,9 +188,8 @@ class Frame(IntEnum):
 def table_corners(domain: Box) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
     """Return the domain's corners as 32-bit floats, rounded outward."""
     if np.abs([domain.lo, domain.hi]).max() > LARGEST or domain.width.min() < 1 / LARGEST:
-        raise ValueError(
-            f"A domain's coordinates must be below {LARGEST:g} and its width above {1 / LARGEST:g}, got {domain}."
-        )
+        expected = f"coordinates must be below {LARGEST:g} and its width above {1 / LARGEST:g}"
+        raise ValueError(f"A domain's {expected}, got {domain}.")
     return domain.in_single
 
 
@@ -248,12 +247,7 @@ def corner_if_far(domain: Box) -> Corner | None:
 
 def folding_numbers(
     folding: Folding, origin: Corner
-) -> tuple[
-    Float[np.ndarray, "2 dim"],
-    Float[np.ndarray, "2 dim"],
-    Float[np.ndarray, "dim dim"] | None,
-    tuple[tuple[int, tuple[int, ...]], ...],
-]:
+) -> tuple[Float[np.ndarray, "2 dim"], Float[np.ndarray, "2 dim"], Float[np.ndarray, "dim dim"] | None, Mirrors]:
     """Return a folding's center, corners, axes and mirrors in 32-bit floats, for points relative to ``origin``.
 
     The center is the sum of its two rows. The corners are the ends of the box of folded points: infinite along
@@ -268,9 +262,7 @@ def folding_numbers(
     hi = np.where(hi > box.hi, np.nextafter(hi, np.float32(-np.inf)), hi)
     endless = np.array([[-np.inf], [np.inf]], np.float32)
     reversed_axes = [tuple(map(int, np.flatnonzero(mirror))) for mirror in folding.mirrors]
-    return (
-        np.stack([center, exact - center]).astype(np.float32),
-        np.where(folding.domain.periodic, endless, [lo, hi]),
-        folding.axes.astype(np.float32) if folding.is_turned else None,
-        tuple(zip(folding.pivots, reversed_axes, strict=True)),
-    )
+    centers = np.stack([center, exact - center]).astype(np.float32)
+    corners = np.where(folding.domain.periodic, endless, [lo, hi])
+    axes = folding.axes.astype(np.float32) if folding.is_turned else None
+    return centers, corners, axes, tuple(zip(folding.pivots, reversed_axes, strict=True))

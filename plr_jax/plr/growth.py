@@ -76,8 +76,7 @@ def check_memory(num_nodes: float, bytes_a_node: float = _BYTES_A_NODE) -> None:
     if needed > memory:
         raise ValueError(
             f"The limits allow {num_nodes / 2:.3g} leaves or more, which would need about {needed / 2**30:.3g} GiB; "
-            f"this machine has {memory / 2**30:.3g}. Reduce max_depth, max_leaves or max_bytes, or set a "
-            "tolerance."
+            f"this machine has {memory / 2**30:.3g}. Reduce max_depth, max_leaves or max_bytes, or set a tolerance."
         )
 
 
@@ -106,7 +105,8 @@ class Nodes(Rows):
 
     cells: Cells
     coefficients: Float[np.ndarray, "nodes terms"]
-    # Mean absolute error over samples that reach the goal, weighted by the pattern. Users' error weights do not count.
+    # Mean absolute error over samples that reach the goal, weighted by the pattern; users' error weights do not
+    # count.
     error: Float[np.ndarray, " nodes"]
     volume: Float[np.ndarray, " nodes"]  # share of the domain's volume that these samples represent
     axis: Int[np.ndarray, " nodes"]  # along which the node is or would be split
@@ -133,8 +133,8 @@ def split_order(nodes: Nodes) -> Int[np.ndarray, " splits"]:
     # A priority queue splits node b only after its parent a. If b is more urgent than a, it is split right after a,
     # before all nodes that had to wait for a. So the queue's order is the order of
     #   key(b) = min(priority(b), key(a)),
-    # the least priority on the path from the root, largest key first. Among equal keys, nodes with smaller indices come
-    # first, so parents come before children. Thus the first n nodes of this order are the n splits of a tree.
+    # the least priority on the path from the root, largest key first. Among equal keys, nodes with smaller indices
+    # come first, so parents come before children. Thus the first n nodes of this order are the n splits of a tree.
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
 
@@ -196,9 +196,8 @@ def check_rules(fit: CellFit, priority: Float[np.ndarray, "..."], axis: Int[np.n
     """Raise a ``ValueError`` unless the rules returned a priority and an axis for each cell."""
     cells, dim = fit.cells.depth.shape
     if priority.shape != (cells,) or np.isnan(priority).any():
-        raise ValueError(
-            f"should_split must return one priority a cell, shape ({cells},) without NaN, got shape {priority.shape}."
-        )
+        expected = f"one priority a cell, shape ({cells},) without NaN"
+        raise ValueError(f"should_split must return {expected}, got shape {priority.shape}.")
     if axis.shape != (cells,) or (axis < 0).any() or (axis >= dim).any():
         raise ValueError(
             f"split must return one axis from 0 to {dim - 1} a cell, shape ({cells},), got shape {axis.shape} with "
@@ -246,8 +245,8 @@ def cyclic_axis(fit: CellFit) -> Int[np.ndarray, " cells"]:
 
 
 def _sum_of_squares_after_split(fit: CellFit) -> Float[np.ndarray, "cells dim"]:
-    # Let r be the residual and W = diag(w) the weights of a cell's samples, and D the design matrix of one half. A plane
-    # that is fitted to r there lowers the sum of w r^2 by
+    # Let r be the residual and W = diag(w) the weights of a cell's samples, and D the design matrix of one half. A
+    # plane that is fitted to r there lowers the sum of w r^2 by
     #   p' (D' W D)^-1 p,  with p = D' W r.
     # Both halves together lower it by |B' r|^2, if the columns of W^-1/2 B are an orthonormal basis of all functions
     # W^1/2 f, where f is a plane in either half.

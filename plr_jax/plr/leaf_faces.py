@@ -152,11 +152,8 @@ _TOUCH = 2.0**-20  # counted as length of a contact along an axis on which cells
 
 
 def neighbor_of_largest_contact(
-    cells: Cells,
-    unreachable: Int[np.ndarray, " unreachable"],
-    reachable: Int[np.ndarray, " reachable"],
-    periodic: tuple[bool, ...],
-) -> Int[np.ndarray, " unreachable"]:
+    cells: Cells, unreachable: Int[np.ndarray, " m"], reachable: Int[np.ndarray, " n"], periodic: tuple[bool, ...]
+) -> Int[np.ndarray, " m"]:
     """Return the reachable leaf that shares the largest face, edge or corner with each unreachable leaf, or -1."""
     tree = tree_of(cells)
     leaf_of_cell = np.argsort(tree.order)
@@ -196,20 +193,18 @@ def _contacts(cells: Cells, finest: Indices, pairs: Pairs, periodic: tuple[bool,
     depth of cells along each axis.
     """
     # Along an axis, in widths of finest cells:
-    #     lo_a ------------- hi_a
-    #               lo_b ------------- hi_b
-    #               low      high                cells touch if low == high, and are apart if low > high
-    a, b = pairs
+    #     lo[0] ------------- hi[0]
+    #                lo[1] ------------- hi[1]
+    #                low      high                cells touch if low == high, and are apart if low > high
     contact = np.ones(pairs.shape[1])
     for axis in range(cells.dim):
-        up_a, up_b = finest[axis] - cells.depth[a, axis], finest[axis] - cells.depth[b, axis]
-        lo_a, lo_b = cells.position[a, axis] << up_a, cells.position[b, axis] << up_b
-        hi_a, hi_b = (cells.position[a, axis] + 1) << up_a, (cells.position[b, axis] + 1) << up_b
-        low, high = np.maximum(lo_a, lo_b), np.minimum(hi_a, hi_b)
+        width_bits = finest[axis] - cells.depth[pairs, axis]  # (2, pairs)
+        lo = cells.position[pairs, axis] << width_bits
+        hi = (cells.position[pairs, axis] + 1) << width_bits
+        low, high = lo.max(axis=0), hi.min(axis=0)
         touches = high == low
         if periodic[axis]:  # cells at both ends of the axis touch across the seam
-            first, last = np.minimum(lo_a, lo_b), np.maximum(hi_a, hi_b)
-            touches |= (high < low) & (first == 0) & (last == 1 << finest[axis])
+            touches |= (high < low) & (lo.min(axis=0) == 0) & (hi.max(axis=0) == 1 << finest[axis])
         contact *= np.where(touches, _TOUCH, np.maximum(high - low, 0)) / 2.0 ** finest[axis]
     return contact
 
@@ -244,9 +239,8 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
     def keep(pairs: Pairs, side: int, half: int, axis: Int[np.ndarray, "pairs"]) -> Bool[np.ndarray, "pairs"]:
         if pairs.shape[1] > most:
-            raise ValueError(
-                f"its {len(tree.node_of_leaf)} leaves share more than {most} faces. Build it with fewer leaves"
-            )
+            message = f"its {len(tree.node_of_leaf)} leaves share more than {most} faces. Build it with fewer leaves"
+            raise ValueError(message)
         # If the split is along the face's axis, only the half next to the face touches the face: the upper half (1)
         # of the node below (side 0), the lower half of the node above. Else the half must overlap the other node.
         return np.where(axis == pairs[2], half != side, overlap(tree.cells, pairs[0], tree.cells, pairs[1], axis))
@@ -284,8 +278,7 @@ def corner_parents(tree: Tree) -> tuple[Int[np.ndarray, "leaves corners 2"], Boo
             stays = (bits == half)[:, tree.axis[split]].T
             origin[tree.child[split] + half] = np.where(stays, origin[split], split[:, None])
     # 2. Upward: the leaf in each corner of each node.
-    leaf_at = np.empty_like(origin)
-    leaf_at[tree.node_of_leaf] = np.arange(len(tree.node_of_leaf))[:, None]
+    leaf_at = np.repeat(tree.leaf_of_node[:, None], len(bits), axis=1)
     for split in reversed(tree.splits):
         leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, corners]
     # 3. The ends of the halved edge: clear and set the corner's bit of the split axis. For corners of the domain,

@@ -25,7 +25,8 @@ class ParallelOracle:
     executor: Executor
 
     def __call__(self, x: Points) -> Distances:
-        parts, futures = [x[begin : begin + _AT_ONCE] for begin in range(0, len(x), _AT_ONCE)], []
+        parts = [x[begin : begin + _AT_ONCE] for begin in range(0, len(x), _AT_ONCE)]
+        futures = []  # fewer than parts, if the workers died meanwhile
         try:
             with suppress(BrokenExecutor):
                 for part in parts:
@@ -66,7 +67,10 @@ def build_chunks(chunks: list[Chunk], executor: Executor | None, progress: tqdm)
 
 
 def _build_by(pool: Executor, chunks: list[Chunk], results: dict[int, bytes], progress: tqdm) -> None:
-    """Build chunks by the workers of a pool, and add the results as they finish."""
+    """Build chunks by the workers of a pool, and add their bytes to ``results`` as they finish.
+
+    If the workers die, the results of some chunks stay missing.
+    """
     futures: dict[Future[list[bytes]], list[int]] = {}
     try:
         with suppress(BrokenExecutor):

@@ -95,8 +95,7 @@ def _straight_bound(tables: Tables, x: Points) -> Values:
             squares.append(without_fusion(jnp.square(change)))
         cost = jnp.zeros_like(least)
         for group in range(groups.shape[0]):
-            of_group = (without_fusion(groups[group, axis] * squares[axis]) for axis in range(tables.dim))
-            square = reduce(add, of_group)
+            square = reduce(add, (without_fusion(groups[group, axis] * squares[axis]) for axis in range(tables.dim)))
             # The root of 0 has no gradient.
             length = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, jnp.ones_like(square))), square)
             cost = cost + without_fusion(length * rates[group])
@@ -124,8 +123,7 @@ def waypoints_in_tables(tables: Tables, x: Array) -> Points:
 def lookup(tables: Tables, x: Points) -> Bits:
     """Return the index of each point's leaf, up to rounding; an arbitrary leaf outside the domain and for NaN."""
     if tables.folding is not None:
-        nowhere = jnp.zeros(x.shape[:-1], bool)
-        return lookup(replace(tables, folding=None), _fold(tables.folding, x, nowhere))
+        return lookup(replace(tables, folding=None), _fold(tables.folding, x, jnp.zeros(x.shape[:-1], bool)))
     row = find_row(tables, _wrap(tables, x) if tables.periodic else x)
     return row if tables.pages is None else gather(tables.leaf_of_slot, row).astype(np.uint32)
 
@@ -302,9 +300,8 @@ def _leaf_parameters(tables: Tables, row: Bits, dtype: np.dtype) -> list[Values]
 def _fraction_bits(tables: Tables, x: Points, axis: int) -> Bits:
     # ``placed`` is 1 plus the point's fraction of the domain. The bits of a float from 1 to below 2 are
     #   | sign and exponent, always the same | 23 bits of the fraction |
-    lo, start, scale, top = (
-        tables.frame[row, axis].astype(x.dtype) for row in (Frame.LO, Frame.START, Frame.SCALE, Frame.TOP)
-    )
+    rows = Frame.LO, Frame.START, Frame.SCALE, Frame.TOP
+    lo, start, scale, top = (tables.frame[row, axis].astype(x.dtype) for row in rows)
     share = (x[..., axis] - lo) * scale
     # The minimum (``where``) separates product and sum. If a compiler fused them in only one part of a query, a point
     # near a border could get the block (coarse cell) of one leaf and the entry of another.
@@ -332,8 +329,9 @@ def _row_in_trie(tables: Tables, trie: Trie, x: Points) -> Bits:
     for level in range(1, len(trie.bits)):
         # XLA should compile each level to a loop of its own, so that reads of many points overlap. This condition
         # always holds, but XLA cannot know that, and does not fuse the loops.
+        is_used = trie.bits[level].any()
         entry = jax.lax.cond(
-            trie.bits[level].any(), lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
+            is_used, lambda entry, level=level: descend(entry, trie.bits[level]), jnp.zeros_like, entry
         )
     return entry >> np.uint32(1)
 
@@ -372,6 +370,6 @@ def _root_tangent(primals, tangents):
 
 
 evaluate_points = jax.jit(evaluate_tables)  # separate, as a static argument adds a tenth to the time of a call
-evaluate_points_anywhere = jax.jit(evaluate_tables, static_argnums=2)
+evaluate_anywhere = jax.jit(evaluate_tables, static_argnums=2)
 bound_points, waypoints_of_points = jax.jit(bounds_of_tables), jax.jit(waypoints_in_tables)
 goals_of_points = jax.jit(goals_in_tables)

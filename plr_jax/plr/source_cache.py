@@ -58,8 +58,7 @@ class SourceCache:
                 is_leaf = tree.child[nodes] < 0
                 leaf, inner = np.flatnonzero(is_leaf), np.flatnonzero(~is_leaf)
                 self.remember(tree.cells[nodes[leaf]], visible.of_cells(leaf))
-                parent = np.repeat(inner, 2)
-                axis = np.repeat(tree.axis[nodes[inner]], 2)
+                parent, axis = np.repeat(inner, 2), np.repeat(tree.axis[nodes[inner]], 2)
                 nodes = tree.halves(nodes[inner])
                 lo, hi = tree.cells[nodes].grown_boxes(self._domain)
                 visible = visible.parts(parent, axis, np.arange(len(nodes)) % 2 == 1, lo, hi)

@@ -25,6 +25,9 @@ from plr_jax.plr.frame import (
     FRACTION_BITS,
     MOST_ROWS,
     WORD_BITS,
+    Mirrors,
+    PerAxis,
+    PerBlock,
     block_shapes,
     byte_class,
     enumerate_boxes,
@@ -41,8 +44,6 @@ from plr_jax.plr.frame import (
 )
 from plr_jax.plr.tree import Cells
 
-PerAxis = Int[np.ndarray, "dim"]
-PerBlock = Int[np.ndarray, "blocks dim"]
 _MAX_BLOCK_BITS = 16  # most halvings of the grid of blocks, summed over the axes
 _BLOCK_BITS = (10, 12, 14, 16)  # few choices, as code is compiled for each; fewer bits are read faster
 _MOST_PAIRS = 2**20  # most pairs of leaf and block while pages are built
@@ -92,7 +93,7 @@ class FoldedDomain:
     corners: Float[Array, "2 dim"] | PerPointTable  # of the box of folded points
     axes: Float[Array, "dim dim"] | PerPointTable | None  # one per row; None if they are the domain's
     # Each mirror has a pivot and all axes that it reverses: it mirrors points whose pivot coordinate is negative.
-    mirrors: tuple[tuple[int, tuple[int, ...]], ...] = field(metadata={"static": True})
+    mirrors: Mirrors = field(metadata={"static": True})
     periodic: tuple[int, ...] = field(metadata={"static": True})
 
     @property
@@ -220,8 +221,7 @@ def build_pages(
         total = next((count for count in entry_counts if num_entries <= count), None)
         # Bytes: 4 a block; an entry takes 2 for the leaf's index, and 4 a parameter.
         if total is not None and (size := (4 << most_bits) + total * (2 + 4 * parameters_per_entry)) < fewest:
-            best = block_bits, page_bits, later_bits, shape, start, num_entries, total
-            fewest = size
+            best, fewest = (block_bits, page_bits, later_bits, shape, start, num_entries, total), size
         if total == entry_counts[0]:
             break  # finer blocks take more memory
     if best is None:
@@ -323,8 +323,7 @@ class Tables:
         domain = folding.domain.moved(-origin)
         *arrays, mirrors = folding_numbers(folding, origin)
         periodic = tuple(np.flatnonzero(domain.periodic).tolist())
-        frame, center, corners, axes = map(jax.device_put, (frame_of(domain), *arrays))
-        window = FoldedDomain(frame, center, corners, axes, mirrors, periodic)
+        window = FoldedDomain(*map(jax.device_put, (frame_of(domain), *arrays)), mirrors, periodic)
         return replace(self, folding=window, unresolved=unresolved_types(domain))
 
 

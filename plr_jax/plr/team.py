@@ -38,9 +38,8 @@ class TableStack:
         # Dispatch all calls before waiting for the first result.
         answers = [self._answer(q[begin : begin + _CHUNK]) for begin in starts]
         for begin, answer in zip(starts, answers, strict=True):
-            columns = distances[:, begin : begin + _CHUNK]
-            for column, of_robot in zip(columns, answer, strict=True):
-                column[:] = np.asarray(of_robot)[: len(column)]
+            for column, of_robot in zip(distances[:, begin : begin + _CHUNK], answer, strict=True):
+                column[:] = np.asarray(of_robot)[: len(column)]  # without padding
         return distances.T
 
     def _answer(self, q: Float[np.ndarray, "n robots dof"]) -> tuple[Array, ...]:

@@ -171,8 +171,7 @@ def tree_of_axes(axes: list[Int[np.ndarray, " _"]], dim: int) -> Tree:
     """Build a tree from the split axes of its nodes, one array for each level; -1 marks a leaf."""
     child = np.full(sum(map(len, axes)), -1)
     cells = Cells.root(dim)  # of a level
-    levels, splits = [], []
-    first = 0  # node of the level
+    levels, splits, first = [], [], 0  # the first node of a level
     for axis in axes:
         inner = np.flatnonzero(axis >= 0)
         split = first + inner
@@ -189,8 +188,7 @@ def tree_of_axes(axes: list[Int[np.ndarray, " _"]], dim: int) -> Tree:
 def leaf_order(axes: list[Int[np.ndarray, " _"]]) -> Int[np.ndarray, " leaves"]:
     """Return the leaves, numbered level by level as in ``axes``, from left to right."""
     # A leaf's path from the root, one bit for each split from the highest bit down, 1 for the upper half, sorts them.
-    paths = []
-    path = np.zeros(1, np.int64)  # of each node of a level
+    paths, path = [], np.zeros(1, np.int64)  # of the leaves above a level, and of each node of the level
     for depth, axis in enumerate(axes):
         paths.append(path[axis < 0])
         path = (path[axis >= 0, None] + np.array([0, 1 << (MAX_DEPTH - depth)])).ravel()

@@ -9,7 +9,7 @@ import pytest
 from vectors import FOLDER
 
 from plr_jax import PLR, load
-from plr_jax.plr.query import evaluate_points_anywhere
+from plr_jax.plr.query import evaluate_anywhere
 
 
 @cache
@@ -47,7 +47,7 @@ def hard_points(plr, n=2000, seed=0):
 
 def compiled_answers(plr, x, outside="inf"):
     tables, x = plr.tables_and_points(x)
-    return np.asarray(evaluate_points_anywhere(tables, x, outside))
+    return np.asarray(evaluate_anywhere(tables, x, outside))
 
 
 def same_bits(a, b):

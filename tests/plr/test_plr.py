@@ -9,7 +9,7 @@ from portable_helpers import case, compiled_answers, hard_points, same_bits
 
 from plr_jax import PLR, Box, BuildOptions, construct, from_bytes
 from plr_jax.plr import _plr
-from plr_jax.plr.query import bound_points, evaluate_points, evaluate_points_anywhere, waypoints_of_points
+from plr_jax.plr.query import bound_points, evaluate_anywhere, evaluate_points, waypoints_of_points
 
 
 def test_attributes_describe_the_leaves(plr, leaf, x):
@@ -42,7 +42,7 @@ def test_plrs_of_one_size_class_share_a_program(plr, leaf, x):
     assert evaluate_points._cache_size() == compiled
 
 
-PROGRAMS = evaluate_points, evaluate_points_anywhere, bound_points, waypoints_of_points
+PROGRAMS = evaluate_points, evaluate_anywhere, bound_points, waypoints_of_points
 
 
 def test_few_points_outside_of_jit_compile_nothing():
