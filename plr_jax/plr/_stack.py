@@ -263,12 +263,11 @@ class PLRStack:
         if x.ndim == 1 and index.ndim:
             x = jnp.broadcast_to(x, (*index.shape, self.dim)) if isinstance(x, jax.Array) else x[(None,) * index.ndim]
         # 2. Subtract the origins of tables: here in 64 bits if that is possible, else in compiled code.
-        corners = self.corners
         is_rounded = isinstance(index, jax.Array) or isinstance(x, jax.Array) or x.dtype != np.float64
-        if corners is None or is_traced(corners) or is_rounded:
+        if self.corners is None or is_traced(self.corners) or is_rounded:
             require_resolved(jax.dtypes.canonicalize_dtype(x.dtype), self.unresolved)
             return _evaluate(self, index, x, outside)
-        from_corner = x - np.asarray(corners, np.float64).sum(axis=1)[index]
+        from_corner = x - np.asarray(self.corners, np.float64).sum(axis=1)[index]
         return _evaluate(replace(self, corners=None), index, from_corner, outside)
 
 

@@ -8,7 +8,6 @@ Annals of Statistics 1997.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -223,7 +222,6 @@ class PriceSearch:
         self, levels: list[BoxLevel], limits: Limits, size: Callable[[PricedTree], int], num_sources: int = 0
     ) -> None:
         self.levels, self._limits, self._size, self._num_sources = levels, limits, size, num_sources
-        self._peak_weight = partial(peak_weight, is_proven=limits.proof is not Proof.NONE)
         self._bits_a_leaf = _BITS_A_LEAF + limits.proof.num_bits(2, 0) - limits.proof.num_bits(1, 0)
         self._selected: list[SelectedBoxes] = []
 
@@ -264,7 +262,7 @@ class PriceSearch:
         is_crowded = len(now) == 1 and self._num_sources * _BITS_A_SOURCE > bits
         more = bits / (self._bits_a_leaf + _BITS_A_SOURCE * is_crowded)  # each new leaf brings its source
         most = float(min(self._limits.max_leaves, len(now) + more))
-        weight = self._peak_weight(most if most < _UNLIMITED else len(now))
+        weight = peak_weight(most if most < _UNLIMITED else len(now), self._limits.proof is not Proof.NONE)
         room = most / len(now)
         # 2. After the root, guess. Far from the limits, drop the price as far as possible.
         if len(now) == 1:

@@ -134,7 +134,8 @@ def split_order(nodes: Nodes) -> Int[np.ndarray, " splits"]:
     # before all nodes that had to wait for a. So the queue's order is the order of
     #   key(b) = min(priority(b), key(a)),
     # the least priority on the path from the root, largest key first. Among equal keys, nodes with smaller indices
-    # come first, so parents come before children. Thus the first n nodes of this order are the n splits of a tree.
+    # come first (where a queue may have another order), so parents come before children. Thus the first n nodes of
+    # this order are the n splits of a tree.
     candidates = np.flatnonzero(nodes.key > NEVER)
     return candidates[np.argsort(-nodes.key[candidates], kind="stable")]
 

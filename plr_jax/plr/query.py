@@ -170,7 +170,8 @@ def _index_in_block(blocks: Blocks, fractions: list[Bits], block: Bits) -> Bits:
 def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
     # z = A (x - center); then each mirror negates its axes at points whose pivot coordinate is negative. Points
     # outside the domain go to the center of the mirrors.
-    axes, (center, rest) = range(window.dim), window.center.astype(x.dtype)
+    axes = range(window.dim)
+    center, rest = window.center.astype(x.dtype)  # the center is their sum
     z = [jnp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
     if window.axes is not None:
         turned = window.axes.astype(x.dtype)
@@ -213,7 +214,8 @@ def outside_domain(tables: Tables | FoldedDomain, x: Points) -> tuple[Flags, Val
 def _clamp(window: Tables | FoldedDomain, x: Points) -> tuple[Points, Float[Array, "*#batch"]]:
     """Return the nearest point of the domain and the distance to it; a point that is not finite does not move."""
     is_finite = jnp.isfinite(x).all(axis=-1)
-    nearest, beyond = [x[..., axis] for axis in range(window.dim)], []
+    nearest = [x[..., axis] for axis in range(window.dim)]
+    beyond = []  # differences to the nearest point, along axes that are not periodic
     for axis in range(window.dim):
         if axis in window.periodic:
             continue
@@ -255,7 +257,9 @@ def _wrap(tables: Tables, x: Points) -> Points:
 
 def _value(tables: Tables, row: Bits, x: Points, outside: Flags) -> Values:
     """Return the values of leaf functions at points; ``row`` has the row of each leaf's parameters."""
-    numbers, frame, place = _leaf_parameters(tables, row, x.dtype), tables.frame.astype(x.dtype), []
+    numbers = _leaf_parameters(tables, row, x.dtype)
+    frame = tables.frame.astype(x.dtype)
+    place = []  # where the leaf's function is evaluated, axis by axis
     for axis in range(tables.dim):
         along = x[..., axis] - frame[Frame.LO, axis]
         if tables.leaf.is_cell_relative:

@@ -26,14 +26,13 @@ class TableStack:
 
     def __call__(self, q: Float[np.ndarray, "n robots dof"]) -> Float[np.ndarray, "n robots"]:
         """Return each robot's distance; its PLR sees the leading coordinates of the robot's configuration."""
-        shape = q.shape
-        if len(shape) != 3 or shape[1] != len(self.plrs):
-            raise ValueError(f"Joint configurations must have shape (n, {len(self.plrs)}, dof), got {shape}.")
+        if q.ndim != 3 or q.shape[1] != len(self.plrs):
+            raise ValueError(f"Joint configurations must have shape (n, {len(self.plrs)}, dof), got {q.shape}.")
         for i, plr in enumerate(self.plrs):
-            if plr.dim > shape[2]:
+            if plr.dim > q.shape[2]:
                 need = f"The PLR of robot {i} needs {plr.dim} coordinates"
-                raise ValueError(f"{need}, got configurations of {shape[2]}.")
-        distances = np.empty(q.shape[1::-1])
+                raise ValueError(f"{need}, got configurations of {q.shape[2]}.")
+        distances = np.empty(q.shape[1::-1])  # a row for each robot
         starts = range(0, len(q), _CHUNK)
         # Dispatch all calls before waiting for the first result.
         answers = [self._answer(q[begin : begin + _CHUNK]) for begin in starts]
