@@ -35,12 +35,12 @@ def certificates_of(contents: Sequence[DecodedFile], visible: CellSources, proof
         )
     lo, hi = map(np.concatenate, zip(*(file.tree.leaves.boxes(domain) for file in contents), strict=True))
     coefficients = np.concatenate([filled_coefficients(file) for file in contents])
-    if (blind := np.flatnonzero(np.isinf(coefficients[np.unique(visible.cell), 0]))).size:
-        at = np.unique(visible.cell)[blind[0]]
+    seen = np.unique(visible.cell)
+    if len(blind := seen[np.isinf(coefficients[seen, 0])]):
         raise ValueError(
             "A proof needs a finite function in every leaf with points that reach the goal, got inf in the leaf from "
-            f"{lo[at].tolist()} to {hi[at].tolist()}, where no sample met such a point. Build the PLR with "
-            "certified=True."
+            f"{lo[blind[0]].tolist()} to {hi[blind[0]].tolist()}, where no sample met such a point. Build the PLR "
+            "with certified=True."
         )
     coefficients = np.where(np.isinf(coefficients[:, :1]), 0.0, coefficients)
     # 2. For each PLR, find out which bounds suffice for its file.

@@ -263,17 +263,17 @@ class PriceSearch:
         more = bits / (self._bits_a_leaf + _BITS_A_SOURCE * is_crowded)  # each new leaf brings its source
         most = float(min(self._limits.max_leaves, len(now) + more))
         weight = peak_weight(most if most < _UNLIMITED else len(now), self._limits.proof is not Proof.NONE)
-        room = most / len(now)
+        growth = most / len(now)  # by which factor the number of leaves may grow
         # 2. After the root, guess. Far from the limits, drop the price as far as possible.
         if len(now) == 1:
-            room = max(_FIRST_FILL * room, 2.0)
-            return now.price * (room**-_FIRST_RATE if room < _UNLIMITED else _LARGEST_DROP), weight
+            growth = max(_FIRST_FILL * growth, 2.0)
+            return now.price * (growth**-_FIRST_RATE if growth < _UNLIMITED else _LARGEST_DROP), weight
         before = len(self._best_tree(_RATE_STEP * now.price, weight))
-        if before == len(now) or room > _MUCH_ROOM:
+        if before == len(now) or growth > _MUCH_ROOM:
             return _LARGEST_DROP * now.price, weight
         # 3. Assume leaves ~ price**-rate, with the rate between the last price and a higher one.
         rate = np.log(len(now) / before) / np.log(_RATE_STEP)
-        drop = float(np.clip((_BEYOND * room) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
+        drop = float(np.clip((_BEYOND * growth) ** (-1 / rate), _LARGEST_DROP, _SMALLEST_DROP))
         return drop * now.price, weight
 
     def _tree(self, price: float, weight: float) -> PricedTree:

@@ -340,7 +340,7 @@ class Proof(IntEnum):
         """Return the most bits of this kind of proof in a file whose leaves take ``num_bytes`` bytes."""
         of_leaves = _MAX_ERROR_BITS + 2 * _CODE_BITS * num_leaves
         # The caller adds the bits of a ``StraightBound``.
-        return (0, _MAX_ERROR_BITS + _room_for_classes(num_bytes), of_leaves, of_leaves)[self]
+        return (0, _MAX_ERROR_BITS + _bits_of_classes(num_bytes), of_leaves, of_leaves)[self]
 
 
 # Bounds are tight enough if they exceed attained errors by
@@ -352,7 +352,8 @@ _SPARE_OF_CLASS = 1e-5  # for classes, this share of the scale instead, since fe
 MOST_GOALS = 64  # most goals of a file to which straight lines give lower bounds: queries compare all of them
 
 
-def _room_for_classes(num_bytes: int) -> int:
+def _bits_of_classes(num_bytes: int) -> int:
+    # The bits that classes may take in a file whose leaves take so many bytes; 0 for no classes.
     return bits if (bits := num_bytes // _BYTES_A_BIT) >= _LEAST_BITS else 0
 
 
@@ -434,7 +435,7 @@ class Certificate:
             largest *= 2.0 ** (1.1 / _CODES_A_DOUBLING)  # reserves the largest code for open leaves
         scale = float(np.nextafter(np.float32(largest), np.float32(np.inf)))
         # 2. Without room for classes, the scale is the bound of all leaves.
-        if proof is Proof.CLASSES and not (room := _room_for_classes(num_bytes)):
+        if proof is Proof.CLASSES and not (max_bits := _bits_of_classes(num_bytes)):
             return Certificate(scale, None, proof)
         codes = np.stack([_encode_bounds(lower, scale), _encode_bounds(np.where(is_open, scale, upper), scale)])
         # 3. Let leaves share codes: the classes of `before` if its scale still fits, else new ones.
@@ -443,10 +444,10 @@ class Certificate:
             shared = None
             if before is not None and before.codes is not None and largest <= before.scale < largest * _A_CODE:
                 of_scale = np.stack([_encode_bounds(lower, before.scale), _encode_bounds(upper, before.scale)])
-                shared = requantize_bounds(of_scale, distinct_classes(before.codes), factor, room)
+                shared = requantize_bounds(of_scale, distinct_classes(before.codes), factor, max_bits)
                 scale = scale if shared is None else before.scale
             if shared is None:
-                shared = classify_bounds(codes, factor, np.broadcast_to(volume, lower.shape), room)
+                shared = classify_bounds(codes, factor, np.broadcast_to(volume, lower.shape), max_bits)
             codes = None if (shared == shared[:, :1]).all() else shared
         return Certificate(scale, codes, proof)
 

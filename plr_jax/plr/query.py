@@ -171,8 +171,8 @@ def _fold(window: FoldedDomain, x: Points, outside: Flags) -> Points:
     # z = A (x - center); then each mirror negates its axes at points whose pivot coordinate is negative. Points
     # outside the domain go to the center of the mirrors.
     axes = range(window.dim)
-    center, rest = window.center.astype(x.dtype)  # the center is their sum
-    z = [jnp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - rest[axis]) for axis in axes]
+    center, remainder = window.center.astype(x.dtype)  # the center is their sum
+    z = [jnp.where(outside, 0, without_fusion(x[..., axis] - center[axis]) - remainder[axis]) for axis in axes]
     if window.axes is not None:
         turned = window.axes.astype(x.dtype)
         z = [reduce(add, (without_fusion(turned[row, axis] * z[axis]) for axis in axes)) for row in axes]
