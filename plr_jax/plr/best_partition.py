@@ -250,6 +250,7 @@ class PriceSearch:
         return sum(len(level.key) for level in self.levels)
 
     def _is_finest(self, tree: PricedTree, weight: float) -> bool:
+        """Return whether no leaf of positive cost may be halved."""
         for level, boxes in zip(self.levels, tree.leaves, strict=False):
             if (level.is_open(self._limits, weight).any(axis=0) & (level.costs(weight) > 0))[boxes].any():
                 return False
@@ -277,6 +278,7 @@ class PriceSearch:
         return drop * now.price, weight
 
     def _tree(self, price: float, weight: float) -> PricedTree:
+        """Return the best tree with the size of its file, if bytes are limited."""
         tree = self._best_tree(price, weight)
         return replace(tree, num_bytes=self._size(tree) if np.isfinite(self._limits.max_bytes) else 0)
 

@@ -252,6 +252,7 @@ def shared_faces(tree: Tree, periodic: tuple[bool, ...] = ()) -> SharedFaces:
 
 def face_points(cells: Cells, faces: SharedFaces, w: Float[np.ndarray, "k dim"]) -> Float[np.ndarray, "faces k dim"]:
     """Return ``k`` points of each face in fractions of the domain; ``w`` has their places in a face, from 0 to 1."""
+    # A face is the intersection of both leaves' sides. Along its axis, it is where the lower leaf ends.
     size = np.ldexp(1.0, -cells.depth)
     lo, hi = cells.position * size, (cells.position + 1) * size
     low = np.maximum(lo[faces.lower], lo[faces.upper])
