@@ -344,14 +344,9 @@ class ConeFiles:
         key = kept.tobytes()
         if key not in self._cache:
             row = np.searchsorted(kept, np.arange(len(sources.parents)))
-            stored, index = store_sources(
-                sources.points[kept],
-                sources.distances[kept],
-                row[sources.parents[kept]],
-                self._domain,
-                self._is_off[kept],
-                None if sources.goals is None else sources.goals[kept[kept < len(sources.goals)]],
-            )
+            columns = sources.points[kept], sources.distances[kept], row[sources.parents[kept]]
+            goals = None if sources.goals is None else sources.goals[kept[kept < len(sources.goals)]]
+            stored, index = store_sources(*columns, self._domain, self._is_off[kept], goals)
             _write_sources(body := BitWriter(), self._domain, stored)
             if stored.goals is not None:
                 write_goals(body, stored.goals)
