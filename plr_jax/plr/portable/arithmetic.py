@@ -157,28 +157,25 @@ class Program:
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
         """Return answers at points, given by :meth:`offsets`, in the leaf with parameters ``numbers``."""
-        # The answer is max(value, straight).
-        value = self._value_of_leaf(do, offsets, numbers)
+        # 1. For polynomials, two numbers for each axis come before the leaf's parameters: how many cells as long as
+        # the leaf's cell the domain has along the axis, and the index of the leaf's cell. In the cell, the coordinate
+        # is t = (share of the domain's width) * number - index, from 0 to 1.
+        place = list(offsets)
+        if self.leaf.is_cell_relative:
+            for axis, along in enumerate(offsets):
+                share = along * self.frame[Frame.SCALE][axis]
+                start = self.frame[Frame.START][axis]
+                if start < 1:
+                    share = share + (start - np.float32(1))
+                place[axis] = do.let("t", share * numbers[2 * axis] - numbers[2 * axis + 1])
+            numbers = numbers[2 * self.dim :]
+        # 2. The answer is max(value, straight).
+        value = self.leaf.value(numbers, place, do.root)
         straight = self.straight_bound(do, offsets)
         if straight is None:
             return value
         value, straight = do.let("value", value), do.let("straight", straight)
         return do.where(straight > value, straight, value)
-
-    def _value_of_leaf(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        if not self.leaf.is_cell_relative:
-            return self.leaf.value(numbers, offsets, do.root)
-        # Before the leaf's parameters come two numbers for each axis: how many cells as long as the leaf's cell the
-        # domain has along the axis, and the index of the leaf's cell. From 0 to 1 in the cell, the coordinate is
-        #   t = (share of the domain's width) * number - index.
-        in_cell = []
-        for axis, along in enumerate(offsets):
-            share = along * self.frame[Frame.SCALE][axis]
-            start = self.frame[Frame.START][axis]
-            if start < 1:
-                share = share + (start - np.float32(1))
-            in_cell.append(do.let("t", share * numbers[2 * axis] - numbers[2 * axis + 1]))
-        return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
 
     def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
         """Return the lower bound by straight lines to the goals; None if none is stored."""
@@ -216,9 +213,8 @@ class CodedTree:
     """
 
     def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, " leaves"]) -> None:
-        self.dim = dim = tree.cells.dim
-        self.kind_bits = dim.bit_length()
-        is_split = tree.child >= 0
+        dim, is_split = tree.cells.dim, tree.child >= 0
+        self.dim, self.kind_bits = dim, dim.bit_length()
         splits = np.flatnonzero(is_split)
         index = np.empty(len(is_split), np.int64)
         index[splits] = np.arange(len(splits))

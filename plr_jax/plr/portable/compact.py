@@ -30,7 +30,6 @@ _NUM_WORDS = 18  # words of 32 bits at the start
 _RECORD = 16  # splits in a record of the tree
 _FAR, _FOLDED, _TURNED, _CODED, _VALUES, _STRAIGHT = 1, 2, 4, 8, 16, 32  # flags
 _UNITS = np.array([0, 1, 2, 4])  # width of a middle's fields by its mark, in multiples of the width of its record
-_EXCEPTION_BITS = 8 + 32  # of a leaf parameter, after the number of its leaf: index and value
 _FLOAT_BITS = 32  # files whose planes have so many bits store floats
 # In a polynomial close to a plane, Horner's rule adds all other coefficients to a slope. If their sum is less than
 # this share of each slope, rounding removes them (a slope has 24 bits; two more cover rounding and ``t`` beyond 1).
@@ -95,9 +94,8 @@ class _CompactWriter:
         # coordinates, ends of the query's domain. Each is two words, the lower one first.
         self.at_exact = self._at
         if program.corner is not None or isinstance(contents.stored, StoredPlanes):
-            box, origin = contents.domain, np.zeros(self.dim)
-            if program.corner is not None and contents.folding is None:
-                origin = program.corner
+            box, is_moved = contents.domain, program.corner is not None and contents.folding is None
+            origin = program.corner if is_moved else np.zeros(self.dim)
             corner = origin + table_corners(box.moved(-origin))[0]
             exact = np.stack([box.lo, box.hi, corner, program.domain.lo, program.domain.hi], axis=1)
             self.body.write(np.ascontiguousarray(exact, "<f8").view("<u4").ravel().astype(np.int64), 32)
@@ -130,8 +128,7 @@ class _CompactWriter:
         # A record for every 16 splits of the tree:
         #   marks | is each child split? (32 bits) | axes | number of split children in earlier records | places
         splits = np.flatnonzero(self.tree.child >= 0)
-        is_split = self.tree.child[self.tree.child[splits][:, None] + np.arange(2)] >= 0
-        is_split = _by_record(is_split.astype(np.int64))
+        is_split = _by_record((self.tree.child[self.tree.halves(splits)] >= 0).astype(np.int64).reshape(-1, 2))
         num_before = np.cumsum(is_split.sum(axis=1)) - is_split.sum(axis=1)
         axes = _by_record(self.tree.axis[splits][:, None])
         parts = [*marks, (is_split, 1), (axes, self.axis_bits), (num_before[:, None], self.leaf_bits), *places]
@@ -154,7 +151,7 @@ class _CompactWriter:
         is_plane = sum_of_others <= _NEGLIGIBLE * np.abs(self.numbers[:, of_plane[1:]]).min(axis=1)
         is_exception = self.numbers.view(np.uint32) != numbers.view(np.uint32)
         bits_of_plane = self.leaf_bits + 32 * (1 + self.dim)
-        bits_of_exceptions = is_exception.sum(axis=1) * (self.leaf_bits + _EXCEPTION_BITS)
+        bits_of_exceptions = is_exception.sum(axis=1) * (self.leaf_bits + 8 + 32)
         is_plane &= (self.numbers[:, 0] != 0) & (bits_of_exceptions > bits_of_plane)
         # 2. Append planes, exceptions and rows.
         planes = np.flatnonzero(is_plane)
@@ -239,8 +236,7 @@ class _CompactWriter:
         num_bits = _by_record(widths.reshape(len(middles.mark), 2 * middles.mark.shape[1])).sum(axis=1)
         self.position_bits = int(num_bits.sum()).bit_length()
         start = np.cumsum(num_bits) - num_bits  # of each record's fields
-        places = [(unit[:, None], 5), (start[:, None], self.position_bits)]
-        self._write_tree([(_by_record(middles.mark), 2)], places)
+        self._write_tree([(_by_record(middles.mark), 2)], [(unit[:, None], 5), (start[:, None], self.position_bits)])
         self.at_fields = self._at
         self.body.write(fields, widths)
         return self._finish(_CODED | _VALUES, numbers, np.zeros(0))

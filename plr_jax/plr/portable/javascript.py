@@ -232,8 +232,7 @@ def float32_literal(number: np.float32) -> str:
 
 
 def _decimal(number: Any) -> str:
-    text = str(number).removesuffix(".0")
-    return text.replace("inf", "Infinity")
+    return str(number).removesuffix(".0").replace("inf", "Infinity")
 
 
 def js_function(signature: str, statements: list[str]) -> list[str]:

@@ -65,9 +65,7 @@ class StoredSources:
     @property
     def goal_of_source(self) -> Int[np.ndarray, " sources"] | None:
         # `goals` has an entry for each root: roots are counted in the order of the sources.
-        if self.goals is None:
-            return None
-        return self.goals[(np.cumsum(self.is_root) - 1)[self._offsets_and_roots[1]]]
+        return None if self.goals is None else self.goals[(np.cumsum(self.is_root) - 1)[self._offsets_and_roots[1]]]
 
     @cached_property
     def _offsets_and_roots(self) -> tuple[Float[np.ndarray, " sources"], Int[np.ndarray, " sources"]]:

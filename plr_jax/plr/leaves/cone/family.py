@@ -22,13 +22,11 @@ from plr_jax.plr.best_partition import MAX_ASPECT_BITS, PEAK_WEIGHT
 from plr_jax.plr.certificate import Proof
 from plr_jax.plr.growth import Limits
 from plr_jax.plr.leaves.cone.codec import ConeFiles, StoredCones
-from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, LeafOptions, change_sources, query_resolution
+from plr_jax.plr.leaves.cone.search import LEAST_SHORTFALL, ROOM, LeafOptions, change_sources, query_resolution
 from plr_jax.plr.leaves.cone.worst_first import WorstFirst
 from plr_jax.plr.tree import Cells, Tree, leaf_order, tree_of_axes
 
-# The grid of samples has 2**halvings samples along each axis.
-_LEAST_HALVINGS = 7
-_MOST_HALVINGS = 9
+_LEAST_HALVINGS, _MOST_HALVINGS = 7, 9  # the grid of samples has 2**halvings samples along each axis
 _SAMPLES_A_LEAF = 16  # least number of samples for each expected leaf, unless _MOST_HALVINGS forbids it
 # The number of leaves that a file can hold is estimated from these.
 _BITS_A_LEAF = 4.4  # bits of a leaf in the file
@@ -123,19 +121,18 @@ class Lattice:
         return samples
 
     def by_shape(self, box: Int[np.ndarray, " some"]) -> Iterator[tuple[Shape, Int[np.ndarray, " alike"], Any, Any]]:
-        """Group boxes by shape: yield ``shape``, ``row``, ``first_sample`` and ``offset`` for each shape.
+        """Group boxes by shape: yield ``shape``, ``row``, ``first_sample`` and ``offset`` for each shape of a box.
 
         The boxes ``box[row]`` have this shape. The samples of box ``box[row[i]]`` have the indices
         ``first_sample[i] + offset``. These are all samples of the box, not only some as in :attr:`samples`.
         """
-        shapes = list(self.first)
         shape_of_box = np.searchsorted(list(self.first.values()), box, side="right") - 1
-        for index in np.unique(shape_of_box):
-            shape = shapes[index]
+        for index, shape in enumerate(self.first):
             row = np.flatnonzero(shape_of_box == index)
-            first_sample = self.samples[shape][0][box[row] - self.first[shape]]
-            rows, columns = (np.arange(1 << (self.halvings - along)) for along in shape)
-            yield shape, row, first_sample, ((rows[:, None] << self.halvings) + columns).ravel()
+            if len(row):
+                first_sample = self.samples[shape][0][box[row] - self.first[shape]]
+                rows, columns = (np.arange(1 << (self.halvings - along)) for along in shape)
+                yield shape, row, first_sample, ((rows[:, None] << self.halvings) + columns).ravel()
 
 
 class GoalSamples(NamedTuple):
@@ -182,22 +179,24 @@ class BoxFits:
         self.is_estimated[box] = False
 
 
+Indices: TypeAlias = Int[np.ndarray, " options"]
+
+
 def option_errors(
-    goal: GoalSamples,
-    first_sample: Int[np.ndarray, " options"],
-    offset: Int[np.ndarray, " k"],
-    source: Int[np.ndarray, " options"],
-    shortfall: float = np.inf,
+    goal: GoalSamples, start: Indices, offset: Int[np.ndarray, " k"], source: Indices, shortfall: float = np.inf
 ) -> Float[np.ndarray, "3 options"]:
-    # Option i is a box with the samples x = `first_sample[i] + offset`, and the cone of s = `source[i]`. At a sample,
-    #   above = distance(x) - (distance of s + |x - s|),    error = |above|.
-    # Rows of the result: the weighted sum of errors; the largest error; and the weight of all samples with `above`
-    # larger than `shortfall`, where a wall hides the source (0 if `shortfall` is infinite).
-    result = np.zeros((3, len(first_sample)))
+    """Compare options, each a box and the cone of a source in the box, with the distances at samples of the box.
+
+    Option ``i`` has the samples ``start[i] + offset`` and the source ``source[i]``. Rows of the result: the weighted
+    sum of errors; the largest error; and the weight of samples that a wall hides from the source. These are samples
+    whose distance is more than ``shortfall`` above the cone.
+    """
+    # With the sample x and the source s:  above = distance(x) - (distance(s) + |x - s|),    error = |above|.
+    result = np.zeros((3, len(start)))
     at_once = max(1, _AT_ONCE // len(offset))
-    for begin in range(0, len(first_sample), at_once):
+    for begin in range(0, len(start), at_once):
         batch = slice(begin, begin + at_once)
-        x, y, distance, weight = np.moveaxis(goal.table[first_sample[batch, None] + offset], 2, 0)
+        x, y, distance, weight = np.moveaxis(goal.table[start[batch, None] + offset], 2, 0)
         apex = goal.sources.points[source[batch]]
         dx, dy = x - apex[:, :1], y - apex[:, 1:]
         above = distance - goal.sources.distances[source[batch], None] - np.sqrt(dx * dx + dy * dy)
@@ -293,11 +292,9 @@ def best_tree(lattice: Lattice, costs: Float[np.ndarray, " boxes"], price: float
 # limits, above 0 if a tree exceeds them.
 _ATTEMPTS = 10  # prices to try for one goal
 _FULL = 0.985  # used share of the limits at which a tree is large enough
-_ROOM = 64  # one byte in this many is reserved for changes to visible sources
 # The price is taken to be proportional to share**-rate, with the used share of the limits.
 _FIRST_RATE = 3.0
-_LEAST_RATE = 1.5
-_MOST_RATE = 25.0
+_LEAST_RATE, _MOST_RATE = 1.5, 25.0
 _BEYOND = 0.1  # excess at which an extrapolated price aims, on the other side of the limits
 _LARGEST_STEP = 8.0  # of the logarithm of an extrapolated price
 
@@ -322,7 +319,7 @@ def _largest_tree(
                 break
             fits.evaluate(lattice, estimated)
         # 2. Compare it with the limits. Stop if it nearly fills them, or has as many leaves as the largest before.
-        num_bytes = files.num_bytes(fits.source[tree.box], limits) * (_ROOM + 1) / _ROOM
+        num_bytes = files.num_bytes(fits.source[tree.box], limits) * (ROOM + 1) / ROOM
         excess = float(np.log(max(len(tree.box) / limits.max_leaves, num_bytes / limits.max_bytes)))
         is_final = excess <= 0 and len(tree.box) == len(largest.box) and len(attempts) > 1
         if excess <= 0 and len(tree.box) >= len(largest.box):

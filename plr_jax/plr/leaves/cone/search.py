@@ -9,7 +9,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -29,6 +29,10 @@ from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
 _MOST_TRIED = 4
 """Number of sources to try for a box: sources that the centers of its largest convex pieces of free space use."""
+LeafSources: TypeAlias = Int[np.ndarray, " leaves"]
+"""The index of the apex of each leaf's cone, a corner or the goal; negative if nothing in the leaf has a path."""
+GrowFn: TypeAlias = Callable[..., PricedTree]
+"""Function ``run(tree, step)`` that replaces ``tree`` by ``step(tree)`` until that is None; returns the last tree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +109,7 @@ def fit_boxes(
         # Sources of the largest area come first; the first `most_options` of each box stay.
         visible_of_mixed = visible.of_cells(mixed)
         count, area = len(visible.sources.points), areas(visible_of_mixed.pieces)
-        keys = visible_of_mixed.cell * np.int64(count) + visible_of_mixed.best
-        key, index = np.unique(keys, return_inverse=True)
+        key, index = np.unique(visible_of_mixed.cell * np.int64(count) + visible_of_mixed.best, return_inverse=True)
         box, source = np.divmod(key, count)
         order = np.lexsort((source, -np.bincount(index, area, len(key)), box))
         box, source = box[order], source[order]
@@ -162,16 +165,16 @@ def option_errors(
 
     lower, upper = bounds_of_pieces(visible, piece, above_options)
     error = np.maximum(-lower, upper)
-    if not len(option):
-        return np.zeros(0), np.zeros(0)
-    largest = np.maximum.reduceat(error, np.flatnonzero(np.append(True, option[1:] != option[:-1])))
-    return largest, np.bincount(option, error * areas(visible.pieces)[piece], len(box))
+    largest = np.maximum.reduceat(error, np.searchsorted(option, np.arange(len(box))))
+    integral = np.bincount(option, error * areas(visible.pieces)[piece], len(box))
+    return largest, integral.astype(np.float64)  # as `bincount` returns integers if there are no options
 
 
 # If a wall hides a leaf's source from a point, the distance there is larger than the cone. So samples above the cone
 # show where the source is hidden.
 _PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
 LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
+ROOM = 64  # one byte in this many of a file is reserved for changes to visible sources
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
 
 
@@ -211,8 +214,7 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
     # 1. List the pairs of a box and a source (keys: box * count + source). A source is visible from all of a box if
     # it is visible from all of each of its pieces.
     visible, count = boxes.visible, len(boxes.visible.sources.points)
-    keys = visible.cell[visible.piece] * np.int64(count) + visible.source
-    key, index = np.unique(keys, return_inverse=True)
+    key, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
     box, source = np.divmod(key, count)
     num_pieces = np.diff(visible.first_piece)
     by_all = np.bincount(index, visible.by_all, len(key)) == num_pieces[box]
@@ -240,22 +242,19 @@ def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
     return LeafOptions(box, source, source == boxes.source[box], by_all, error, hidden, largest, integral, area)
 
 
-def prefer_visible_sources(
-    boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, " leaves"]], bool]
-) -> Int[np.ndarray, " leaves"]:
-    # The apex (corner or goal) of each leaf's cone: where possible, an apex that all of the leaf sees.
-    # The largest proven error does not rise.
+def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[LeafSources], bool]) -> LeafSources:
+    """Choose a source for each leaf: where possible, one that all of the leaf sees.
+
+    The largest proven error does not rise. ``fits`` tells whether the file of leaves with these sources is within its
+    limits.
+    """
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
 
 
 def change_sources(
-    source: Int[np.ndarray, " leaves"],
-    options: LeafOptions,
-    total: float,
-    most: float,
-    fits: Callable[[Int[np.ndarray, " leaves"]], bool],
-) -> Int[np.ndarray, " leaves"]:
+    source: LeafSources, options: LeafOptions, total: float, most: float, fits: Callable[[LeafSources], bool]
+) -> LeafSources:
     """Give leaves other sources than ``source``, where walls hide less, while the file of all leaves ``fits``.
 
     The largest errors of new cones are at most ``most``. ``total`` is the mean error of all leaves before.
@@ -276,7 +275,7 @@ def change_sources(
     best = best[np.argsort(-gain, kind="stable")]
     best = best[~is_own[best]]
 
-    def changed(count: int) -> Int[np.ndarray, " leaves"]:
+    def changed(count: int) -> LeafSources:
         sources = source.copy()
         sources[leaf[best[:count]]] = options.source[best[:count]]
         return sources
@@ -288,23 +287,14 @@ def change_sources(
     return changed(bisect_left(range(1, len(best)), True, key=lambda count: not fits(changed(count))))
 
 
-_ROOM = 64  # one byte in this many is reserved for changes to visible sources
-
-
 def best_cones_of_goal(
-    visible: CellSources,
-    domain: Box,
-    limits: Limits,
-    pattern: Pattern,
-    run: Callable[..., PricedTree],
-    reach: Reach | None,
+    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: GrowFn, reach: Reach | None
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
     ``visible`` has the whole domain as its only cell. ``pattern`` places the samples in a leaf that show from where
-    walls hide its source. ``run(tree, step)`` replaces ``tree`` by ``step(tree)`` until that is None, and returns the
-    last tree. Return the tree, its leaves as in a file, and the leaves' boxes with the sources before step 3 of this
-    module.
+    walls hide its source. Return the tree, its leaves as in a file, and the leaves' boxes with the sources before
+    step 3 of this module.
     """
     # 1. Start from the domain as the only box; `search` appends boxes to `levels`.
     negligible = max(limits.tolerance, query_resolution(visible.distance))
@@ -321,7 +311,7 @@ def best_cones_of_goal(
 
     def size(priced: PricedTree) -> int:
         source = np.concatenate([level.boxes.source for level in levels])[in_order(priced)[1]]
-        return files.num_bytes(source, limits) * (_ROOM + 1) // _ROOM
+        return files.num_bytes(source, limits) * (ROOM + 1) // ROOM
 
     # 2. Search the price at which the tree fills the file.
     search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))

@@ -103,8 +103,7 @@ class _GoalTree:
                 break
             aim = np.clip(((1 + _FULL) / 2 - share_of_fits) / (share_of_beyond - share_of_fits), 0.1, 0.9)
             middle = min(max(fits + int(aim * (beyond - fits)), fits + 1), beyond - 1)
-            share = self.used_share(middle)
-            if share <= 1:
+            if (share := self.used_share(middle)) <= 1:
                 fits, share_of_fits = middle, share
             else:
                 beyond, share_of_beyond = middle, share
@@ -183,11 +182,10 @@ class WorstFirst:
         nodes = nodes_of(rounds[0], goal, 0 * box - 1, box << (MAX_DEPTH + 1 - len(axes)), np.inf)
         files = ConeFiles(oracles[0].sources, self.domain)
         largest_error = nodes.key.reshape(len(oracles), -1).max(axis=1)
-        searches = {
-            i: _Search(files.of_goal(oracle.sources), float(largest_error[i]))
-            for i, oracle in enumerate(oracles)
-            if len(distances[i])  # else no path leads to the goal
-        }
+        searches = {}
+        for i, oracle in enumerate(oracles):
+            if len(distances[i]):  # else no path leads to the goal
+                searches[i] = _Search(files.of_goal(oracle.sources), float(largest_error[i]))
         trees: list[tuple[Tree, StoredCones] | None] = [None] * len(oracles)
         leaves = [np.zeros(0, np.int64)] * len(oracles)
         while searches:
