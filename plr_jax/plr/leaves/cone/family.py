@@ -111,8 +111,8 @@ class Lattice:
             number = np.arange(count)
             row, column = np.divmod(number, size[1])
             if count < size.prod():
-                # Spread samples evenly, at the 64 points of Hammersley's sequence. Along the first axis, point i is
-                # the middle of part i of 64; along the second axis, of part r(i), which has the bits of i reversed.
+                # Spread samples evenly, as a Hammersley set of 64 points. Along the first axis, point i is the middle
+                # of part i of 64; along the second axis, of part r(i), where r reverses the bits of i.
                 bits = (number[:, None] >> np.arange(count.bit_length() - 1)) & 1
                 reversed_bits = bits @ (count >> np.arange(1, count.bit_length()))
                 row, column = ((np.stack([number, reversed_bits]) + 0.5) * (size[:, None] / count)).astype(int)
@@ -180,6 +180,7 @@ class BoxFits:
 
 
 Indices: TypeAlias = Int[np.ndarray, " options"]
+"""An index for each option, a pair of a box and a source: of the box's first sample, or of the source."""
 
 
 def option_errors(
