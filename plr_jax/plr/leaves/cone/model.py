@@ -85,10 +85,11 @@ class Cone(LeafModel):
         return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
 
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
-        # Errors of offset + |d|, with d = (x - corner) - source, in UNIT. Largest values: width for x - corner, |source|
-        # + width for d. Errors of d: 2 |source| + 2 width, of stored sources and differences, plus that of x. Relative
-        # errors of |d|, from squares, sums and the root: at most 2 + dim. The last sum has the relative error 1, the
-        # stored offset too. The factor 1.01 covers products of these errors.
+        # Errors, in UNIT, of the value offset + |d|, where d = (x - corner) - source is at most |source| + width:
+        # - of d: 2 |source| + 2 width, as the source and both differences are rounded, and the error of x;
+        # - of |d|: the length of these, and at most (2 + dim) |d|, from squares, sums and the root;
+        # - of the value: offset + |d|, and the rounded offset.
+        # The factor 1.01 covers products of these errors.
         parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
         error_of_d = 2 * parameters[:, 1:] + 2 * domain.width + largest_coordinates(domain)
         length = np.linalg.norm(parameters[:, 1:] + domain.width, axis=1)
