@@ -68,6 +68,7 @@ class _CompactWriter:
         self.level_of_leaf = level[is_leaf]
         self.num_levels = int(level.max()) + 1
         self.numbers = program.leaf_parameters[self.leaves]
+        # Widths are in bits, and so are positions (`at_...`), but for that of the tree, which is in bytes.
         self.fraction_bits, self.offset, self.step = 0, 0.0, 0.0
         self.position_bits = self.record_bytes = self.at_tree = self.at_levels = self.at_fields = 0
         self.axis_bits, self.leaf_bits = (self.dim - 1).bit_length(), len(self.leaves).bit_length()
@@ -139,7 +140,8 @@ class _CompactWriter:
     def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, " _"]) -> bytes:
         """Append planes, exceptions and ``rows``, and return all bytes.
 
-        ``numbers`` are the leaf parameters that the decoder computes. Those that differ from a query's are stored.
+        ``numbers`` are the leaf parameters that the decoder computes. Where a query of the PLR file uses other
+        numbers, these are stored as exceptions.
         """
         # 1. Choose the leaves that are stored as planes: their other parameters change no answer, and a plane takes
         # fewer bits than exceptions. Of a polynomial, the coefficient of t[axis] has the index
