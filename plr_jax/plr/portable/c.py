@@ -97,8 +97,8 @@ def c_header(program: Program, name: str) -> str:
         "",
     ]
     # 3. Descent from fraction bits to the row of the leaf. `place` has the next bit along each axis as its highest.
-    # For polynomials, `cell` counts along each axis how many cells like the current one the domain has, and which one
-    # it is; both double at each split.
+    # For polynomials, `cell` has for each axis the number of cells like the current one that the domain has, and the
+    # index of the current one.
     mask = (1 << tree.kind_bits) - 1
     descent = [
         "/* Descends the tree: each split takes the next bit of the position along its axis. */",
