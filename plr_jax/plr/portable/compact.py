@@ -95,8 +95,8 @@ class _CompactWriter:
         # coordinates, ends of the query's domain. Each is two words, the lower one first.
         self.at_exact = self._at
         if program.corner is not None or isinstance(contents.stored, StoredPlanes):
-            box, is_moved = contents.domain, program.corner is not None and contents.folding is None
-            origin = program.corner if is_moved else np.zeros(self.dim)
+            box = contents.domain
+            origin = np.zeros(self.dim) if program.corner is None or contents.folding is not None else program.corner
             corner = origin + table_corners(box.moved(-origin))[0]
             exact = np.stack([box.lo, box.hi, corner, program.domain.lo, program.domain.hi], axis=1)
             self.body.write(np.ascontiguousarray(exact, "<f8").view("<u4").ravel().astype(np.int64), 32)

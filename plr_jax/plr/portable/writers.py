@@ -54,10 +54,8 @@ class Expression:
         return self._joined("+", self.language.constant(other), self, _SUM)
 
     def __sub__(self, other: Any) -> "Expression":
-        if not isinstance(other, Expression) and other == 0:
-            return self
-        if not isinstance(other, Expression) and other < 0:
-            return self + -other
+        if not isinstance(other, Expression) and other <= 0:
+            return self + -other if other else self
         return self._joined("-", self, self.language.constant(other), _SUM)
 
     def __mul__(self, other: Any) -> "Expression":

@@ -66,8 +66,7 @@ class Lattice:
     def first(self) -> dict[Shape, int]:
         # For each shape, the lowest number of a box of this shape.
         depths = range(self.halvings + 1)
-        shapes = [(i, j) for i in depths for j in depths if abs(i - j) <= MAX_ASPECT_BITS]
-        shapes.sort(key=sum)
+        shapes = sorted(((i, j) for i in depths for j in depths if abs(i - j) <= MAX_ASPECT_BITS), key=sum)
         return dict(zip(shapes, np.cumsum([0, *(1 << sum(s) for s in shapes[:-1])]).tolist(), strict=True))
 
     @property
