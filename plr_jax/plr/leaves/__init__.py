@@ -28,6 +28,7 @@ def leaf_names() -> list[str]:
 
 
 def leaf_model(leaf: LeafModel | str) -> LeafModel:
+    """Return the leaf model of a name, or a given model; ``ValueError`` if files have no code for it."""
     models = {model.name: model for model in _MODELS}
     if isinstance(leaf, str) and leaf in models:
         return models[leaf]
@@ -42,6 +43,7 @@ def code_of_leaf(leaf: LeafModel) -> int:
 
 
 def leaf_of_code(code: int) -> LeafModel:
+    """Return the leaf model of a code in a file; ``ValueError`` if there is none, to be completed by the caller."""
     if code == PAIRS_CODE:
         raise ValueError("it is a file of distances between any two points; read it with load")
     if code >= len(_MODELS):

@@ -113,7 +113,9 @@ class LeafModel(ABC):
 
     def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
         """Approximate each leaf by a plane: its value at the center, and half of its rise along each axis."""
-        center, half = (lo + hi) / 2, np.empty_like(lo)
+        # The rise along an axis is the difference of the values at the centers of the two faces.
+        center = (lo + hi) / 2
+        half = np.empty_like(lo)
         for axis in range(lo.shape[1]):
             step = np.where(np.arange(lo.shape[1]) == axis, (hi - lo) / 2, 0.0)
             above, below = (self.values(lo, hi, coefficients, center + sign * step) for sign in (1, -1))
@@ -135,6 +137,7 @@ class LinearLeafModel(LeafModel):
         return np.sum(self.basis((2 * x - lo - hi) / (hi - lo)) * coefficients, axis=1)
 
     def mean_planes(self, lo: Points, hi: Points, coefficients: Coefficients) -> tuple[Distances, Points]:
+        # The same at u = +-(1, 0, ...), +-(0, 1, ...), ... and u = 0, by products with basis(u).
         ends = np.eye(lo.shape[1])
         half = product_in_order(coefficients, (self.basis(ends) - self.basis(-ends)).T) / 2
         return product_in_order(coefficients, self.basis(0 * ends[:1]).T)[:, 0], half
@@ -154,22 +157,22 @@ def check_limits(
 
     ``proof`` is the kind of error bounds in the file. The file without leaves and bounds takes ``frame_bytes`` bytes.
     """
-    for name, value, least in (
-        ("max_depth", max_depth, 0),
-        ("max_leaves", max_leaves, 1),
-        ("max_bytes", max_bytes, 1),
-    ):
+    # 1. Check the values.
+    counts = {"max_depth": max_depth, "max_leaves": max_leaves, "max_bytes": max_bytes}
+    for name, value in counts.items():
         if value is not None:
-            require_integer(name, value, least)
+            require_integer(name, value, 0 if name == "max_depth" else 1)
     if max_depth is not None and max_depth > MAX_DEPTH:
         raise ValueError(f"max_depth must be at most {MAX_DEPTH}, got {max_depth}.")
     if tolerance is not None:
         as_finite("tolerance", tolerance)
-    if max_depth is None and max_leaves is None and max_bytes is None and tolerance is None:
+    if tolerance is None and all(value is None for value in counts.values()):
         max_leaves = DEFAULT_MAX_LEAVES
+    # 2. The smaller one of the sizes that the bytes and the leaves allow limits the lookup tables.
     max_bytes = None if max_bytes is None else int(max_bytes)
     sizes = (max_bytes, None if max_leaves is None else model.bytes_without_budget(dim, int(max_leaves)))
     table_class = min((byte_class(size) for size in sizes if size is not None), default=None)
+    # 3. Fill in defaults.
     most_leaves = np.iinfo(np.int64).max if max_leaves is None else int(max_leaves)
     if max_bytes is not None:
         most_leaves = min(most_leaves, rows_of_class(byte_class(max_bytes), model.least_bytes))

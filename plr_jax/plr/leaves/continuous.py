@@ -50,7 +50,9 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, " n"], dim: int
     from scipy.sparse import csc_array, diags_array
     from scipy.sparse.linalg import splu
 
-    if dim > _MOST_DIM_OF_FACTORS:  # scaled by its diagonal, the matrix is well conditioned for leaves of all sizes
+    # With S = diag(normal)**-1/2, solve (S normal S) y = S moments; then x = S y. The scaled matrix is well
+    # conditioned for leaves of all sizes.
+    if dim > _MOST_DIM_OF_FACTORS:
         scale = 1 / np.sqrt(normal.diagonal())
         values = _conjugate_gradients((diags_array(scale) @ normal @ diags_array(scale)).tocsr(), scale * moments)
         if values is not None:
@@ -61,18 +63,19 @@ def solve_normal(normal: "csr_array", moments: Float[np.ndarray, " n"], dim: int
 
 
 def _conjugate_gradients(matrix: "csr_array", right: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"] | None:
-    # SciPy's ``cg`` calls BLAS, whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
+    # Solve ``matrix @ values = right``; None if this takes more than _MOST_STEPS steps. SciPy's ``cg`` calls BLAS,
+    # whose busy threads take several times the CPU time; ``np.einsum`` starts no threads.
     values, residual, direction = np.zeros_like(right), right, right
-    square = np.einsum("i,i", right, right)
-    initial = square
+    initial_square = square = np.einsum("i,i", right, right)
     for _ in range(_MOST_STEPS):
-        if square <= _RESIDUAL**2 * initial:
+        if square <= _RESIDUAL**2 * initial_square:
             return values
         image = matrix @ direction
         step = square / np.einsum("i,i", direction, image)
-        values, residual = values + step * direction, residual - step * image
-        before, square = square, np.einsum("i,i", residual, residual)
-        direction = residual + square / before * direction
+        values = values + step * direction
+        residual = residual - step * image
+        previous_square, square = square, np.einsum("i,i", residual, residual)
+        direction = residual + square / previous_square * direction
     return None
 
 
@@ -91,30 +94,39 @@ class FaceTests:
 
     def are_free(self, cells: Cells, faces: SharedFaces) -> Bool[np.ndarray, " faces"]:
         """Return which faces are free; the faces of the call before are not tested again."""
-        domain, of_cell = self._domain, cells.hashes()
-        # With periodic axes, a cell may share a face along each axis with itself.
-        keys = hash64(hash64(of_cell[faces.lower]) + of_cell[faces.upper]) + faces.axis.astype(np.uint64)
-        _, here, before = np.intersect1d(keys, self._keys, assume_unique=True, return_indices=True)
-        free, is_new = np.zeros(len(faces), bool), np.ones(len(faces), bool)
-        free[here], is_new[here] = self._free[before], False
-        # Test points in fractions of a face; face_points ignores the coordinate along the face's axis.
-        points = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
-        for some in (points[:_FEW], points[_FEW:]):
-            unsure = np.flatnonzero(is_new & ~free)
+        domain = self._domain
+        # 1. Recall the faces of the call before. A key identifies a face by its lower cell, its upper cell and its
+        # axis: with periodic axes, a cell may share a face along each axis with itself.
+        hashes = cells.hashes()
+        keys = hash64(hash64(hashes[faces.lower]) + hashes[faces.upper]) + faces.axis.astype(np.uint64)
+        _, known, known_before = np.intersect1d(keys, self._keys, assume_unique=True, return_indices=True)
+        is_free, is_new = np.zeros(len(faces), bool), np.ones(len(faces), bool)
+        is_free[known] = self._free[known_before]
+        is_new[known] = False
+        # 2. Test the others at pairs of points, one on either side of the face, first at few pairs:
+        #      below . | . above        distances at both are finite: the face is free
+        # Places are fractions of a face; face_points ignores the coordinate along the face's axis.
+        places = (1 + _INSET * sample_pattern(domain.dim, _NUM_POINTS, 0.0, 0).u) / 2
+        for tested_places in (places[:_FEW], places[_FEW:]):
+            unsure = np.flatnonzero(is_new & ~is_free)
             if len(unsure):
                 tested = faces[unsure]
-                x = face_points(cells, tested, some)
+                x = face_points(cells, tested, tested_places)  # (faces, points, dim)
                 across = _BESIDE * np.eye(domain.dim)[tested.axis][:, None]  # (faces, 1, dim)
                 sides = [domain.lo + domain.width * (x + sign * across) for sign in (-1, 1)]
                 points_beside = domain.wrapped(np.concatenate(sides)).reshape(-1, domain.dim)
                 below, above = np.isfinite(call_oracle(self._distance_fn, points_beside)).reshape(2, *x.shape[:2])
-                free[unsure] = np.any(below & above, axis=1)
-        self._keys, self._free = keys, free
-        return free
+                is_free[unsure] = np.any(below & above, axis=1)
+        self._keys, self._free = keys, is_free
+        return is_free
 
 
 def polynomial(powers: int, coefficients: Sequence[Any], t: Sequence[Any]) -> Any:
-    """Evaluate a polynomial in ``t``; coefficients are in row-major order of the exponents, all below ``powers``."""
+    """Evaluate a polynomial of the variables ``t[0], t[1], ...``, each with exponents from 0 to ``powers - 1``.
+
+    It has ``powers ** len(t)`` coefficients, the last variable's exponent varying fastest.
+    """
+    # Horner's rule in t[0]: part k, the coefficient of t[0]**k, is a polynomial of the other variables.
     if not t:
         return coefficients[0]
     stride = len(coefficients) // powers
@@ -162,7 +174,8 @@ class StoredValues:
     def quantize_corners(
         partition: TiedPartition, values: Float[np.ndarray, "leaves corners"], step: float
     ) -> "StoredValues":
-        # Decoded values are at least 0. Values at hanging corners (inside another leaf's face) are ignored.
+        # Decoded values are at least 0. A group takes the value at the last of its corners. Values at hanging corners
+        # (inside another leaf's face) are ignored.
         space = partition.space
         of_group = np.zeros(int(space.group.max()) + 1)
         of_group[space.group] = values.ravel()
@@ -177,23 +190,26 @@ class StoredValues:
         body.write_floats(np.array([self.offset, self.step]))
         body.write_set(partition.unreachable)
         body.write_set(~partition.tied[partition.may_be_tied()])
+        # A value is stored as the difference from its prediction. This depends on values of lower levels only, so
+        # that a reader can decode level by level.
         surplus = self.code - np.rint(space.prediction @ self.code).astype(np.int64)
         for level in _level_slices(space.level):
             body.write_signed(surplus[level])
 
 
 def _level_slices(level: Int[np.ndarray, " free_dofs"]) -> list[slice]:
+    # A slice for each level; values are sorted by level.
     starts = np.flatnonzero(np.diff(level, prepend=-1)).tolist()
     return [slice(start, end) for start, end in zip(starts, [*starts[1:], len(level)], strict=True)]
 
 
 # Rounds. Each splits some leaves before all values are fitted again.
 _MOST_SPLIT = 0.5  # largest share of the leaves that are split
+_LEAST_SPLIT = 1 / 32  # least share of the leaves that are split
 _FEW_LEAVES = 1 / 32  # of the splits that the limits allow: fewer leaves than these are all split
 # Largest share of the splits that the limits allow. Errors change when adjacent leaves are split: last rounds that
 # split many leaves would leave some of them with several times the error of the others.
-_SHARE_OF_ROOM = 0.4
-_LEAST_SPLIT = 1 / 32  # least share of the leaves that are split
+_SHARE_OF_ALLOWED = 0.4
 _WORTH_A_ROUND = 1 / 50  # growth ends if the byte limit has room for fewer than one split per 50 leaves
 # Split priority is error * volume**power: power 0 aims at a small largest error, power 1 at a small mean error.
 _VOLUME_POWER = 0.25
@@ -230,7 +246,7 @@ class _Rounds:
         self._max_splits = limits.max_leaves
 
     def next(self, now: _FittedPartition) -> _FittedPartition | None:
-        # None if no more leaves fit into the limits.
+        """Return the partition after one more round; None if no more leaves fit into the limits."""
         while True:
             leaf, axis = self._next_splits(now)
             if len(leaf) == 0:
@@ -246,34 +262,41 @@ class _Rounds:
     def _next_splits(self, now: _FittedPartition) -> tuple[Int[np.ndarray, " splits"], Int[np.ndarray, " splits"]]:
         """Return the leaves to split next and the axes to split them along; none if growth ends."""
         fit, limits = now.fit, self._limits
-        room = limits.max_leaves - len(now)
+        # 1. Estimate how many splits the limits allow, if the file grows in proportion to the leaves. For continuous
+        # leaves, count it with a doubled step, which saves one bit per value. Smooth leaves need the finer step.
+        num_allowed = limits.max_leaves - len(now)
         if np.isfinite(limits.max_bytes):
-            # A doubled step saves one bit per value. Smooth leaves need the finer step.
             num_bytes = now.num_bytes - (len(now.stored.code) / 8 if self._order == 0 else 0)
-            room = min(room, self._max_splits, int(np.ceil(len(now) * (limits.max_bytes / num_bytes - 1))))
-            if now.is_full or room < _WORTH_A_ROUND * len(now):
-                room = 0
-        num_splits = max(int(np.ceil(_SHARE_OF_ROOM * room)), int(_LEAST_SPLIT * len(now)))
-        most_split = 1.0 if len(now) < _FEW_LEAVES * room else _MOST_SPLIT
-        num_splits = min(num_splits, int(np.ceil(most_split * len(now))), room)
+            by_bytes = int(np.ceil(len(now) * (limits.max_bytes / num_bytes - 1)))
+            num_allowed = min(num_allowed, self._max_splits, by_bytes)
+            if now.is_full or num_allowed < _WORTH_A_ROUND * len(now):
+                num_allowed = 0
+        # 2. Choose how many of these splits to make in this round.
+        num_splits = max(int(np.ceil(_SHARE_OF_ALLOWED * num_allowed)), int(_LEAST_SPLIT * len(now)))
+        most_split = 1.0 if len(now) < _FEW_LEAVES * num_allowed else _MOST_SPLIT
+        num_splits = min(num_splits, int(np.ceil(most_split * len(now))), num_allowed)
+        # 3. Sort the leaves that may be split by priority.
         error = np.asarray(self._rules.should_split(fit), float)
         check_rules(fit, error, np.zeros(len(fit), np.int64))  # priorities only; axes follow
         error, _ = urgent_first(fit, error, fit.urgent_axis)
-        worth_it = (error > least_priority(fit, limits)) & fit.can_split
-        priority = np.where(worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
-        best = np.argsort(-priority, kind="stable")[: np.count_nonzero(worth_it)]
+        is_worth_it = (error > least_priority(fit, limits)) & fit.can_split
+        priority = np.where(is_worth_it, error * 2.0 ** (-_VOLUME_POWER * fit.cells.depth.sum(axis=1)), 0.0)
+        best = np.argsort(-priority, kind="stable")[: np.count_nonzero(is_worth_it)]
+        # 4. Choose axes of the first leaves; if depth limits exclude some of them, of the leaves that follow.
         leaf, axis = np.empty(0, np.int64), np.empty(0, np.int64)
-        while len(best) and len(leaf) < num_splits:  # go on if depth limits exclude some leaves
-            some, best = np.split(best, [num_splits - len(leaf)])
-            axis_of_some = np.asarray(self._rules.split(fit[some]))
-            check_rules(fit[some], error[some], axis_of_some)
-            _, axis_of_some = urgent_first(fit[some], error[some], axis_of_some)
-            may_split = is_within_depth(fit.cells[some], axis_of_some, limits)
-            leaf, axis = np.append(leaf, some[may_split]), np.append(axis, axis_of_some[may_split])
+        while len(best) and len(leaf) < num_splits:
+            tried, best = np.split(best, [num_splits - len(leaf)])
+            tried_axis = np.asarray(self._rules.split(fit[tried]))
+            check_rules(fit[tried], error[tried], tried_axis)
+            _, tried_axis = urgent_first(fit[tried], error[tried], tried_axis)
+            may_split = is_within_depth(fit.cells[tried], tried_axis, limits)
+            leaf = np.append(leaf, tried[may_split])
+            axis = np.append(axis, tried_axis[may_split])
         return leaf, axis
 
     def fit_leaves(self, fit: CellFit) -> _FittedPartition:
         """Fit a function, continuous except across walls, to samples of leaves in any order, by least squares."""
+        # 1. Sort the leaves by the tree, and find out which ones share values.
         tree = tree_of(fit.cells)
         fit = fit[tree.order]
         faces = shared_faces(tree, self._sampler.domain.periodic)
@@ -282,18 +305,18 @@ class _Rounds:
         # A leaf with a free face is reachable even if none of its samples is.
         unreachable[np.append(faces[tied].lower, faces[tied].upper)] = False
         partition = TiedPartition(tree, unreachable, faces, tied)
-        # Weights grow with the square root of cell volume: a compromise between mean error (volume) and largest error
-        # (equal weights).
+        # 2. Fit values. Weights grow with the square root of cell volume: a compromise between mean error (volume)
+        # and largest error (equal weights).
         of_cell = 2.0 ** (-0.5 * fit.cells.depth.sum(axis=1))
         weight = weights_of_fit(fit.reachable, fit.weight) * fit.pattern.weight * (of_cell / of_cell.mean())[:, None]
         values, residual = fit_values(self._order, partition.space, fit, weight)
+        # 3. Round values to steps of their mean error; raise the step until the file fits, or the step is too large.
         mean_error = float(np.sum(weight * np.abs(residual)) / np.sum(weight))
         least = max(mean_error, _SMALLEST_STEP * float(np.abs(fit.value).max()), float(np.finfo(np.float32).tiny))
         step = least
-        while True:  # raise the step until the file fits
+        while True:
             stored = StoredValues.quantize(partition, values, step)
-            body = BitWriter()
-            stored.write(body)
+            stored.write(body := BitWriter())
             num_bytes = self._limits.file_size(fit.cells.dim, len(fit), body.num_bits, int(fit.is_cut_off.sum()))
             # Bits per value over the limit; doubling the step saves one.
             excess = 8 * (num_bytes - self._limits.max_bytes) / len(values)
@@ -313,19 +336,22 @@ def fit_values(
 
     # Minimize sum(w (f - d)^2) + lambda |x - P x|^2 over the values x. The function is f = B C x (C: coefficients, B:
     # basis functions at the samples), P x is the prediction, and lambda is small. Distances d and values x are
-    # measured from the mean distance. A value without a prediction has the term (_UNPREDICTED x)^2 instead.
-    coefficients = coefficient_matrix(order, space)
-    functions = design(order, (fit.pattern.u + 1) / 2)
+    # measured from the mean distance. A value without a prediction has the term (_UNPREDICTED x)^2 instead. So with
+    # W = diag(w) and D = I - P (_UNPREDICTED in place of 1 for such values), the normal equations are
+    #   (C^T (B^T W B) C + lambda D^T D) x = C^T B^T W d.
+    # B is the same in all leaves: B^T W B has a block (terms, terms) for each leaf, on the diagonal.
+    coefficients = coefficient_matrix(order, space)  # C
+    functions = design(order, (fit.pattern.u + 1) / 2)  # B in a leaf, (k, terms)
     terms, leaves = functions.shape[1], len(fit)
     products = (functions[:, :, None] * functions[:, None, :]).reshape(len(functions), -1)
-    offsets = np.arange(leaves + 1)  # one block in each block row, on the diagonal
-    of_leaves = bsr_array((row_products(weight, products).reshape(-1, terms, terms), offsets[:-1], offsets))
-    squares = coefficients.T @ (of_leaves @ coefficients)
+    offsets = np.arange(leaves + 1)  # one block in each block row
+    blocks = bsr_array((row_products(weight, products).reshape(-1, terms, terms), offsets[:-1], offsets))
+    squares = coefficients.T @ (blocks @ coefficients)
     is_predicted = np.diff(space.prediction.indptr) > 0
-    deviation = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction
+    deviation = diags_array(np.where(is_predicted, 1.0, _UNPREDICTED)) - space.prediction  # D
     normal = squares + (_PREDICTION_WEIGHT * fit.pattern.weight.sum()) * (deviation.T @ deviation)
     mean = np.sum(weight * fit.value) / np.sum(weight)
-    moments = row_products(weight * (fit.value - mean), functions).ravel()
+    moments = row_products(weight * (fit.value - mean), functions).ravel()  # B^T W d
     values = mean + solve_normal(normal, coefficients.T @ moments, fit.cells.dim)
     errors = fit.value - row_products((coefficients @ values).reshape(leaves, terms), functions.T)
     return values, np.where(weight > 0, errors, 0.0)
@@ -411,16 +437,20 @@ class Continuous(LinearLeafModel):
         is_inf = np.isinf(coefficients[:, 0])
         powers = product_in_order(np.where(is_inf[:, None], 0.0, coefficients), monomials(self.order, cells.dim))
         powers[is_inf, 0] = np.inf
-        # One number per axis holds depth and index of the cell: 2**depth + position (see ``query._value``).
+        # The number of a cell along an axis: 2**depth + position (see :class:`LeafModel`).
         return np.concatenate([np.ldexp(1.0, cells.depth) + cells.position, powers], axis=1)
 
     def cone_minus_leaf_bounds(
         self, lo: Points, hi: Points, coefficients: Coefficients, pieces: Pieces, apex: Points, offset: Distances
     ) -> tuple[Distances, Distances]:
+        # Taylor's expansion about the center c of a piece's bounding box: there, the leaf's function at x is
+        #   value + slope . (x - c) = intercept + slope . x,    up to an error of at most `remainder`.
+        # `center` and `half_width` are in local coordinates, from 0 to 1 across the leaf.
         piece_lo, piece_hi = pieces.min(axis=2).T, pieces.max(axis=2).T
         width = hi - lo
-        middle, half = ((piece_lo + piece_hi) / 2 - lo) / width, (piece_hi - piece_lo) / 2 / width
-        value, slope, remainder = enclosing_planes(self.order, coefficients, middle, half)
+        center = ((piece_lo + piece_hi) / 2 - lo) / width
+        half_width = (piece_hi - piece_lo) / 2 / width
+        value, slope, remainder = enclosing_planes(self.order, coefficients, center, half_width)
         slope = slope / width
         intercept = value - (slope * (piece_lo + piece_hi)).sum(axis=1) / 2
         lowest, highest = cone_above_plane(pieces, apex, offset, slope, intercept)

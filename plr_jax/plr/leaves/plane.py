@@ -21,10 +21,12 @@ from plr_jax.plr.tree import Cells, Tree, tree_of
 
 # The bits in the file are described in ``portable/FORMAT.md``. Half of a plane's rise across its cell along each axis
 # (``half``) shrinks with the cell, so the file has a bit width for each axis and depth.
-FLOAT_BITS = 32
-MIN_BITS, MAX_BITS = 4, 20
-_FLOAT_INF = 0x7F800000
-_BITS_BITS, _WIDTH_BITS = 6, 6
+FLOAT_BITS = 32  # bits of a center value that is stored as a float
+MIN_BITS, MAX_BITS = 4, 20  # bits of a center value that is stored as an integer
+_BUDGET_BITS = range(8, 17)  # such bits to choose from under a byte budget
+_FLOAT_INF = 0x7F800000  # bits of the 32-bit float inf
+_BITS_BITS = 6  # bits in which the file states the bits of a center value
+_WIDTH_BITS = 6  # bits in which the file states a bit width of ``half``
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +36,7 @@ class StoredPlanes:
     bits: int  # of ``center``; 32: ``center`` and ``half`` are bit patterns of floats
     offset: float
     step: float
-    center: Int[np.ndarray, " leaves"]
+    center: Int[np.ndarray, " leaves"]  # the largest number (inf, if floats) marks a leaf that cannot reach the goal
     half: Int[np.ndarray, "leaves dim"]
 
     @property
@@ -42,7 +44,11 @@ class StoredPlanes:
         return self.center == unreachable_code(self.bits)
 
     def widths(self, depth: Int[np.ndarray, "leaves dim"]) -> list[Int[np.ndarray, " levels"]]:
-        # For each axis, the bits of one integer of ``half`` in cells of each depth along this axis.
+        """Return, for each axis, the bits of one integer of ``half`` in cells of each depth along this axis.
+
+        ``depth`` has the depth of each leaf along each axis.
+        """
+        # An integer n takes floor(log2 |n|) + 1 bits (the exponent that frexp returns), and one for its sign.
         widths = []
         for axis, deepest in enumerate(depth.max(axis=0)):
             largest = np.zeros(deepest + 1, np.int64)
@@ -63,24 +69,28 @@ def unreachable_code(bits: int) -> int:
 
 
 def encode_planes(center: Distances, half: Points, bits: int) -> StoredPlanes:
-    reachable = np.isfinite(center)
-    if max(np.abs(center[reachable]).max(initial=0.0), np.abs(half[reachable]).max(initial=0.0)) > LARGEST:
+    """Store planes with ``bits`` bits per center value; ``center`` is ``inf`` for a leaf that cannot reach the goal.
+
+    ``ValueError`` if values are too large.
+    """
+    is_reachable = np.isfinite(center)
+    if max(np.abs(center[is_reachable]).max(initial=0.0), np.abs(half[is_reachable]).max(initial=0.0)) > LARGEST:
         raise ValueError(f"Distances must be within {LARGEST:g} to be stored; scale them down.")
-    half = np.where(reachable[:, None], half, 0.0)
+    half = np.where(is_reachable[:, None], half, 0.0)
     if bits == FLOAT_BITS:
+        # Bit patterns: of center values as unsigned, of `half` as signed integers, as `read` returns them.
         of_center, of_half = (x.astype(np.float32).view(np.int32).astype(np.int64) for x in (center, half))
         return StoredPlanes(bits, 0.0, 1.0, of_center & 0xFFFFFFFF, of_half)
+    # Codes of center values go from 0, at or just below the least value, to the largest before `unreachable_code`.
     # Offset and step are exact in 32 bits; ``half`` takes at most 9 bits more than ``center``.
-    values = center[reachable] if reachable.any() else np.zeros(1)
+    values = center[is_reachable] if is_reachable.any() else np.zeros(1)
+    largest_code = unreachable_code(bits) - 1
     offset = float(np.nextafter(np.float32(values.min()), np.float32(-np.inf)))
     spread = max(values.max() - offset, np.abs(half).max(initial=0.0) * 2**-8)
-    step = float(np.nextafter(np.float32(spread / (unreachable_code(bits) - 1)), np.float32(np.inf)))
-    code = np.rint((np.where(reachable, center, offset) - offset) / step)
-    code = np.where(reachable, np.clip(code, 0, unreachable_code(bits) - 1), unreachable_code(bits))
-    return StoredPlanes(bits, offset, step, code.astype(np.int64), np.rint(half / step).astype(np.int64))
-
-
-_BUDGET_BITS = range(8, 17)  # bits of center values to choose from under a byte budget
+    step = float(np.nextafter(np.float32(spread / largest_code), np.float32(np.inf)))
+    code = np.rint((np.where(is_reachable, center, offset) - offset) / step)
+    code = np.where(is_reachable, np.clip(code, 0, largest_code), unreachable_code(bits)).astype(np.int64)
+    return StoredPlanes(bits, offset, step, code, np.rint(half / step).astype(np.int64))
 
 
 @dataclass(frozen=True)
@@ -117,6 +127,7 @@ class Plane(LinearLeafModel):
         choices = [FLOAT_BITS] if np.isinf(limits.max_bytes) else _BUDGET_BITS
         choices = choices if self.coefficient_bits is None else [int(self.coefficient_bits)]
 
+        # 1. Nodes of the tree are cells with their planes and priorities: proven errors if possible, else the rule's.
         def nodes_of(fit: CellFit, parent_key: Float[np.ndarray, " cells"]) -> Nodes:
             fit = fill_unsampled_planes(fit, sampler)
             planes = np.column_stack([fit.center, fit.half])
@@ -127,6 +138,9 @@ class Plane(LinearLeafModel):
             else:
                 priority = np.asarray(rules.should_split(fit), float)
             return nodes_of_fit(fit, planes, parent_key, priority, np.asarray(rules.split(fit)), limits)
+
+        # 2. The bits per value decide the size of a file and its rounding errors: these have, at u, the variance
+        # step**2 / 12 * (1 + u . u), whose mean over a cell is step**2 / 12 * (1 + dim / 3).
 
         def stored(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> StoredPlanes:
             return encode_planes(nodes.coefficients[leaf, 0], nodes.coefficients[leaf, 1:], bits)
@@ -139,6 +153,7 @@ class Plane(LinearLeafModel):
         def rounding_error(nodes: Nodes, leaf: Int[np.ndarray, " leaves"], bits: int) -> float:
             return float(stored(nodes, leaf, bits).step * np.sqrt((1 + nodes.cells.dim / 3) / 12))
 
+        # 3. Grow the tree.
         root = nodes_of(sampler.root(pieces_suffice=by_proof), np.array([np.inf]))
         encoding = Encoding(choices, size, rounding_error)
         nodes, leaf, bits = grow_best_first(root, fit_sampled(sampler, nodes_of), limits, encoding)
@@ -146,7 +161,7 @@ class Plane(LinearLeafModel):
         return tree, stored(nodes, leaf[tree.order], bits)
 
     def write(self, body: BitWriter, domain: Box, cells: Cells, stored: StoredPlanes) -> None:
-        widths, reachable = stored.widths(cells.depth), ~stored.unreachable
+        widths, is_reachable = stored.widths(cells.depth), ~stored.unreachable
         body.write(np.array([stored.bits]), _BITS_BITS)
         if stored.bits != FLOAT_BITS:
             body.write_floats(np.array([stored.offset, stored.step]))
@@ -154,8 +169,8 @@ class Plane(LinearLeafModel):
             body.write(axis_widths, _WIDTH_BITS)
         body.write(stored.center, stored.bits)
         for axis, axis_widths in enumerate(widths):
-            width = axis_widths[cells.depth[reachable, axis]]
-            body.write(stored.half[reachable, axis] & ((1 << width) - 1), width)
+            width = axis_widths[cells.depth[is_reachable, axis]]
+            body.write(stored.half[is_reachable, axis] & ((1 << width) - 1), width)  # two's complement
 
     def read(self, body: BitReader, domain: Box, cells: Cells) -> StoredPlanes:
         bits, offset, step = int(body.read_fixed_width(1, _BITS_BITS)[0]), 0.0, 1.0
@@ -169,11 +184,11 @@ class Plane(LinearLeafModel):
         if max(axis_widths.max() for axis_widths in widths) > FLOAT_BITS:
             raise ValueError(f"it states numbers of more than {FLOAT_BITS} bits")
         center, half = body.read_fixed_width(len(cells), bits), np.zeros(cells.depth.shape, np.int64)
-        reachable = center != unreachable_code(bits)
+        is_reachable = center != unreachable_code(bits)
         for axis, axis_widths in enumerate(widths):
-            width = axis_widths[cells.depth[reachable, axis]]
-            code = body.read(width)
-            half[reachable, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
+            width = axis_widths[cells.depth[is_reachable, axis]]
+            code = body.read(width)  # two's complement
+            half[is_reachable, axis] = code - np.where(code >= (1 << width) / 2, 1 << width, 0)
         return StoredPlanes(bits, offset, step, center, half)
 
     def coefficients(self, cells: Cells, stored: StoredPlanes) -> Coefficients:
@@ -186,6 +201,7 @@ class Plane(LinearLeafModel):
         return np.column_stack([center, half])
 
     def leaf_parameters(self, domain: Box, cells: Cells, coefficients: Coefficients, corner: Corner) -> Parameters:
+        # Value at the corner, and slopes: center value + slope . (x - center), as value + slope . (x - corner).
         lo, hi = cells.boxes(domain)
         slope = coefficients[:, 1:] * 2 / (hi - lo)
         to_center = (lo + hi) / 2 - corner
@@ -199,6 +215,8 @@ class Plane(LinearLeafModel):
         return cone_above_plane(pieces, apex, offset, slope, intercept)
 
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
+        # Relative errors, in UNIT: of each parameter, offset and product, 1; of the sums of up to 1 + dim terms, dim.
+        # Coordinates have absolute errors. The factor 1.01 covers products of these errors.
         parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
         terms = parameters[:, 0] + parameters[:, 1:] @ domain.width
         return 1.01 * UNIT * ((3 + domain.dim) * terms + parameters[:, 1:] @ largest_coordinates(domain))

@@ -1,7 +1,7 @@
 """The arithmetic of a query (``FORMAT.md``), written once for NumPy and for programs in other languages.
 
 Functions take the operations as an argument ``do``: :class:`Operations` computes with NumPy arrays and scalars; an
-emitter (``writers.py``) returns expressions of another language.
+emitter (``writers.py``) returns expressions of another language. The order of operations is part of the format.
 """
 
 from collections.abc import Sequence
@@ -51,6 +51,7 @@ ARRAYS = Operations()
 
 def wrap(do: Operations, x: Value, lo: Value, hi: Value, scale: Value, tolerance: Value) -> Value:
     """Move ``x`` by whole periods (1 / ``scale``) into ``[lo, hi]``; return ``lo`` within ``tolerance`` of ``hi``."""
+    # x - floor((x - lo) * scale) * (hi - lo), clamped, since rounding may lead beyond an end.
     turns = do.floor((x - lo) * scale)
     moved = clamp(do, do.let("moved", x - turns * (hi - lo)), lo, hi)
     from_end = x - hi
@@ -64,6 +65,8 @@ def clamp(do: Operations, x: Value, lo: Value, hi: Value) -> Value:
 
 def fraction_along(do: Operations, offset: Value, frame: Value) -> Value:
     """Convert an ``offset`` from the domain's lower end to units of ``2**-23`` of the width; see :class:`Frame`."""
+    # The mantissa bits of max(min(share, top) + start, 1), a float from 1 to below 2; share is at least 0, so the
+    # maximum is needed only if start < 1.
     start, top = frame[Frame.START], frame[Frame.TOP]
     share = do.let("share", offset * frame[Frame.SCALE])
     placed = do.where(share < top, share, top) + start
@@ -77,17 +80,19 @@ class Program:
     """The query of one PLR file: the constants of the file, and a method for each step of ``FORMAT.md``."""
 
     def __init__(self, contents: DecodedFile) -> None:
-        self.contents, self.leaf = contents, contents.leaf
+        self.contents, self.leaf, self.straight = contents, contents.leaf, contents.straight
         self.domain = domain = contents.domain if contents.folding is None else contents.folding.domain
         self.dim = domain.dim
-        # Points are taken relative to the lower corner of a domain far from 0, given in at least this precision.
+        # 1. Points are taken relative to the lower corner of a domain far from 0, given in at least this precision.
         self.corner: Value = corner_if_far(domain)
         self.precision = np.float32 if self.corner is None else np.float64
         origin = np.zeros(self.dim) if self.corner is None else domain.lo
-        of_leaves, numbers = relative_to_origin(contents, origin)
+        # 2. Parameters of leaves; those of polynomials begin with the numbers of the leaf's cell, which are left out.
+        domain_of_leaves, numbers = relative_to_origin(contents, origin)
         self.leaf_parameters = numbers.astype(np.float32)[:, self.dim * self.leaf.is_cell_relative :]
-        self.frame: Value = frame_of(of_leaves)
-        # Least and largest coordinates inside, and ends, inverse width and tolerance of each periodic axis.
+        self.frame: Value = frame_of(domain_of_leaves)
+        self.folding_arrays = None if contents.folding is None else folding_numbers(contents.folding, origin)
+        # 3. Least and largest coordinates inside, and ends, inverse width and tolerance of each periodic axis.
         self.limits: list[list[Value]] = list(map(list, table_corners(domain.moved(-origin))))
         self.periods, self.double_periods = {}, {}
         for axis in np.flatnonzero(domain.periodic).tolist():
@@ -98,12 +103,12 @@ class Program:
             self.periods[axis] = lo, hi, column[Frame.SCALE], np.float32(_TOLERANCE) * max(abs(lo), abs(hi))
             lo, hi = domain.lo[axis], domain.hi[axis]
             self.double_periods[axis] = lo, hi, 1 / (hi - lo), np.float64(0)
-        self.straight = contents.straight
-        self.folding_arrays = None
-        if contents.folding is not None:
-            self.folding_arrays = folding_numbers(contents.folding, origin)
 
     def contains(self, do: Operations, x: Point) -> Value:
+        """Return whether points are in the domain; False for NaN.
+
+        64-bit points must be wrapped before and, unless the domain is far from 0, rounded to 32 bits.
+        """
         tests = []
         for axis, (lo, hi) in enumerate(zip(*self.limits, strict=True)):
             along = x[axis] if self.domain.periodic[axis] else self._relative(do, x, axis)
@@ -125,9 +130,10 @@ class Program:
         return x[axis] if self.corner is None else do.let("relative", do.rounded(x[axis] - self.corner[axis]))
 
     def offsets(self, do: Operations, x: Point) -> Point:
-        # Mirror and wrap points from ``relative``; return them minus the lower corner of the leaves' domain.
+        """Fold and wrap points from :meth:`relative`; return them minus the lower corner of the leaves' domain."""
         x = list(x)
         if self.folding_arrays is not None:
+            # 1. Center, rotate, mirror behind each pivot, clip.
             (center, rest), ends, axes, mirrors = self.folding_arrays
             x = [do.let("seen", along - c - r) for along, c, r in zip(x, center, rest, strict=True)]
             if axes is not None:
@@ -139,37 +145,42 @@ class Program:
             for axis, (lo, hi) in enumerate(ends.T):
                 if np.isfinite(hi):  # periodic axes are not clipped
                     x[axis] = do.let("folded", clamp(do, x[axis], lo, hi))
+        # 2. Wrap, and subtract the corner.
         for axis, period in self.periods.items():
             x[axis] = wrap(do, x[axis], *period)
         return [do.let("offset", along - lo) for along, lo in zip(x, self.frame[Frame.LO], strict=True)]
 
     def fractions(self, do: Operations, offsets: Point) -> list[Value]:
+        """Return the fraction bits of points, given by :meth:`offsets`, along each axis."""
         columns = zip(*self.frame, strict=True)
         return [fraction_along(do, offset, column) for offset, column in zip(offsets, columns, strict=True)]
 
     def value(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
         """Return answers at points, given by :meth:`offsets`, in the leaf with parameters ``numbers``."""
-        value, straight = self._value_of_leaf(do, offsets, numbers), self.straight_bound(do, offsets)
+        # 1. For polynomials, two numbers for each axis come before the leaf's parameters: how many cells as long as
+        # the leaf's cell the domain has along the axis, and the index of the leaf's cell. In the cell, the coordinate
+        # is t = (share of the domain's width) * number - index, from 0 to 1.
+        place = list(offsets)
+        if self.leaf.is_cell_relative:
+            for axis, along in enumerate(offsets):
+                share = along * self.frame[Frame.SCALE][axis]
+                start = self.frame[Frame.START][axis]
+                if start < 1:
+                    share = share + (start - np.float32(1))
+                place[axis] = do.let("t", share * numbers[2 * axis] - numbers[2 * axis + 1])
+            numbers = numbers[2 * self.dim :]
+        # 2. The answer is max(value, straight).
+        value = self.leaf.value(numbers, place, do.root)
+        straight = self.straight_bound(do, offsets)
         if straight is None:
             return value
         value, straight = do.let("value", value), do.let("straight", straight)
         return do.where(straight > value, straight, value)
 
-    def _value_of_leaf(self, do: Operations, offsets: Point, numbers: Sequence[Value]) -> Value:
-        if not self.leaf.is_cell_relative:
-            return self.leaf.value(numbers, offsets, do.root)
-        # Before the leaf's parameters come two numbers for each axis: how many cells as long as the leaf's cell the
-        # domain has along the axis, and the index of the leaf's cell.
-        in_cell = []
-        for axis, along in enumerate(offsets):
-            share, start = along * self.frame[Frame.SCALE][axis], self.frame[Frame.START][axis]
-            if start < 1:
-                share = share + (start - np.float32(1))
-            in_cell.append(do.let("t", share * numbers[2 * axis] - numbers[2 * axis + 1]))
-        return self.leaf.value(numbers[2 * self.dim :], in_cell, do.root)
-
     def straight_bound(self, do: Operations, offsets: Point) -> Value | None:
         """Return the lower bound by straight lines to the goals; None if none is stored."""
+        # max(least cost of a goal - margin, 0); a goal's cost is the sum over groups of axes of
+        #   rate * sqrt(sum of squared changes of the group's coordinates).
         if self.straight is None:
             return None
         goals, groups, rates, margin = self.straight.arrays
@@ -202,16 +213,17 @@ class CodedTree:
     """
 
     def __init__(self, tree: Tree, row_of_leaf: Int[np.ndarray, " leaves"]) -> None:
-        dim = tree.cells.dim
-        inner = np.flatnonzero(tree.child >= 0)
-        index = np.full(len(tree.child), -1)
-        index[inner] = np.arange(len(inner))
-        index[tree.node_of_leaf] = row_of_leaf
+        dim, is_split = tree.cells.dim, tree.child >= 0
         self.dim, self.kind_bits = dim, dim.bit_length()
-        code = (index << self.kind_bits) | np.where(tree.child >= 0, tree.axis, dim)
-        self.root, self.children = int(code[0]), code[tree.child[inner][:, None] + np.arange(2)]
-        self.axis = tree.axis[inner]
-        self.depth = tree.cells.depth[inner, self.axis]  # how often the cell was split along this axis before
+        splits = np.flatnonzero(is_split)
+        index = np.empty(len(is_split), np.int64)
+        index[splits] = np.arange(len(splits))
+        index[tree.node_of_leaf] = row_of_leaf
+        code = (index << self.kind_bits) | np.where(is_split, tree.axis, dim)
+        self.root = int(code[0])
+        self.children = code[tree.child[splits][:, None] + np.arange(2)]
+        self.axis = tree.axis[splits]
+        self.depth = tree.cells.depth[splits, self.axis]  # how often the cell was split along this axis before
         self.code_type = np.dtype(np.uint16 if code.max() < 2**16 else np.uint32)
 
 
@@ -219,6 +231,7 @@ def distinct_rows(
     numbers: Float[np.ndarray, "leaves count"],
 ) -> tuple[Float[np.ndarray, "rows count"], Int[np.ndarray, " leaves"]]:
     """Return the distinct rows (bit for bit) in order of first appearance, and the index of each leaf's row."""
-    _, first, row = np.unique(numbers.view(np.uint32), axis=0, return_index=True, return_inverse=True)
-    rank = np.argsort(np.argsort(first))
-    return numbers[np.sort(first)], rank[row.ravel()]
+    # NumPy sorts distinct rows; `rank` is the place of each in the order of first leaves.
+    _, first_leaf, row = np.unique(numbers.view(np.uint32), axis=0, return_index=True, return_inverse=True)
+    rank = np.argsort(np.argsort(first_leaf))
+    return numbers[np.sort(first_leaf)], rank[row.ravel()]

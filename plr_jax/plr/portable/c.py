@@ -5,16 +5,7 @@ import numpy as np
 from plr_jax.plr.leaves import Cone, code_of_leaf
 from plr_jax.plr.portable.arithmetic import CodedTree, Program, distinct_rows
 from plr_jax.plr.portable.compact import DECODER, compact_bytes
-from plr_jax.plr.portable.writers import (
-    Emitter,
-    Expression,
-    format_domain,
-    indent,
-    nan_condition,
-    require_identifier,
-    wrap_entries,
-    write_lookup,
-)
+from plr_jax.plr.portable.writers import Emitter, Expression, format_domain, indent, require_identifier, wrap_entries
 
 # For each floor function: type, integer type, bound beyond which all numbers are whole, and the number 1.
 _FLOORS = (("float", "int32_t", "8388608.0f", "1.0f"), ("double", "int64_t", "4503599627370496.0", "1.0"))
@@ -51,8 +42,10 @@ class CEmitter(Emitter):
 
 
 def c_header(program: Program, name: str) -> str:
+    """Return a header with the tables of a PLR and the functions that answer queries; see :meth:`PLR.c_header`."""
     require_identifier(name)
-    dim, leaf, of_type = program.dim, program.leaf, "float" if program.corner is None else "double"
+    dim, leaf = program.dim, program.leaf
+    of_type = "float" if program.corner is None else "double"  # of coordinates
     rows, row_of_leaf = distinct_rows(program.leaf_parameters)
     tree = CodedTree(program.contents.tree, row_of_leaf)
     has_tree, is_sourced, of_cells = len(tree.children) > 0, isinstance(leaf, Cone), leaf.is_cell_relative
@@ -103,7 +96,9 @@ def c_header(program: Program, name: str) -> str:
         "};",
         "",
     ]
-    # 3. Descent from fraction bits to the row of the leaf.
+    # 3. Descent from fraction bits to the row of the leaf. `place` has the next bit along each axis as its highest.
+    # For polynomials, `cell` has for each axis the number of cells like the current one that the domain has, and the
+    # index of the current one.
     mask = (1 << tree.kind_bits) - 1
     descent = [
         "/* Descends the tree: each split takes the next bit of the position along its axis. */",
@@ -135,8 +130,8 @@ def c_header(program: Program, name: str) -> str:
 
     # 4. The functions.
     do = CEmitter(name)
-    outside = [f"return {nan_condition(dim)} ? NAN : INFINITY;"]
-    offsets, numbers = write_lookup(do, program, of_type, read_leaf, outside)
+    outside = [f"return {do.nan_condition(dim)} ? NAN : INFINITY;"]
+    offsets, numbers = do.write_lookup(program, of_type, read_leaf, outside)
     do.statements.append(f"return {program.value(do, offsets, numbers)};")
     functions = [f"static inline float {name}_distance(const {of_type} x[{dim}])"]
     functions += ["{", *indent(do.used_statements()), "}", ""]
@@ -144,7 +139,7 @@ def c_header(program: Program, name: str) -> str:
     if is_sourced:
         do = CEmitter(name)
         outside = [*(f"waypoint[{axis}] = NAN;" for axis in range(dim)), "return;"]
-        _, numbers = write_lookup(do, program, of_type, read_leaf, outside)
+        _, numbers = do.write_lookup(program, of_type, read_leaf, outside)
         do.statements += [f"waypoint[{axis}] = {along};" for axis, along in enumerate(program.waypoint(numbers))]
         functions.append(f"static inline void {name}_waypoint(const {of_type} x[{dim}], {of_type} waypoint[{dim}])")
         functions += ["{", *indent(do.used_statements()), "}", ""]
@@ -169,8 +164,8 @@ def c_header(program: Program, name: str) -> str:
 def compact_header(program: Program, name: str) -> str:
     """Return the decoder and compact bytes of a PLR as a header; see :meth:`PLR.c_header`."""
     require_identifier(name)
-    data, dim, far = compact_bytes(program), program.dim, "" if program.corner is None else "_far"
-    of_type = "double" if far else "float"
+    data, dim = compact_bytes(program), program.dim
+    of_type, far = ("float", "") if program.corner is None else ("double", "_far")  # of coordinates; of functions
     waypoint = [
         "",
         "/* The next waypoint on the way to the goal; NaN outside the domain. */",
@@ -180,9 +175,10 @@ def compact_header(program: Program, name: str) -> str:
         "}",
     ]
     guard = f"PLR_JAX_{name}_H"  # not in upper case: names may differ only in case
-    needs = [f"1u << {code_of_leaf(program.leaf)}u", *["PLR_JAX_WRAPS"] * program.domain.is_periodic]
-    needs += ["PLR_JAX_FOLDS"] * (program.folding_arrays is not None)
-    needs += ["PLR_JAX_LINES"] * (program.straight is not None)
+    # The features of this PLR, a constant, so that the compiler leaves out code for others.
+    features = [f"1u << {code_of_leaf(program.leaf)}u", *["PLR_JAX_WRAPS"] * program.domain.is_periodic]
+    features += ["PLR_JAX_FOLDS"] * (program.folding_arrays is not None)
+    features += ["PLR_JAX_LINES"] * (program.straight is not None)
     lines = [
         f"#ifndef {guard}",
         f"#define {guard}",
@@ -206,7 +202,7 @@ def compact_header(program: Program, name: str) -> str:
         f"   Compiled, its tables take {len(data):,} bytes, and the decoder at most 4,608. */",
         f"static inline float {name}_distance(const {of_type} x[{dim}])",
         "{",
-        f"    return plr_jax_distance{far}_of(&{name}_plr, x, {' | '.join(needs)});",
+        f"    return plr_jax_distance{far}_of(&{name}_plr, x, {' | '.join(features)});",
         "}",
         *waypoint * isinstance(program.leaf, Cone),
         "#endif",

@@ -24,8 +24,9 @@ from plr_jax.plr.tree import Tree, corner_bits
 DECODER = Path(__file__).with_name("decoder.h")
 """The source of the decoder."""
 
+# Fields of the bytes, as in ``decoder.h``.
 _MAGIC = int.from_bytes(b"PLC1", "little")
-_NUM_WORDS = 18
+_NUM_WORDS = 18  # words of 32 bits at the start
 _RECORD = 16  # splits in a record of the tree
 _FAR, _FOLDED, _TURNED, _CODED, _VALUES, _STRAIGHT = 1, 2, 4, 8, 16, 32  # flags
 _UNITS = np.array([0, 1, 2, 4])  # width of a middle's fields by its mark, in multiples of the width of its record
@@ -33,8 +34,10 @@ _FLOAT_BITS = 32  # files whose planes have so many bits store floats
 # In a polynomial close to a plane, Horner's rule adds all other coefficients to a slope. If their sum is less than
 # this share of each slope, rounding removes them (a slope has 24 bits; two more cover rounding and ``t`` beyond 1).
 _NEGLIGIBLE = 2.0**-27
-_MOST_FRACTION_BITS, _LARGEST_VALUE = 16, 1 << 28
-_ROUNDING = 1e-6  # largest distance from a multiple of a power of two that counts as rounding
+# Values at corners are integers, in units of 2**-fraction_bits steps of the file.
+_MOST_FRACTION_BITS = 16  # more than the largest number of these bits
+_LARGEST_VALUE = 1 << 28
+_ROUNDING = 1e-6  # largest distance from a multiple of a unit that counts as rounding, in units
 _LONGEST_CHAIN = 8  # most hanging corners of smooth leaves, each inside an edge that ends at the next
 _EXACT = 2**53  # doubles hold all integers up to here
 
@@ -59,11 +62,13 @@ class _CompactWriter:
     def __init__(self, program: Program) -> None:
         self.program, self.dim = program, program.dim
         self.tree: Tree = program.contents.tree
-        is_split, level = self.tree.child >= 0, self.tree.cells.depth.sum(axis=1)
-        self.level_of_leaf = level[~is_split]
+        is_leaf, level = self.tree.child < 0, self.tree.cells.depth.sum(axis=1)
+        # Leaves are numbered in level order. `leaves` has their indices in traversal order, as in the PLR.
+        self.leaves = self.tree.leaf_of_node[is_leaf]
+        self.level_of_leaf = level[is_leaf]
         self.num_levels = int(level.max()) + 1
-        self.leaves = self.tree.leaf_of_node[~is_split]
         self.numbers = program.leaf_parameters[self.leaves]
+        # Widths are in bits, and so are positions (`at_...`), but for that of the tree, which is in bytes.
         self.fraction_bits, self.offset, self.step = 0, 0.0, 0.0
         self.position_bits = self.record_bytes = self.at_tree = self.at_levels = self.at_fields = 0
         self.axis_bits, self.leaf_bits = (self.dim - 1).bit_length(), len(self.leaves).bit_length()
@@ -78,6 +83,7 @@ class _CompactWriter:
     def _write_domain(self) -> None:
         """Write the domain: 32-bit numbers for queries, exact corners if needed, and mirrors or straight lines."""
         program, contents = self.program, self.program.contents
+        # 1. Nine floats for each axis: limits of points inside; rows of the frame; ends and tolerance if periodic.
         ends = np.zeros((3, self.dim))
         for axis, (lo, hi, _, tolerance) in program.periods.items():
             ends[:, axis] = lo, hi, tolerance
@@ -85,14 +91,16 @@ class _CompactWriter:
         largest = np.finfo(np.float32).max
         limits = np.clip(program.limits, -largest, largest)
         self.body.write_floats(np.stack([*limits, *(program.frame[row] for row in rows), *ends], axis=1).ravel())
+        # 2. For planes and far domains, five doubles for each axis: ends of the leaves' domain, corner of the query's
+        # coordinates, ends of the query's domain. Each is two words, the lower one first.
         self.at_exact = self._at
         if program.corner is not None or isinstance(contents.stored, StoredPlanes):
-            box, origin = contents.domain, np.zeros(self.dim)
-            if program.corner is not None and contents.folding is None:
-                origin = program.corner
+            box = contents.domain
+            origin = np.zeros(self.dim) if program.corner is None or contents.folding is not None else program.corner
             corner = origin + table_corners(box.moved(-origin))[0]
             exact = np.stack([box.lo, box.hi, corner, program.domain.lo, program.domain.hi], axis=1)
             self.body.write(np.ascontiguousarray(exact, "<f8").view("<u4").ravel().astype(np.int64), 32)
+        # 3. Mirrors, or straight lines; then zeros up to a whole byte.
         self.at_folding = self._at
         if program.folding_arrays is not None:
             center, folded_ends, axes, mirrors = program.folding_arrays
@@ -118,62 +126,58 @@ class _CompactWriter:
         self.body.write(rows.ravel(), np.tile(widths, len(rows)))
 
     def _write_tree(self, marks: Sequence[tuple[Any, int]] = (), places: Sequence[tuple[Any, int]] = ()) -> None:
-        # One row for every 16 splits of the tree; its first and last columns are ``marks`` and ``places``.
+        # A record for every 16 splits of the tree:
+        #   marks | is each child split? (32 bits) | axes | number of split children in earlier records | places
         splits = np.flatnonzero(self.tree.child >= 0)
-        is_split = self.tree.child[self.tree.child[splits][:, None] + np.arange(2)] >= 0
-        children = _by_record(is_split.astype(np.int64))
-        before = np.cumsum(children.sum(axis=1)) - children.sum(axis=1)
+        is_split = _by_record((self.tree.child[self.tree.halves(splits)] >= 0).astype(np.int64).reshape(-1, 2))
+        num_before = np.cumsum(is_split.sum(axis=1)) - is_split.sum(axis=1)
         axes = _by_record(self.tree.axis[splits][:, None])
-        parts = [*marks, (children, 1), (axes, self.axis_bits), (before[:, None], self.leaf_bits), *places]
+        parts = [*marks, (is_split, 1), (axes, self.axis_bits), (num_before[:, None], self.leaf_bits), *places]
         num_bits = sum(columns.shape[1] * width for columns, width in parts)
         self.at_tree, self.record_bytes = self._at // 8, -(-num_bits // 8)
-        self._write_rows(*parts, (np.zeros((len(children), 1), np.int64), -num_bits % 8))
+        self._write_rows(*parts, (np.zeros((len(is_split), 1), np.int64), -num_bits % 8))
 
     def _finish(self, flags: int, numbers: Float[np.ndarray, "leaves terms"], rows: Float[np.ndarray, " _"]) -> bytes:
-        # Appends ``rows``, and the leaf parameters that differ from the computed ``numbers``; returns all bytes.
-        # 1. Choose the leaves that are stored as planes.
-        power = self.dim - 1 - np.arange(self.dim)
+        """Append planes, exceptions and ``rows``, and return all bytes.
+
+        ``numbers`` are the leaf parameters that the decoder computes. Where a query of the PLR file uses other
+        numbers, these are stored as exceptions.
+        """
+        # 1. Choose the leaves that are stored as planes: their other parameters change no answer, and a plane takes
+        # fewer bits than exceptions. Of a polynomial, the coefficient of t[axis] has the index
+        # P**(dim - 1 - axis), with P = 2**bits_of_powers.
         bits = self.program.leaf.bits_of_powers
-        of_plane = np.concatenate([[0], 1 << bits * power if bits else 1 + np.arange(self.dim)])
-        rest = np.abs(np.delete(self.numbers, of_plane, axis=1).astype(np.float64)).sum(axis=1)
-        is_plane = rest <= _NEGLIGIBLE * np.abs(self.numbers[:, of_plane[1:]]).min(axis=1)
-        is_odd = self.numbers.view(np.uint32) != numbers.view(np.uint32)
+        axes = np.arange(self.dim)
+        of_plane = np.concatenate([[0], 1 << bits * (self.dim - 1 - axes) if bits else 1 + axes])
+        sum_of_others = np.abs(np.delete(self.numbers, of_plane, axis=1).astype(np.float64)).sum(axis=1)
+        is_plane = sum_of_others <= _NEGLIGIBLE * np.abs(self.numbers[:, of_plane[1:]]).min(axis=1)
+        is_exception = self.numbers.view(np.uint32) != numbers.view(np.uint32)
         bits_of_plane = self.leaf_bits + 32 * (1 + self.dim)
-        is_plane &= (self.numbers[:, 0] != 0) & (is_odd.sum(axis=1) * (self.leaf_bits + 40) > bits_of_plane)
+        bits_of_exceptions = is_exception.sum(axis=1) * (self.leaf_bits + 8 + 32)
+        is_plane &= (self.numbers[:, 0] != 0) & (bits_of_exceptions > bits_of_plane)
+        # 2. Append planes, exceptions and rows.
         planes = np.flatnonzero(is_plane)
-        # 2. Append them, and all else.
         at_planes = self._at
         self._write_rows((planes[:, None], self.leaf_bits), (bits_of_floats(self.numbers[planes][:, of_plane]), 32))
-        at_odd, (leaf, term) = self._at, np.nonzero(is_odd & ~is_plane[:, None])
-        odd = bits_of_floats(self.numbers[leaf, term])
-        self._write_rows((leaf[:, None], self.leaf_bits), (term[:, None], 8), (odd[:, None], 32))
+        leaf, term = np.nonzero(is_exception & ~is_plane[:, None])
+        at_exceptions = self._at
+        value = bits_of_floats(self.numbers[leaf, term])
+        self._write_rows((leaf[:, None], self.leaf_bits), (term[:, None], 8), (value[:, None], 32))
         at_rows = self._at
         self.body.write_floats(rows)
         self.body.write(np.zeros(3, np.int64), 8)  # a query reads 8 bytes at once
+        # 3. Words at the start, and a checksum at the end.
         flags |= _FAR * (self.program.corner is not None)
         if (folding := self.program.folding_arrays) is not None:
             flags |= _FOLDED | _TURNED * (folding[2] is not None)
         flags |= _STRAIGHT * (self.program.straight is not None)
         data = self.body.to_bytes()
-        words = [
-            _MAGIC,
-            4 * _NUM_WORDS + len(data) + 4,
-            self.dim | code_of_leaf(self.program.leaf) << 8 | flags << 16 | self.num_levels << 24,
-            self.axis_bits | self.fraction_bits << 8 | self.leaf_bits << 16 | self.position_bits << 24,
-            self.numbers.shape[1],
-            self.record_bytes,
-            *bits_of_floats(np.array([self.offset, self.step], np.float32)),
-            len(planes),
-            len(leaf),
-            self.at_tree,
-            self.at_fields,
-            self.at_levels,
-            at_planes,
-            at_odd,
-            at_rows,
-            self.at_folding,
-            self.at_exact,
-        ]
+        kind = self.dim | code_of_leaf(self.program.leaf) << 8 | flags << 16 | self.num_levels << 24
+        widths = self.axis_bits | self.fraction_bits << 8 | self.leaf_bits << 16 | self.position_bits << 24
+        words = [_MAGIC, 4 * _NUM_WORDS + len(data) + 4, kind, widths, self.numbers.shape[1], self.record_bytes]
+        words += [*bits_of_floats(np.array([self.offset, self.step], np.float32)), len(planes), len(leaf)]
+        words += [self.at_tree, self.at_fields, self.at_levels]
+        words += [at_planes, at_exceptions, at_rows, self.at_folding, self.at_exact]
         data = np.array(words, "<u4").tobytes() + data
         return data + zlib.crc32(data).to_bytes(4, "little")
 
@@ -189,20 +193,25 @@ class _CompactWriter:
         """Encode planes as the integers of the PLR file, with as many bits as each level of the tree needs."""
         planes = self.program.contents.stored
         self.offset, self.step = planes.offset, planes.step
+        # 1. Find the widths, by level and field: the center value is unsigned, half-differences have a sign bit.
         is_own = ~planes.unreachable[self.leaves, None]  # other leaves continue another leaf's plane
         codes = np.column_stack([planes.center, planes.half])[self.leaves] * is_own
         widths = np.zeros((self.num_levels, 1 + self.dim), np.int64)
         is_signed = np.arange(1 + self.dim) > 0
         np.maximum.at(widths, self.level_of_leaf, np.frexp(np.abs(codes))[1] + (is_signed & (codes != 0)))
         self._write_tree()
-        # For each level: the position that leaf 0 would have if all leaves had this level's widths; these widths.
-        self.at_levels, size = self._at, widths.sum(axis=1)
+        # 2. For each level, write the position that leaf 0 would have if all leaves had the level's widths, and these
+        # widths. With `size`, the sum of the widths, leaf i of the level then begins at
+        #   start + i * size = (begin of the level's fields) + (i - number of the level's first leaf) * size.
+        size = widths.sum(axis=1)
+        self.at_levels = self._at
         self.at_fields = self._at + self.num_levels * (40 + 8 * self.dim)
         count = np.bincount(self.level_of_leaf, minlength=self.num_levels)
         start = self.at_fields + np.cumsum(count * size) - count * size - (np.cumsum(count) - count) * size
         self._write_rows((start[:, None] % (1 << 32), 32), (widths, 8))
-        of_leaf = widths[self.level_of_leaf]
-        self.body.write((codes & ((1 << of_leaf) - 1)).ravel(), of_leaf.ravel())
+        # 3. Write the fields, in two's complement.
+        width = widths[self.level_of_leaf]
+        self.body.write((codes & ((1 << width) - 1)).ravel(), width.ravel())
         return self._finish(_CODED, np.where(is_own, self.numbers, np.float32(0)), np.zeros(0))
 
     def with_values(self, middles: "_Middles") -> bytes:
@@ -210,7 +219,8 @@ class _CompactWriter:
         stored = self.program.contents.stored
         self.fraction_bits, self.offset = middles.fraction_bits, stored.offset
         self.step = float(np.ldexp(stored.step, -self.fraction_bits))
-        # 1. Compute the leaf parameters as a query does.
+        # 1. Compute the leaf parameters as the decoder does. The coefficients of a multilinear function follow from
+        # corner values by differences along one axis after the other: (lower, upper) becomes (lower, upper - lower).
         if self.program.leaf.bits_of_powers == 2:
             codes = _smooth_numbers(self.tree, middles.corners, self.program.contents.domain.periodic)
             numbers = (self.step * codes + np.where(np.arange(16), 0.0, self.offset)).astype(np.float32)
@@ -225,10 +235,10 @@ class _CompactWriter:
         self.body.write(middles.corners[0] & 0xFFFFFFFF, 32)
         unit = middles.best_widths()
         fields, widths = middles.fields(np.repeat(unit, _RECORD)[: len(middles.mark)])
-        ends = np.cumsum(_by_record(widths.reshape(len(middles.mark), 2 * middles.mark.shape[1])).sum(axis=1))
-        self.position_bits = int(ends[-1] if len(ends) else 0).bit_length()
-        starts = np.concatenate([[0], ends])[:-1, None]
-        self._write_tree([(_by_record(middles.mark), 2)], [(unit[:, None], 5), (starts, self.position_bits)])
+        num_bits = _by_record(widths.reshape(len(middles.mark), 2 * middles.mark.shape[1])).sum(axis=1)
+        self.position_bits = int(num_bits.sum()).bit_length()
+        start = np.cumsum(num_bits) - num_bits  # of each record's fields
+        self._write_tree([(_by_record(middles.mark), 2)], [(unit[:, None], 5), (start[:, None], self.position_bits)])
         self.at_fields = self._at
         self.body.write(fields, widths)
         return self._finish(_CODED | _VALUES, numbers, np.zeros(0))
@@ -246,73 +256,92 @@ class _Middles:
     Each split halves edges of its cell: from the domain's corners down, midpoints become corners of smaller cells.
     """
 
-    # ``mark`` says how an edge's middle is stored. 0: both halves of the split have the mean; 1: both have the value
-    # of ``narrow``; 2: both have the value of ``wide``; 3: each half has its own ``wide``, as at walls. ``narrow`` is
-    # the value minus the rounded mean, in steps of the file. ``wide`` is, for each half, twice this difference; or,
-    # if odd, 1 plus twice the value minus the mean, in units of ``2**-fraction_bits`` steps, as ``corners``.
+    # A halved edge from a to b, whose middle may have the value m in the lower half, and m' in the upper half:
+    #
+    #     a ------------- m  m' ------------- b        mean = floor((a + b) / 2)
+    #                                                  rounded = mean, rounded to whole steps of the file
+    #
+    # All but `rounded` are in units of ``2**-fraction_bits`` steps, like ``corners``. m and m' are stored by mark:
+    #
+    #     0: m = m' = mean
+    #     1: m = m' = rounded + narrow, in whole steps
+    #     2: m = m', which follows from the first ``wide``
+    #     3: each follows from its own ``wide``, as at walls
+    #
+    # An even ``wide`` is 2 * (m - rounded), in whole steps; an odd one is 2 * (m - mean) + 1.
+    # ``mark`` and ``narrow`` have the shape (splits, edges), ``wide`` (splits, edges, halves).
 
     def __init__(self, contents: DecodedFile, is_smooth: bool) -> None:
+        # 1. Choose the fraction bits for which the fewest values at corners must be rounded, or are too large.
         tree, partition = contents.tree, contents.stored.partition
         codes = (partition.space.values @ contents.stored.code.astype(np.float64)).reshape(len(tree.leaves), -1)
         scaled = codes * 2.0 ** np.arange(_MOST_FRACTION_BITS)[:, None, None]
         is_rounded = np.abs(scaled - np.rint(scaled)) > _ROUNDING
         is_rounded |= np.abs(scaled) > _LARGEST_VALUE
         self.fraction_bits = fraction_bits = int(np.argmin(np.count_nonzero(is_rounded, axis=(1, 2))))
-        num_splits = np.count_nonzero(tree.child >= 0)
-        bits, each = corner_bits(tree.cells.dim), np.arange(codes.shape[1])
-        # 1. The wanted value at a corner of a node is the value of the leaf there. Unreachable leaves may have any
+        # 2. The wanted value at a corner of a node is the value of the leaf there. Unreachable leaves may have any
         # value; near smooth leaves, it must differ from theirs, and one above the mean usually does.
-        leaf_at = np.empty((len(tree.child), len(each)), np.int64)
+        bits = corner_bits(tree.cells.dim)
+        corner = np.arange(len(bits))
+        leaf_at = np.empty((len(tree.child), len(bits)), np.int64)  # by node and corner
         leaf_at[tree.node_of_leaf] = np.arange(len(codes))[:, None]
         for split in reversed(tree.splits):
-            leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, each]
+            leaf_at[split] = leaf_at[tree.child[split][:, None] + bits[:, tree.axis[split]].T, corner]
         is_free = partition.unreachable[leaf_at]
-        wanted = np.rint(np.ldexp(codes, fraction_bits)).astype(np.int64)[leaf_at, each] * ~is_free
-        # 2. Halve the edges, from the root down.
+        wanted = np.rint(np.ldexp(codes, fraction_bits)).astype(np.int64)[leaf_at, corner] * ~is_free
+        # 3. Halve the edges, from the root down.
+        number = np.cumsum(tree.child >= 0) - 1  # of each split
         self.corners = np.empty_like(leaf_at)
         self.corners[0] = wanted[0]
-        self.mark = np.zeros((num_splits, len(each) // 2), np.int64)
+        self.mark = np.zeros((number[-1] + 1, len(bits) // 2), np.int64)
         self.narrow, self.wide = np.zeros_like(self.mark), np.zeros((*self.mark.shape, 2), np.int64)
-        number = np.cumsum(tree.child >= 0) - 1
         for split in tree.splits:
-            for axis, is_high in enumerate(bits.T == 1):
+            for axis in range(tree.cells.dim):
+                low, high = (np.flatnonzero(bits[:, axis] == side) for side in range(2))  # corners: ends of edges
                 nodes = split[tree.axis[split] == axis]
-                ends, halves = self.corners[nodes], tree.child[nodes]
-                mean = (ends[:, ~is_high] + ends[:, is_high]) >> 1
+                ends, lower = self.corners[nodes], tree.child[nodes]
+                mean = (ends[:, low] + ends[:, high]) >> 1
                 rounded = (mean + ((1 << fraction_bits) >> 1)) >> fraction_bits
-                want = np.stack([wanted[halves][:, is_high], wanted[halves + 1][:, ~is_high]], axis=2)
-                free = np.stack([is_free[halves][:, is_high], is_free[halves + 1][:, ~is_high]], axis=2)
+                # The values m and m'. A free one of continuous leaves takes the other one, unless both are free.
+                middle = np.stack([wanted[lower][:, high], wanted[lower + 1][:, low]], axis=2)
+                may_vary = np.stack([is_free[lower][:, high], is_free[lower + 1][:, low]], axis=2)
                 any_value = mean[:, :, None] + is_smooth
                 if not is_smooth:
-                    any_value = np.where(free[:, :, ::-1], any_value, want[:, :, ::-1])
-                want = np.where(free, any_value, want)
-                from_mean = want - mean[:, :, None]
-                is_whole = (want & ((1 << fraction_bits) - 1) == 0) & (from_mean != 0)
-                here, from_whole = number[nodes], (want >> fraction_bits) - rounded[:, :, None]
-                self.narrow[here] = from_whole[:, :, 0]
-                self.wide[here] = 2 * np.where(is_whole, from_whole, from_mean) + ~is_whole
-                is_shared = want[:, :, 0] == want[:, :, 1]
-                self.mark[here] = np.where(is_shared, np.where(is_whole[:, :, 0], 1, 2), 3)
-                self.mark[here] *= from_mean.any(axis=2)
-                lower, upper = ends.copy(), ends.copy()
-                lower[:, is_high], upper[:, ~is_high] = want[:, :, 0], want[:, :, 1]
-                self.corners[halves], self.corners[halves + 1] = lower, upper
+                    any_value = np.where(may_vary[:, :, ::-1], any_value, middle[:, :, ::-1])
+                middle = np.where(may_vary, any_value, middle)
+                # How they are stored. The mean itself, beside another value, is an odd ``wide``.
+                from_mean = middle - mean[:, :, None]
+                from_rounded = (middle >> fraction_bits) - rounded[:, :, None]
+                is_whole = (middle & ((1 << fraction_bits) - 1) == 0) & (from_mean != 0)
+                is_shared = middle[:, :, 0] == middle[:, :, 1]
+                row = number[nodes]
+                self.narrow[row] = from_rounded[:, :, 0]
+                self.wide[row] = 2 * np.where(is_whole, from_rounded, from_mean) + ~is_whole
+                self.mark[row] = np.where(is_shared, np.where(is_whole[:, :, 0], 1, 2), 3) * from_mean.any(axis=2)
+                # The corners of the halves.
+                self.corners[lower] = self.corners[lower + 1] = ends
+                self.corners[lower[:, None], high] = middle[:, :, 0]
+                self.corners[lower[:, None] + 1, low] = middle[:, :, 1]
 
     def best_widths(self) -> Int[np.ndarray, " records"]:
-        # The width of ``narrow`` for every 16 splits that takes the fewest bits; correct ``mark`` for it.
-        narrow = 1 + np.frexp(np.abs(self.narrow))[1]
-        wide = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
+        """Return, for every 16 splits, the width of ``narrow`` that takes the fewest bits.
+
+        ``wide`` takes twice this width. Edges whose ``narrow`` is wider change to mark 2, in place.
+        """
+        narrow_bits = 1 + np.frexp(np.abs(self.narrow))[1]
+        wide_bits = 1 + np.frexp(np.abs(self.wide) + 1)[1].max(axis=2)
         sizes = []
         for width in range(1, 17):
-            mark = self.mark + ((self.mark == 1) & (narrow > width))
-            does_not_fit = _by_record((mark > 1) & (wide > 2 * width)).any(axis=1)
+            mark = self.mark + ((self.mark == 1) & (narrow_bits > width))
+            does_not_fit = _by_record((mark > 1) & (wide_bits > 2 * width)).any(axis=1)
             sizes.append(np.where(does_not_fit, np.inf, width * _by_record(_UNITS[mark]).sum(axis=1)))
         widths = 1 + np.argmin(sizes, axis=0)
-        self.mark += (self.mark == 1) & (narrow > np.repeat(widths, _RECORD)[: len(narrow), None])
+        self.mark += (self.mark == 1) & (narrow_bits > np.repeat(widths, _RECORD)[: len(narrow_bits), None])
         return widths
 
     def fields(self, unit: Int[np.ndarray, " splits"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-        # Two integers to store for each halved edge, and their bits; ``unit`` is the bits of ``narrow``.
+        """Return two integers for each halved edge, and their bits: those of ``narrow`` are ``unit[split]``."""
+        # By mark: nothing; narrow; the first wide; both of them.
         widths = unit[:, None, None] * np.array([[0, 0], [1, 0], [2, 0], [2, 2]])[self.mark]
         codes = np.where(self.mark[:, :, None] == 1, self.narrow[:, :, None], self.wide)
         return (codes & ((1 << widths) - 1)).ravel(), widths.ravel()
@@ -321,17 +350,19 @@ class _Middles:
 def _smooth_numbers(
     tree: Tree, corners: Int[np.ndarray, "nodes corners"], periodic: tuple[bool, ...]
 ) -> Float[np.ndarray, "leaves terms"]:
-    # Polynomials of smooth leaves as the C decoder computes them, in level order; NaN where its answer is unknown.
+    """Return polynomials of smooth leaves as the C decoder computes them, in level order; NaN where it is unknown."""
     at_corner = _SmoothCorners(tree, corners.tolist(), periodic)
     leaves = np.flatnonzero(tree.child < 0)
     depth, position = tree.cells.depth[leaves], tree.cells.position[leaves]
+    # 1. Value, derivative by y, by x, and by both, at each corner; by fractions of the domain, then of the leaf.
     numbers = np.zeros((len(leaves), 4, 4))
     for corner, ends in enumerate(corner_bits(2)):
         points = (position + ends) << (FRACTION_BITS - depth)
         of_points = zip(map(tuple, points.tolist()), corners[leaves, corner].tolist(), strict=True)
         numbers[:, corner] = [at_corner(point, value)[0] for point, value in of_points]
     numbers /= np.ldexp(1.0, depth @ corner_bits(2).T)[:, None]
-    # From axes (corner along x, along y, derivative by x, by y) to (power of x, power of y).
+    # 2. From axes (corner along x, along y, derivative by x, by y) to (power of x, power of y): along either axis,
+    # (lower corner, upper corner) times (value, derivative) become the four coefficients of a cubic.
     numbers = numbers.reshape(-1, 2, 2, 2, 2).transpose(0, 1, 3, 2, 4).reshape(-1, 4, 4)
     for axis in (2, 1):
         numbers = np.stack(_cubic(*np.moveaxis(numbers, axis, 0)), axis=axis)
@@ -344,70 +375,97 @@ def _cubic(v0: Any, d0: Any, v1: Any, d1: Any) -> tuple[Any, Any, Any, Any]:
 
 
 class _SmoothCorners:
-    """Values and derivatives at corners of smooth leaves, as the C decoder computes them; NaN if unpredictable."""
+    """Values and derivatives at corners of smooth leaves, as the C decoder computes them; NaN if unpredictable.
+
+    Points count ``2**-23`` of the domain's width along either axis. Corners of a leaf, and the numbers at a corner
+    (value, derivative by y, by x, by both), are numbered ``2 * x_bit + y_bit``.
+    """
 
     def __init__(self, tree: Tree, corners: list[list[int]], periodic: tuple[bool, ...]) -> None:
-        self.child, self.axis = tree.child.tolist(), tree.axis.tolist()
+        self.child, self.axis, self.depth = tree.child.tolist(), tree.axis.tolist(), tree.cells.depth.tolist()
         self.corners, self.periodic = corners, periodic
-        self.depth, self.position = tree.cells.depth.tolist(), tree.cells.position.tolist()
         self.known: dict[tuple[tuple[int, ...], int], tuple[list[float], int]] = {}
 
     def __call__(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        # Value and derivatives at a corner where leaves have ``value``, and the length of a chain: it counts corners
-        # inside edges of larger leaves, each computed from the ends of its edge.
+        """Return the numbers at a corner where leaves have ``value``, and the length of a chain.
+
+        The chain counts corners inside edges of larger leaves, each computed from the ends of its edge.
+        """
         if (point, value) not in self.known:
             numbers, chain = self._numbers(point, value)
             self.known[point, value] = numbers if chain <= _LONGEST_CHAIN else [np.nan] * 4, chain
         return self.known[point, value]
 
     def _numbers(self, point: tuple[int, ...], value: int) -> tuple[list[float], int]:
-        """Return value, derivatives and chain of a corner: means over its leaves, or from a host's edge."""
-        widths, terms, hosts = [], [], {}
+        """Return the numbers and the chain of a corner: means over its leaves, or from a host's edge."""
+        # Up to four leaves meet at a point. One of them (the host) may have it inside an edge, not at a corner:
+        #
+        #     +-----------+              edge: axis of the host's edge
+        #     |   host    |              index: corner of a leaf at the point; of the host, the lower end of the edge
+        #     +-----*-----+
+        #     |     |     |
+        #     +-----+-----+
+        #
+        weights, terms, hosts = [], [], {}
         for quadrant in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            # 1. Find the leaf that contains the smallest cell in a quadrant around the point. A quadrant is, for each
+            # axis, 1 if it is below the point.
             place = [along - below for along, below in zip(point, quadrant, strict=True)]
-            outside = (not 0 <= along < 1 << FRACTION_BITS for along in place)
-            if any(out and not wraps for out, wraps in zip(outside, self.periodic, strict=True)):
+            is_outside = (not 0 <= along < 1 << FRACTION_BITS for along in place)
+            if any(out and not wraps for out, wraps in zip(is_outside, self.periodic, strict=True)):
                 continue
             place = [along % (1 << FRACTION_BITS) for along in place]
             node = 0
             while (child := self.child[node]) >= 0:
                 axis = self.axis[node]
                 node = child + (place[axis] >> (FRACTION_BITS - 1 - self.depth[node][axis]) & 1)
+            # 2. Find where the point is in the leaf.
             corner, depth = self.corners[node], self.depth[node]
             size = [1 << (FRACTION_BITS - k) for k in depth]
             start = [along & -width for along, width in zip(place, size, strict=True)]
             from_start = [a - lo + below for a, lo, below in zip(place, start, quadrant, strict=True)]
             index = 2 * (from_start[0] == size[0]) + (from_start[1] == size[1])
             edge = next((axis for axis in (0, 1) if 0 < from_start[axis] < size[axis]), None)
+            # 3. The leaf counts if its own value at the point is `value`; values are linear along an edge.
             if edge is not None:
                 ends, along = (corner[index], corner[index | 2 >> edge]), from_start[edge]
                 if ends[0] * (size[edge] - along) + ends[1] * along == value * size[edge]:
                     hosts[node] = edge, start[edge], size[edge], ends
             elif corner[index] == value:
-                differences = corner[1 | index] - corner[index & 2], corner[2 | index] - corner[index & 1]
-                both = corner[3] - corner[2] - (corner[1] - corner[0])
-                widths.append([1 << depth[1], 1 << depth[0], 1 << depth[0] + depth[1]])
-                terms.append([w * w * each for w, each in zip(widths[-1], (*differences, both), strict=True)])
+                # A derivative is the change times w, the inverse of the leaf's widths; its weight is w.
+                by_y, by_x = corner[1 | index] - corner[index & 2], corner[2 | index] - corner[index & 1]
+                by_both = corner[3] - corner[2] - (corner[1] - corner[0])
+                weights.append([1 << depth[1], 1 << depth[0], 1 << depth[0] + depth[1]])
+                terms.append([w * w * change for w, change in zip(weights[-1], (by_y, by_x, by_both), strict=True)])
+        # 4. The host's edge gives all numbers. Without a host, derivatives are weighted means. Sums of doubles are
+        # exact in any order if all terms are multiples of a power of two, and their absolute sum is less than 2**53
+        # times this power.
         if hosts:
             return self._on_edge(point, *hosts.popitem()[1]) if len(hosts) == 1 else ([np.nan] * 4, 0)
         numbers = [float(value)]
-        for of_kind, all_widths in zip(zip(*terms, strict=True), map(sum, zip(*widths, strict=True)), strict=True):
-            # Sums of doubles are exact in any order if no bit is lost.
-            bits = sum(map(abs, of_kind)) // (math.gcd(*of_kind) & -math.gcd(*of_kind) or 1)
-            numbers.append(sum(of_kind) / all_widths if bits < _EXACT else np.nan)
+        for of_kind, weight in zip(zip(*terms, strict=True), map(sum, zip(*weights, strict=True)), strict=True):
+            lowest_bit = math.gcd(*of_kind) & -math.gcd(*of_kind) or 1
+            is_exact = sum(map(abs, of_kind)) // lowest_bit < _EXACT
+            numbers.append(sum(of_kind) / weight if is_exact else np.nan)
         return numbers, 0
 
     def _on_edge(
         self, point: tuple[int, ...], edge: int, start: int, size: int, ends: tuple[int, int]
     ) -> tuple[list[float], int]:
-        # Value, derivatives and chain at a corner inside an edge of a larger leaf, from the edge's cubic.
-        # The edge runs along axis ``edge`` from ``start`` for ``size``, and has the values ``ends``.
-        across, t, scale = 2 >> edge, (point[edge] - start) / size, float((1 << FRACTION_BITS) // size)
+        """Return the numbers and the chain at a corner inside an edge of a larger leaf, from cubics along the edge.
+
+        The edge runs along axis ``edge`` from ``start`` for ``size``, and has the values ``ends``.
+        """
+        # Number i at the ends p and q, with its derivatives along the edge (numbers i | along), gives a cubic: for
+        # the value (i = 0), and for the derivative across the edge (i = 3 - along).
+        along = 2 >> edge
+        t = (point[edge] - start) / size
+        scale = float((1 << FRACTION_BITS) // size)  # inverse length of the edge, in fractions of the domain
         places = [tuple(at if axis == edge else x for axis, x in enumerate(point)) for at in (start, start + size)]
-        (p, first), (q, second) = map(self, places, ends)
+        (p, chain_of_p), (q, chain_of_q) = map(self, places, ends)
         numbers = [0.0] * 4
-        for i in (0, 3 - across):
-            a, b, c, d = _cubic(p[i], p[i | across] / scale, q[i], q[i | across] / scale)
+        for i in (0, 3 - along):
+            a, b, c, d = _cubic(p[i], p[i | along] / scale, q[i], q[i | along] / scale)
             numbers[i] = ((d * t + c) * t + b) * t + a
-            numbers[i | across] = ((3 * d * t + 2 * c) * t + b) * scale
-        return numbers, 1 + max(first, second)
+            numbers[i | along] = ((3 * d * t + 2 * c) * t + b) * scale
+        return numbers, 1 + max(chain_of_p, chain_of_q)

@@ -12,15 +12,7 @@ from plr_jax.plr._file import DecodedFile
 from plr_jax.plr.frame import Frame
 from plr_jax.plr.leaves import Cone, ConeFiles, as_sourced
 from plr_jax.plr.portable.arithmetic import CodedTree, Program, Value, distinct_rows
-from plr_jax.plr.portable.writers import (
-    Emitter,
-    Expression,
-    format_domain,
-    indent,
-    nan_condition,
-    wrap_entries,
-    write_lookup,
-)
+from plr_jax.plr.portable.writers import Emitter, Expression, format_domain, indent, wrap_entries
 from plr_jax.plr.tree import Cells, tree_of
 
 _TABLE_BITS = 14  # a grid of that many entries nearly fits a core's first-level cache
@@ -57,14 +49,16 @@ class _ConesFromTables(Program):
     """A query of any file of cones: the constants of a file are JavaScript variables such as ``scale0``."""
 
     def __init__(self) -> None:
+        # 1. A placeholder: two leaves, which are halves of the unit square.
         domain, halves = Box((0, 0), (1, 1)), tree_of(Cells.root(2).split(np.zeros(1, int)))
         goal = Sources(np.zeros((1, 2)), np.zeros(1), np.zeros(1, int))
-        stored = ConeFiles(goal, domain).stored(np.zeros(2, int))  # placeholder with two leaves
+        stored = ConeFiles(goal, domain).stored(np.zeros(2, int))
         super().__init__(DecodedFile(domain, Cone(), halves, stored))
 
         def named(name: str, of_type: str = "float") -> list[Expression]:
             return [JavaScriptEmitter().atom(f"{name}{axis}", of_type) for axis in range(2)]
 
+        # 2. Variables in place of its constants.
         self.frame = [named(row.name.lower()) for row in Frame]
         self.limits = [self.frame[Frame.LO], self.frame[Frame.HI]]
         self.corner = named("origin", "double")
@@ -82,12 +76,13 @@ def js_file_reader() -> str:
 def js_cone_reader() -> str:
     """Return the JavaScript function ``coneReader``: it makes queries from the tables of ``readCones`` (file.js)."""
     names = ", ".join(f"[{name}0, {name}1] = tables.{name}" for name in ("lo", "hi", "scale", "start", "top"))
-    program, rows = _ConesFromTables(), np.zeros((2, 5), np.float32)
+    program = _ConesFromTables()
     tree = CodedTree(program.contents.tree, np.zeros(2, int))
+    width = 5  # numbers of a leaf: offset, source, two error bounds
     lines = [
         f"const {names};",
         "const { tree, root, numbers } = tables, [origin0, origin1] = tables.origin, place = new Uint32Array(2);",
-        *(line.removeprefix("export ") for line in _functions(program, tree, rows.shape[1], True)),
+        *(line.removeprefix("export ") for line in _functions(program, tree, width, True)),
         "return { distance, waypoint, bounds };",
     ]
     return "\n".join(js_function("function coneReader(tables)", lines))
@@ -95,11 +90,12 @@ def js_cone_reader() -> str:
 
 def js_module(program: Program) -> str:
     """Return a JavaScript module with the tables of a PLR and the functions that answer queries."""
-    dim, leaf, certificate, columns = program.dim, program.leaf, program.contents.certificate, program.leaf_parameters
+    dim, leaf, certificate = program.dim, program.leaf, program.contents.certificate
+    numbers = program.leaf_parameters
     if certificate is not None:  # append the bounds of distance minus value
-        leaf_bounds = np.broadcast_to(certificate.bounds().T.astype(np.float32), (len(columns), 2))
-        columns = np.column_stack([columns, leaf_bounds])
-    rows, row_of_leaf = distinct_rows(columns)
+        leaf_bounds = np.broadcast_to(certificate.bounds().T.astype(np.float32), (len(numbers), 2))
+        numbers = np.column_stack([numbers, leaf_bounds])
+    rows, row_of_leaf = distinct_rows(numbers)
     tree = CodedTree(program.contents.tree, row_of_leaf)
     # 1. Description.
     names = f"[{', '.join(f'x{axis}' if dim > 3 else 'xyz'[axis] for axis in range(dim))}]"
@@ -138,7 +134,11 @@ def js_module(program: Program) -> str:
 
 
 def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -> list[str]:
-    # If ``is_proven``, error bounds are the last two of a leaf's ``width`` numbers.
+    """Generate the functions ``distance`` and, where they apply, ``waypoint`` and ``bounds``.
+
+    The code reads the ``width`` numbers of a leaf from an array ``numbers``. If ``is_proven``, the last two are
+    bounds of the error.
+    """
     dim, has_tree = program.dim, len(tree.children) > 0
 
     def read_leaf(do: JavaScriptEmitter, fractions: list[Expression]) -> list[Expression]:
@@ -151,10 +151,11 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
         numbers = [f"numbers[n + {i}]" if i else "numbers[n]" for i in range(width - 2 * is_proven)]
         return [do.atom(text) for text in [*counts * program.leaf.is_cell_relative, *numbers]]
 
-    def value(of_nan: str, others: str) -> tuple[JavaScriptEmitter, Expression, list[Expression]]:
+    def value(if_nan: str, if_outside: str) -> tuple[JavaScriptEmitter, Expression, list[Expression]]:
+        # An emitter of the code that computes the value, the value, and the point minus the domain's corner.
         do = JavaScriptEmitter()
-        outside = [f"return {nan_condition(dim)} ? {of_nan} : {others};"]
-        offsets, numbers = write_lookup(do, program, "double", read_leaf, outside)
+        outside = [f"return {do.nan_condition(dim)} ? {if_nan} : {if_outside};"]
+        offsets, numbers = do.write_lookup(program, "double", read_leaf, outside)
         return do, program.value(do, offsets, numbers), offsets
 
     do, answer, _ = value("NaN", "Infinity")
@@ -162,16 +163,14 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
     lines = _descent(tree, program.leaf.is_cell_relative) if has_tree else []
     lines += js_function("export function distance(x)", do.used_statements())
     if isinstance(program.leaf, Cone):
-        do, nowhere = JavaScriptEmitter(), [f"return [{', '.join(['NaN'] * dim)}];"]
-        _, numbers = write_lookup(do, program, "double", read_leaf, nowhere)
+        do = JavaScriptEmitter()
+        _, numbers = do.write_lookup(program, "double", read_leaf, [f"return [{', '.join(['NaN'] * dim)}];"])
         do.statements.append(f"return [{', '.join(map(str, program.waypoint(numbers)))}];")
         lines += js_function("export function waypoint(x)", do.used_statements())
     if is_proven:
-        do, answer, above_corner = value("[NaN, NaN]", "[Infinity, Infinity]")
-        straight = program.straight_bound(do, above_corner)
-        least = "lower > 0 ? lower : 0"
-        if straight is not None:
-            least = f"Math.max(lower, {straight}, 0)"
+        do, answer, offsets = value("[NaN, NaN]", "[Infinity, Infinity]")
+        straight = program.straight_bound(do, offsets)
+        least = "lower > 0 ? lower : 0" if straight is None else f"Math.max(lower, {straight}, 0)"
         below, above = (f"f(value + numbers[n + {width + end}])" for end in (-2, -1))
         do.statements += [
             f"const value = {answer};",
@@ -185,7 +184,10 @@ def _functions(program: Program, tree: CodedTree, width: int, is_proven: bool) -
 
 def _descent(tree: CodedTree, of_cells: bool) -> list[str]:
     """Generate the JavaScript function ``leaf``: it finds a point's leaf and, if ``of_cells``, where its cell is."""
-    mask, bits = (1 << tree.kind_bits) - 1, _TABLE_BITS // tree.dim
+    # `place` has the next bit of the position along each axis as its highest bit. For `of_cells`, `count` is the
+    # number of cells like the current one along each axis of the domain, `cell` its index among these.
+    mask = (1 << tree.kind_bits) - 1
+    bits = _TABLE_BITS // tree.dim  # of a grid cell's index along an axis
     statements = [
         *(["count.fill(1);", "cell.fill(0);"] * of_cells),
         "let code = root;",
@@ -230,8 +232,7 @@ def float32_literal(number: np.float32) -> str:
 
 
 def _decimal(number: Any) -> str:
-    text = str(number).removesuffix(".0")
-    return text.replace("inf", "Infinity")
+    return str(number).removesuffix(".0").replace("inf", "Infinity")
 
 
 def js_function(signature: str, statements: list[str]) -> list[str]:

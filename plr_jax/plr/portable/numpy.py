@@ -23,7 +23,7 @@ from plr_jax.plr.portable.compact import compact_bytes
 from plr_jax.plr.portable.javascript import js_module
 from plr_jax.plr.portable.writers import Emitter, Expression
 
-_MOST_BITS = 16  # a table of leaves then fits a core's second-level cache
+_MOST_BITS = 16  # log2 of the most entries of a lookup table, which then fits a core's second-level cache
 _UNWRAPPED = 1 - 2.0**-48  # fraction of the width up to which wrapping changes no coordinate, despite rounding
 _CHUNK = 1 << 14  # points; their intermediate values fit a core's second-level cache
 _FEW = 8  # most points of a batch that are answered one by one, where a batch takes as long as 16
@@ -57,19 +57,22 @@ class LeafTable:
     """A lookup table over a grid: for each grid cell, the deepest node (or leaf) of the tree that contains it."""
 
     def __init__(self, tree: CodedTree) -> None:
-        self.tree, self.kind = tree, (1 << tree.kind_bits) - 1
-        self.children = tree.children.ravel().astype(tree.code_type)
+        self.tree = tree
+        self.kind_mask = (1 << tree.kind_bits) - 1
+        self.children = tree.children.ravel().astype(tree.code_type)  # of split s: entries 2 s and 2 s + 1
+        # 1. The grid has 2**bits cells along each axis; `place` is the lower corner of each cell.
         deepest = np.zeros(tree.dim, np.int64)
         np.maximum.at(deepest, tree.axis, tree.depth + 1)
-        bits = spread_bits(deepest, _MOST_BITS)  # halvings of the domain along each axis into the grid's cells
+        bits = spread_bits(deepest, _MOST_BITS)
         place = np.indices((1 << bits).tolist()).reshape(tree.dim, -1) << (FRACTION_BITS - bits)[:, None]
-        # The table has the deepest node that contains each cell of the grid; the table is flat if these are leaves.
+        # 2. The table has the deepest node that contains each cell of the grid; it is flat if all these are leaves.
         self.table = np.full(place.shape[1], tree.root, tree.code_type)
         self._descend(self.table, list(place), bits)
-        self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind == tree.dim).all())
+        self.bits, self.is_flat = tuple(bits.tolist()), bool((self.table & self.kind_mask == tree.dim).all())
 
     def rows(self, fractions: list[UInt32[np.ndarray, " n"]]) -> Integer[np.ndarray, " n"]:
         """Return the index of each point's leaf; coordinates are in units of ``2**-23`` of the domain's width."""
+        # The row-major index of a grid cell consists of the highest bits of the point's fraction along each axis.
         index = fractions[0] >> (FRACTION_BITS - self.bits[0])
         for place, bits in zip(fractions[1:], self.bits[1:], strict=True):
             index = (index << bits) | (place >> (FRACTION_BITS - bits))
@@ -80,17 +83,21 @@ class LeafTable:
     def _descend(
         self, code: Integer[np.ndarray, " n"], fractions: list[Integer[np.ndarray, " n"]], bits: Int[np.ndarray, " d"]
     ) -> None:
-        # Replace nodes, in place, by their descendants that contain points: leaves, or nodes of depth ``bits``.
-        moving = np.flatnonzero(code & self.kind != self.tree.dim)
+        """Replace nodes, in place, by their descendants that contain points: leaves, or nodes of depth ``bits``.
+
+        ``code`` has a node for each point, as in :class:`CodedTree`.
+        """
+        # A split of depth d along its axis leads to the child given by bit d of the fraction, the highest bit first.
+        moving = np.flatnonzero(code & self.kind_mask != self.tree.dim)
         while len(moving):
-            node = code[moving] >> self.tree.kind_bits
-            axis, depth = self.tree.axis[node], self.tree.depth[node]
+            split = code[moving] >> self.tree.kind_bits
+            axis, depth = self.tree.axis[split], self.tree.depth[split]
             place = np.choose(axis, [along[moving] for along in fractions])
-            child = self.children[2 * node + (place >> (FRACTION_BITS - 1 - depth) & 1)]
-            moves = depth < bits[axis]
-            moving, child = moving[moves], child[moves]
+            child = self.children[2 * split + (place >> (FRACTION_BITS - 1 - depth) & 1)]
+            is_within = depth < bits[axis]
+            moving, child = moving[is_within], child[is_within]
             code[moving] = child
-            moving = moving[child & self.kind != self.tree.dim]
+            moving = moving[child & self.kind_mask != self.tree.dim]
 
 
 def point_query(
@@ -102,11 +109,23 @@ def point_query(
     ``of_leaf``. It returns None if the query of arrays must answer: for NaN, for a point that must be wrapped along a
     periodic axis, and if rounding decides whether the point is inside the domain.
     """
+    # For example, for planes in the unit square:
+    #
+    #     def query(x0, x1):
+    #         if not (0.0 <= x0 <= 1.0 and 0.0 <= x1 <= 1.0):
+    #             if (x0 < -1.4e-45) | (x0 > 1.0000001) | ...: return nan if x0 != x0 or x1 != x1 else inf
+    #             return None
+    #         x_0 = float32(x0)
+    #         ...
+    #         leaf = codes[(place_4 >> 15) << 8 | place_5 >> 15] >> 2
+    #         n0, n1, n2, = row_of(leaf)
+    #         return n0 + n1 * x_0 + n2 * x_1
+    #
     do, domain, tree = PythonEmitter(), program.domain, table.tree
     children, depth = table.children.data, tree.depth.data  # memoryviews, which return Python integers
 
     def descend(code: int, fractions: tuple[int, ...]) -> int:
-        while (axis := code & table.kind) != tree.dim:
+        while (axis := code & table.kind_mask) != tree.dim:
             node = code >> tree.kind_bits
             code = children[2 * node + ((fractions[axis] >> (FRACTION_BITS - 1 - depth[node])) & 1)]
         return code >> tree.kind_bits
@@ -272,12 +291,15 @@ class NumpyPLR:
         return np.append(require_goals(goal_of_leaves(self._program.leaf, self._program.contents.stored)), np.nan)
 
     def _of_leaves(self, x: ArrayLike, rows: Float[np.ndarray, " leaves_and_outside *row"]) -> Any:
-        # The row of each point's leaf; the last row, of NaN, for NaN and outside the domain.
-        leaf = self._at_few_points(x, self._leaf_query)
+        """Return the row of each point's leaf; the last row, of NaN, for NaN and outside the domain."""
+        leaf = self._at_few_points(x, self._leaf_query)  # -1, the last row, outside
         return self._evaluate(x, lambda _, leaf: rows.take(leaf, 0), "nan") if leaf is None else rows.take(leaf, 0)
 
     def _at_few_points(self, x: ArrayLike, query: Callable[..., Any]) -> Any:
-        # One point, or each of at most 8; None for other input, or where ``query`` returns None.
+        """Return ``query`` at one point, or at each of 1 to 8 rows of an array, in a list.
+
+        Return None for other input, and if ``query`` returns None at a point.
+        """
         if type(x) is np.ndarray:
             if x.ndim == 2 and 0 < len(x) <= _FEW:
                 answers = [self._at_few_points(point, query) for point in x.tolist()]
@@ -295,11 +317,15 @@ class NumpyPLR:
             return None
 
     def _evaluate(self, x: ArrayLike, answer: Callable[..., Any], outside: Outside = "inf") -> Any:
-        # Calls ``answer`` for points in chunks, with points minus the domain's lower corner, and their leaves.
+        """Return ``answer(offsets, leaf)`` for points in chunks, and the answers ``outside`` of the domain.
+
+        ``offsets`` are points minus the domain's lower corner, ``leaf`` the indices of their leaves.
+        """
         x, program = as_queries(x, self.dim), self._program
         flat, parts = x.reshape(-1, self.dim), []
         with np.errstate(all="ignore"):
             for start in range(0, max(1, len(flat)), _CHUNK):
+                # 1. Wrap 64-bit points; round coordinates to 32 bits, unless the domain is far from 0.
                 points = flat[start : start + _CHUNK]
                 if program.corner is not None:
                     points = points.astype(np.float64)
@@ -307,20 +333,20 @@ class NumpyPLR:
                 if points.dtype == np.float64:
                     given = program.wrap_in_double(ARRAYS, given)
                 given = [along.astype(program.precision, copy=False) for along in given]
-                if (inside := program.contains(ARRAYS, given)).all():
+                # 2. Answer as if points outside were at the lower corner, then replace their answers.
+                is_outside = ~program.contains(ARRAYS, given)
+                if not is_outside.any():
                     parts.append(self._evaluate_inside(program.relative(ARRAYS, given), answer))
                     continue
                 lo = self.domain.lo.astype(program.precision)
-                moved = [np.where(inside, along, least) for along, least in zip(given, lo, strict=True)]
+                moved = [np.where(is_outside, least, along) for along, least in zip(given, lo, strict=True)]
                 parts.append(self._evaluate_inside(program.relative(ARRAYS, moved), answer))
-                is_nan, others = np.isnan(points[~inside]).any(axis=1), np.inf
+                others = np.nan if outside == "nan" else np.inf
                 if outside == "clamp":
-                    beyond = [along[~inside] for along in given]
+                    beyond = [along[is_outside] for along in given]
                     others = self._evaluate_clamped(program.relative(ARRAYS, beyond), answer)
-                elif outside == "nan":
-                    others = np.nan
-                others = np.where(is_nan, np.nan, others)
-                parts[-1][~inside] = others.reshape(-1, *[1] * (parts[-1].ndim - 1))
+                others = np.where(np.isnan(points[is_outside]).any(axis=1), np.nan, others)
+                parts[-1][is_outside] = others.reshape(-1, *[1] * (parts[-1].ndim - 1))
         answers = np.concatenate(parts)
         return answers.reshape((*x.shape[:-1], *answers.shape[1:]))[()]
 
@@ -334,25 +360,27 @@ class NumpyPLR:
         relative = [np.where(is_finite, along, np.float32(0)) for along in relative]
         ends = zip(relative, *self._program.limits, self.domain.periodic, strict=True)
         nearest = [along if is_periodic else clamp(ARRAYS, along, lo, hi) for along, lo, hi, is_periodic in ends]
-        moved = [along - to for along, to in zip(relative, nearest, strict=True)]
-        scale = np.abs(moved).max(axis=0)
+        move = [along - to for along, to in zip(relative, nearest, strict=True)]
+        # |move| = scale * |move / scale|, since squares of large or small coordinates would overflow or vanish.
+        scale = np.abs(move).max(axis=0)
         scale = np.where(scale > 0, scale, np.float32(1))
-        way = scale * np.sqrt(reduce(add, [np.square(along / scale) for along in moved]))
-        return np.where(is_finite, self._evaluate_inside(nearest, answer) + way, np.float32(np.inf))
+        length = scale * np.sqrt(reduce(add, [np.square(along / scale) for along in move]))
+        return np.where(is_finite, self._evaluate_inside(nearest, answer) + length, np.float32(np.inf))
 
     def _values(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
         return self._program.value(ARRAYS, offsets, [column[leaf] for column in self._columns])
 
     def _bounds(self, offsets: list[np.ndarray], leaf: np.ndarray) -> np.ndarray:
-        # Columns: the lower bound, at least 0, and the upper bound, both rounded outward.
+        """Return columns with the lower bound, at least 0, and the upper bound, both rounded outward."""
         assert self._band is not None, "bounds are called only with a proof"
-        value, band = self._values(offsets, leaf), self._band if self._band.shape[1] == 1 else self._band[:, leaf]
+        value = self._values(offsets, leaf)
+        band = self._band if self._band.shape[1] == 1 else self._band[:, leaf]  # one for all leaves, or one for each
         lower = np.nextafter(value + band[0], np.float32(-np.inf))
         if (straight := self._program.straight_bound(ARRAYS, offsets)) is not None:
             lower = np.maximum(lower, straight)
         upper = np.nextafter(value + band[1], np.float32(np.inf))
-        finite = value < np.inf
-        return np.stack([np.where(finite, np.maximum(lower, 0), value), np.where(finite, upper, value)], axis=1)
+        is_finite = value < np.inf
+        return np.stack([np.where(is_finite, np.maximum(lower, 0), value), np.where(is_finite, upper, value)], axis=1)
 
 
 def _as_indices(numbers: np.ndarray) -> Any:

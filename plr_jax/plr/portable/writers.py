@@ -1,6 +1,8 @@
 """Emitters: operations for ``arithmetic.py`` that generate source code instead of computing results.
 
-Values are expressions of the target language; :meth:`Emitter.let` appends a statement that names an expression.
+Values are expressions of the target language; :meth:`Emitter.let` appends a statement that names an expression. For
+example, with ``do = CEmitter("f")`` and ``x = do.atom("x[0]")``, ``do.let("share", (x - 1) * 2)`` appends the
+statement ``const float share_0 = (x[0] - 1.0f) * 2.0f;`` and returns the expression ``share_0``.
 """
 
 import re
@@ -16,7 +18,7 @@ from plr_jax._arrays import shortened
 from plr_jax.geometry.box import Box
 from plr_jax.plr.portable.arithmetic import Operations, Program
 
-_ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # precedence of operators
+_ATOM, _PRODUCT, _SUM, _COMPARISON, _CONDITION = range(5, 0, -1)  # precedence of operators, from high to low
 _WIDTH = 100  # width of a line of generated code
 
 
@@ -28,7 +30,7 @@ class Expression:
     level: int  # precedence of the outermost operator
     type: str  # float, double, uint32_t or, for conditions, int
     language: "Emitter"
-    __array_ufunc__ = None  # NumPy's scalars leave operators to this class
+    __array_ufunc__ = None  # NumPy's scalars leave operators to this class: their products call __rmul__
 
     def __str__(self) -> str:
         return self.text
@@ -38,6 +40,7 @@ class Expression:
         return self.text if self.level >= level else f"({self.text})"
 
     def _joined(self, symbol: str, left: "Expression", right: "Expression", level: int) -> "Expression":
+        # `left symbol right`, rounded to 32 bits if the language does not do this.
         of_type = "double" if "double" in (left.type, right.type) else "float"
         # Operators of equal precedence associate to the left.
         text = f"{left.at_least(level)} {symbol} {right.at_least(level + 1)}"
@@ -51,10 +54,8 @@ class Expression:
         return self._joined("+", self.language.constant(other), self, _SUM)
 
     def __sub__(self, other: Any) -> "Expression":
-        if not isinstance(other, Expression) and other == 0:
-            return self
-        if not isinstance(other, Expression) and other < 0:
-            return self + -other
+        if not isinstance(other, Expression) and other <= 0:
+            return self + -other if other else self
         return self._joined("-", self, self.language.constant(other), _SUM)
 
     def __mul__(self, other: Any) -> "Expression":
@@ -83,10 +84,12 @@ class Expression:
 class Emitter(Operations, ABC):
     """A base class of code generators; subclasses define templates of their language, as attributes."""
 
-    conjunction, conditional = "&&", "({} ? {} : {})"
+    # Templates: fields in braces are replaced by the text of expressions.
+    conjunction = "&&"
+    conditional = "({} ? {} : {})"  # condition, value if it holds, other value
     root_of: str  # square root of a float, rounded to 32 bits; a 64-bit root that is then rounded is the same
     cast: str  # rounding to 32 bits
-    definition: str  # assignment of a value to a new variable
+    definition: str  # assignment of a ``value`` to a new variable ``name`` of a ``type``
     is_rounded = True  # whether 32-bit operations are rounded to 32 bits without a cast
 
     def __init__(self) -> None:
@@ -133,29 +136,33 @@ class Emitter(Operations, ABC):
 
     def used_statements(self) -> list[str]:
         """Return the statements of C or JavaScript, without definitions of variables that nothing reads."""
-        used: list[str] = []
+        used: list[str] = []  # from the last statement to the first: a definition is needed by statements after it
         for statement in reversed(self.statements):
             name = re.match(r"const (?:\w+ )?(\w+) = ", statement)
             if name is None or re.search(rf"\b{name[1]}\b", " ".join(used)):
                 used.append(statement)
         return used[::-1]
 
+    def write_lookup(
+        self, program: Program, of_type: str, read_leaf: Callable[..., list[Expression]], outside: list[str]
+    ) -> tuple[list[Expression], list[Expression]]:
+        """Append code that finds the leaf of the point ``x``, whose coordinates have the type ``of_type``.
 
-def write_lookup(
-    do: Emitter, program: Program, of_type: str, read_leaf: Callable[..., list[Expression]], outside: list[str]
-) -> tuple[list[Expression], list[Expression]]:
-    # Appends code that finds the leaf of x; returns x minus the domain's corner, and the leaf's parameters.
-    x = [do.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
-    if of_type == "double":
-        x = program.wrap_in_double(do, x)
-        x = [do.let("x", do.rounded(along)) for along in x] if program.corner is None else x
-    do.statements += [f"if (!({program.contains(do, x)})) {{", *indent(outside), "}"]
-    offsets = program.offsets(do, program.relative(do, x))
-    return offsets, read_leaf(do, program.fractions(do, offsets))
+        In the code, statements ``outside`` answer if ``x`` is outside the domain. ``read_leaf(self, fractions)``
+        appends code that finds the leaf, and returns its parameters. Return ``x`` minus the domain's corner, and the
+        parameters.
+        """
+        x = [self.atom(f"x[{axis}]", of_type) for axis in range(program.dim)]
+        if of_type == "double":
+            x = program.wrap_in_double(self, x)
+            x = [self.let("x", self.rounded(along)) for along in x] if program.corner is None else x
+        self.statements += [f"if (!({program.contains(self, x)})) {{", *indent(outside), "}"]
+        offsets = program.offsets(self, program.relative(self, x))
+        return offsets, read_leaf(self, program.fractions(self, offsets))
 
-
-def nan_condition(dim: int) -> str:
-    return " || ".join(f"x[{axis}] != x[{axis}]" for axis in range(dim))
+    def nan_condition(self, dim: int) -> str:
+        """Return the condition, in C or JavaScript, that a coordinate of the point ``x`` is NaN."""
+        return " || ".join(f"x[{axis}] != x[{axis}]" for axis in range(dim))
 
 
 def require_identifier(name: object) -> None:
@@ -177,10 +184,9 @@ def indent(lines: Iterable[str]) -> list[str]:
 
 def wrap_entries(entries: Iterable[str]) -> list[str]:
     """Return lines with the entries of an initializer in C or JavaScript, each followed by a comma."""
-    lines, line = [], ""
+    lines = [""]
     for entry in entries:
-        if len(line) + len(entry) > _WIDTH:
-            lines.append(line)
-            line = ""
-        line += f"{' ' if line else '    '}{entry},"
-    return [*lines, line]
+        if len(lines[-1]) + len(entry) > _WIDTH:
+            lines.append("")
+        lines[-1] += f"{' ' if lines[-1] else '    '}{entry},"
+    return lines

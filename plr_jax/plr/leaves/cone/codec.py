@@ -21,14 +21,20 @@ from plr_jax.plr.coding import BitReader, BitWriter
 from plr_jax.plr.frame import LARGEST
 from plr_jax.plr.growth import Limits
 
-_STEP_BITS, _COUNT_BITS, _WIDTH_BITS, _EXPONENT_BIAS = 16, 20, 6, 1 << 15
-_MOST_COORDINATE_BITS, _LARGEST_EXPONENT = 40, 200
-_LARGEST_SQUARED = 1e18  # larger numbers overflow when squared in 32 bits
+# Fields of the file.
+_COUNT_BITS = 20  # bits of the number of sources
+_STEP_BITS = 16  # bits of a lattice's step
+_WIDTH_BITS = 6  # bits of a bit width
+_EXPONENT_BIAS = 1 << 15  # added to the exponent of the step of fine sources
+_ESCAPE = 3  # smaller ranks of leaves' sources are stored as flags, others as codes
 _FINE_BITS = 26  # bits of a coordinate that is not on the lattice
-_FARTHEST = 2.0**60  # largest distance of the domain's corner from the origin, in steps
-CUT_OFF = -2  # instead of a leaf's source: the goal cannot be reached from the leaf's free points
-_ESCAPE = 3  # smaller ranks are stored as flags, others as codes
 _LATTICES = np.array([*range(1, 257), 360, 400, 500, 512, 1000, 1024, 2000, 2048, 4096, 5000, 8192, 10000])
+# Limits: a file beyond them is not read, and numbers beyond _LARGEST_SQUARED are not written.
+_MOST_COORDINATE_BITS = 40
+_LARGEST_EXPONENT = 200
+_FARTHEST = 2.0**60  # largest distance of the domain's corner from the origin, in steps
+_LARGEST_SQUARED = 1e18  # larger numbers overflow when squared in 32 bits
+CUT_OFF = -2  # instead of a leaf's source: the goal cannot be reached from the leaf's free points
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +44,9 @@ class StoredSources:
     num_fine: int  # size of the first group: sources that are not on the map's lattice
     exponent: int  # coordinates in the first group are multiples of 2**exponent
     fraction: int  # coordinates in the second group, on the lattice, are multiples of 1 / fraction
-    code: Int[np.ndarray, "sources dim"]
+    code: Int[np.ndarray, "sources dim"]  # coordinates, as these multiples
     parent: Int[np.ndarray, " sources"]  # next source on the way to the goal; a root is its own parent
-    root_offset: Float[np.ndarray, " sources"]  # of roots: distance to the goal, exact in 32 bits
+    root_offset: Float[np.ndarray, " sources"]  # of roots: distance to the goal, exact in 32 bits; else 0
     goals: Int[np.ndarray, " roots"] | None = None  # index of the goal at each root, if the file names goals
 
     @property
@@ -58,16 +64,20 @@ class StoredSources:
 
     @property
     def goal_of_source(self) -> Int[np.ndarray, " sources"] | None:
-        if self.goals is None:
-            return None
-        return self.goals[(np.cumsum(self.is_root) - 1)[self._offsets_and_roots[1]]]
+        # `goals` has an entry for each root: roots are counted in the order of the sources.
+        return None if self.goals is None else self.goals[(np.cumsum(self.is_root) - 1)[self._offsets_and_roots[1]]]
 
     @cached_property
     def _offsets_and_roots(self) -> tuple[Float[np.ndarray, " sources"], Int[np.ndarray, " sources"]]:
+        # The distance of each source to the goal, and its root. By pointer doubling: after round k, `onward` is the
+        # source 2**k parents on (or the root), and `length` is the length of the way there. A way has fewer than
+        # len(onward) parents, so it ends within the rounds, unless parents form a circle. The order of additions is
+        # part of the format.
         onward = self.parent
         length = np.sqrt(sum_of_columns(np.square(self.points - self.points[onward])))
-        for _ in range(len(onward).bit_length()):  # pointer doubling
-            length, onward = length + length[onward], onward[onward]
+        for _ in range(len(onward).bit_length()):
+            length = length + length[onward]
+            onward = onward[onward]
         if not self.is_root[onward].all():
             raise ValueError("its sources follow one another in a circle")
         return length + self.root_offset[onward], onward
@@ -87,9 +97,14 @@ def store_sources(
     parents: Int[np.ndarray, " sources"],
     domain: Box,
     is_off: Bool[np.ndarray, "sources fractions"] | None = None,
-    goals: Int[np.ndarray, " goals"] | None = None,  # indices of several goals, which are the first sources
+    goals: Int[np.ndarray, " goals"] | None = None,
 ) -> tuple[StoredSources, Int[np.ndarray, " sources"]]:
-    # Sources without duplicates, and each given source's new index.
+    """Round sources to lattices, and merge sources that are rounded alike; also return each source's new index.
+
+    ``offsets`` are distances to the goal; ``is_off`` is the result of :func:`off_lattices`, if known. With several
+    goals, ``goals`` has their indices, and they are the first sources. ``ValueError`` if numbers are too large.
+    """
+    # 1. Check the limits.
     largest = max(np.abs(points).max(initial=0.0), np.abs(offsets).max(initial=0.0), domain.width.max())
     if largest > _LARGEST_SQUARED:
         raise ValueError(
@@ -100,28 +115,35 @@ def store_sources(
         raise ValueError(
             f"A file can hold fewer than {1 << _COUNT_BITS:,} sources, got {len(points):,}. Use another leaf model."
         )
+    # 2. Round coordinates to multiples of 2**exponent (fine) or of 1 / fraction (on the lattice).
     exponent = int(np.ceil(np.log2(domain.width.max()))) - _FINE_BITS
     fraction, is_fine = _lattice(off_lattices(points, domain) if is_off is None else is_off, exponent)
     code = np.rint(np.where(is_fine[:, None], points * 2.0**-exponent, points * fraction)).astype(np.int64)
     rows = np.column_stack([~is_fine, code])
-    # Of sources with equal codes, keep one with the fewest turns onward. Parents have fewer, so no circle can arise.
-    num_turns, root = np.zeros(len(rows), np.int64), np.arange(len(rows))
-    while (turns := parents[root] != root).any():
-        num_turns, root = num_turns + turns, parents[root]
+    # 3. Count the turns from each source to its root, along the parents.
+    num_turns, ahead = np.zeros(len(rows), np.int64), np.arange(len(rows))
+    while (has_turn := parents[ahead] != ahead).any():
+        num_turns += has_turn
+        ahead = parents[ahead]
+    # 4. Sort, fine sources first. Of sources with equal rows, keep one with the fewest turns. A kept source then has
+    # more turns than the source kept for its parent, so no circle can arise.
     order = np.lexsort([num_turns, *rows.T[::-1]])
     is_new = np.append(True, (rows[order[1:]] != rows[order[:-1]]).any(axis=1))
-    first, index = order[is_new], np.empty(len(rows), np.int64)
-    index[order], rows = np.cumsum(is_new) - 1, rows[first]
-    parent, itself = index[parents[first]], np.arange(len(first))
-    root_offset = np.where(parent == itself, offsets[first].astype(np.float32).astype(np.float64), 0.0)
-    of_roots = None if goals is None else goals[first[parent == itself]]
-    num_fine = int(np.count_nonzero(rows[:, 0] == 0))
-    return StoredSources(num_fine, exponent, fraction, rows[:, 1:], parent, root_offset, of_roots), index
+    kept = order[is_new]
+    index = np.empty(len(rows), np.int64)
+    index[order] = np.cumsum(is_new) - 1
+    parent = index[parents[kept]]
+    is_root = parent == np.arange(len(kept))
+    root_offset = np.where(is_root, offsets[kept].astype(np.float32).astype(np.float64), 0.0)
+    of_roots = None if goals is None else goals[kept[is_root]]
+    num_fine = int(np.count_nonzero(is_fine[kept]))
+    return StoredSources(num_fine, exponent, fraction, code[kept], parent, root_offset, of_roots), index
 
 
 def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[np.ndarray, "sources fractions"]:
     """Return which points are off the lattice of multiples of ``1 / n``: a column for each ``n`` in ``_LATTICES``."""
-    # The tolerance is a little more than the rounding of corners in a workspace.
+    # A coordinate x is on the lattice if |n x - round(n x)| <= n * rounding. This tolerance is a little more than the
+    # rounding of corners in a workspace.
     rounding = 4e-12 * domain.width.max() + 4e-15 * np.abs(points).max(initial=0.0)
     is_off = np.zeros((len(points), len(_LATTICES)), bool)
     for along in points.T:
@@ -131,12 +153,13 @@ def off_lattices(points: Float[np.ndarray, "sources dim"], domain: Box) -> Bool[
 
 
 def _lattice(is_off: Bool[np.ndarray, "sources choices"], exponent: int) -> tuple[int, Bool[np.ndarray, " sources"]]:
-    # The n for which multiples of 1 / n take the fewest bits, and which sources are no such multiples.
-    fractions = _LATTICES[2.0**-exponent > _LATTICES]
+    # The n for which multiples of 1 / n take the fewest bits, and which sources are no such multiples. A coordinate
+    # of these counts _FINE_BITS bits, any other coordinate log2(n).
+    fractions = _LATTICES[2.0**-exponent > _LATTICES]  # lattices with larger steps than those of fine sources
     if not len(fractions):  # in a very wide domain, integers are too fine
         return 1, np.ones(len(is_off), bool)
-    off = np.count_nonzero(is_off[:, : len(fractions)], axis=0)
-    best = int(np.argmin(off * _FINE_BITS + (len(is_off) - off) * np.log2(fractions)))
+    num_off = np.count_nonzero(is_off[:, : len(fractions)], axis=0)
+    best = int(np.argmin(num_off * _FINE_BITS + (len(is_off) - num_off) * np.log2(fractions)))
     return int(fractions[best]), is_off[:, best]
 
 
@@ -146,15 +169,17 @@ def write_cones(body: BitWriter, domain: Box, cones: StoredCones) -> None:
 
 
 def _write_sources(body: BitWriter, domain: Box, sources: StoredSources) -> None:
-    """Write the sources: coordinates in steps of two lattices, and each one's distance to the goal or parent."""
-    (fine, others), exponent = np.split(sources.code, [sources.num_fine]), sources.exponent
-    kinds = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, sources.fraction, sources.fraction)
-    for code, step, scale in kinds:
+    """Write the sources: coordinates in steps of two lattices; for roots, offsets; for other sources, parents."""
+    fine, others = np.split(sources.code, [sources.num_fine])
+    exponent, fraction = sources.exponent, sources.fraction
+    groups = (fine, exponent + _EXPONENT_BIAS, 2.0**-exponent), (others, fraction, fraction)
+    for code, step_field, steps_per_unit in groups:
         body.write(np.array([len(code)]), _COUNT_BITS)
         if len(code):
             lowest = code.min(axis=0)
-            body.write(np.array([step]), _STEP_BITS).write_signed(lowest - _origin_in_steps(domain.lo * scale))
-            body.write_coded(np.diff(code[:, 0]))
+            body.write(np.array([step_field]), _STEP_BITS)
+            body.write_signed(lowest - _origin_in_steps(domain.lo * steps_per_unit))
+            body.write_coded(np.diff(code[:, 0]))  # at least 0: sources are sorted by the first axis
             for along in (code - lowest).T[1:]:
                 width = int(along.max()).bit_length()
                 body.write(np.array([width]), _WIDTH_BITS).write(along, width)
@@ -169,20 +194,25 @@ def write_goals(body: BitWriter, goals: Int[np.ndarray, " roots"]) -> BitWriter:
 
 
 def _write_ranks(body: BitWriter, source: Int[np.ndarray, " leaves"]) -> None:
-    # Each leaf's source as its rank in a move-to-front list: 0 for the source of the leaf before.
-    rank = np.zeros(len(source), np.int64)
-    changes, ranks = np.flatnonzero(np.diff(source, prepend=0)), []
-    # Only used sources need lists, by time of use and sorted; unused ones follow in their order.
-    recent, used = [0], [0]
+    # 1. Each leaf's source as its rank in a list of all sources, 0, 1, 2, ... at first: the source of each leaf moves
+    # to the front, so that the source of the leaf before has rank 0.
+    #   list of all sources = used ones, the latest first (`recent`), then unused ones in ascending order
+    # So an unused source has the rank  len(used) + apex - (number of used sources below apex).  Source 0, the first
+    # of the list, counts as used.
+    changes = np.flatnonzero(np.diff(source, prepend=0))
+    ranks, recent, used = [], [0], [0]  # `used` is sorted
     for apex in source[changes].tolist():
-        if (place := bisect_left(used, apex)) < len(used) and used[place] == apex:
+        num_below = bisect_left(used, apex)
+        if num_below < len(used) and used[num_below] == apex:
             ranks.append(recent.index(apex))
             recent.remove(apex)
         else:
-            ranks.append(len(used) + apex - place)
-            used.insert(place, apex)
+            ranks.append(len(used) + apex - num_below)
+            used.insert(num_below, apex)
         recent.insert(0, apex)
+    rank = np.zeros(len(source), np.int64)
     rank[changes] = ranks
+    # 2. Is it 0, for all leaves; is it 1, for the leaves left; is it 2, for the leaves left; then what is left.
     for low_rank in range(_ESCAPE):
         body.write((rank == low_rank).astype(np.int64), 1)
         rank = rank[rank > low_rank]
@@ -191,6 +221,7 @@ def _write_ranks(body: BitWriter, source: Int[np.ndarray, " leaves"]) -> None:
 
 def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
     """Decode the sources of cones, and the source of each leaf; ``ValueError`` if they are invalid."""
+    # 1. Coordinates: fine sources, then sources on the lattice.
     exponent, fraction, parts = 0, 1, []
     num_fine = int(body.read_fixed_width(1, _COUNT_BITS)[0])
     if num_fine:
@@ -206,6 +237,7 @@ def read_cones(body: BitReader, domain: Box, num_leaves: int) -> StoredCones:
         parts.append(_read_codes(body, num_others, _origin_in_steps(domain.lo * fraction)))
     if not parts:
         raise ValueError("it states no sources")
+    # 2. Offsets of roots, and parents of the other sources.
     code, count = np.concatenate(parts), num_fine + num_others
     is_root = body.read_fixed_width(count, 1) == 1
     parent, offset = np.arange(count), np.zeros(count)
@@ -244,7 +276,8 @@ def _origin_in_steps(steps: Float[np.ndarray, " dim"]) -> Int[np.ndarray, " dim"
 
 
 def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray, " leaves"]:
-    """Decode the source of each leaf: the inverse of :func:`_write_ranks`, with a list of all sources."""
+    """Decode the source of each leaf, one of ``count``: the inverse of :func:`_write_ranks`."""
+    # 1. Ranks. A leaf whose flag of a rank is not set has a higher rank.
     rank, pending = np.zeros(num_leaves, np.int64), np.arange(num_leaves)
     for low_rank in range(_ESCAPE):
         pending = pending[body.read_fixed_width(len(pending), 1) == 0]
@@ -252,12 +285,14 @@ def _read_ranks(body: BitReader, num_leaves: int, count: int) -> Int[np.ndarray,
     rank[pending] += body.read_coded(len(pending))
     if (rank >= count).any():
         raise ValueError(f"it names source {rank.max()} of {count}")
-    recent, changes = list(range(count)), np.flatnonzero(rank)
-    latest = np.zeros(len(changes) + 1, np.int64)
+    # 2. The list of sources changes only at leaves of positive rank; all leaves up to the next have its first source.
+    changes = np.flatnonzero(rank)
+    sources = list(range(count))
+    front = np.zeros(len(changes) + 1, np.int64)  # first source of the list before any change, and after each
     for i, place in enumerate(rank[changes].tolist()):
-        recent.insert(0, recent.pop(place))
-        latest[i + 1] = recent[0]
-    return latest[np.searchsorted(changes, np.arange(num_leaves), side="right")]
+        sources.insert(0, sources.pop(place))
+        front[i + 1] = sources[0]
+    return front[np.searchsorted(changes, np.arange(num_leaves), side="right")]
 
 
 class ConeFiles:
@@ -271,15 +306,16 @@ class ConeFiles:
     def of_goal(self, sources: Sources) -> "ConeFiles":
         """Return an encoder for another goal; ``sources`` are that goal, then the same corners in the same order."""
         files = copy(self)
-        files._sources, files._cache, files._is_off = sources, {}, self._is_off.copy()
-        files._is_off[:1] = off_lattices(sources.points[:1], self._domain)
+        files._sources, files._cache = sources, {}
+        files._is_off = np.append(off_lattices(sources.points[:1], self._domain), self._is_off[1:], axis=0)
         return files
 
     def stored(self, source: Int[np.ndarray, " leaves"]) -> StoredCones:
-        """Encode leaves by the index of each leaf's apex; those without a path, < 0, get another leaf's apex."""
+        """Encode leaves by the index of each leaf's apex; leaves without a path, < 0, get another leaf's apex."""
         return self._stored(source)[0]
 
     def num_bytes(self, source: Int[np.ndarray, " leaves"], limits: Limits) -> int:
+        """Return the size of a file of leaves with these apexes, as :meth:`Limits.file_size` computes it."""
         cones, num_bits = self._stored(source)
         _write_ranks(body := BitWriter(), cones.source)
         num_cut_off = int(np.count_nonzero(source == CUT_OFF))
@@ -290,28 +326,28 @@ class ConeFiles:
 
     def _stored(self, source: Int[np.ndarray, " leaves"]) -> tuple[StoredCones, int]:
         """Encode leaves and the sources that their paths need; also return the number of bits of the sources."""
-        leaf, sources = np.flatnonzero(source >= 0), self._sources
+        sources = self._sources
+        # 1. A leaf without a path gets the apex of the last leaf before it that has one (else of the first).
+        leaf = np.flatnonzero(source >= 0)
         before = np.searchsorted(leaf, np.arange(len(source)), side="right") - 1
         source = source[leaf[np.maximum(before, 0)]]
-        is_kept, used = np.zeros(len(sources.parents), bool), source
-        while len(used):  # add parents, their parents, and so on
-            is_kept[used] = True
-            used = sources.parents[used]
-            used = used[~is_kept[used]]
+        # 2. Keep the apexes of leaves, their parents, the parents of these, and so on.
+        is_kept, added = np.zeros(len(sources.parents), bool), source
+        while len(added):
+            is_kept[added] = True
+            added = sources.parents[added]
+            added = added[~is_kept[added]]
         kept = np.flatnonzero(is_kept)
-        if kept.tobytes() not in self._cache:
-            place = np.searchsorted(kept, np.arange(len(sources.parents)))
-            stored, index = store_sources(
-                sources.points[kept],
-                sources.distances[kept],
-                place[sources.parents[kept]],
-                self._domain,
-                self._is_off[kept],
-                None if sources.goals is None else sources.goals[kept[kept < len(sources.goals)]],
-            )
+        # 3. Encode them, unless the same sources were encoded before. `row` is the place of a source in `kept`.
+        key = kept.tobytes()
+        if key not in self._cache:
+            row = np.searchsorted(kept, np.arange(len(sources.parents)))
+            columns = sources.points[kept], sources.distances[kept], row[sources.parents[kept]]
+            goals = None if sources.goals is None else sources.goals[kept[kept < len(sources.goals)]]
+            stored, index = store_sources(*columns, self._domain, self._is_off[kept], goals)
             _write_sources(body := BitWriter(), self._domain, stored)
             if stored.goals is not None:
                 write_goals(body, stored.goals)
-            self._cache[kept.tobytes()] = stored, index[np.minimum(place, len(kept) - 1)], body.num_bits
-        stored, index, num_bits = self._cache[kept.tobytes()]
+            self._cache[key] = stored, index[np.minimum(row, len(kept) - 1)], body.num_bits
+        stored, index, num_bits = self._cache[key]
         return StoredCones(stored, index[source]), num_bits

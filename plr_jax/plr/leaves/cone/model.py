@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import partial, reduce
+from operator import add
 from typing import Any
 
 import numpy as np
@@ -84,20 +85,22 @@ class Cone(LeafModel):
         return difference_of_cones(pieces, apex, offset, coefficients[:, 1:], coefficients[:, 0])
 
     def rounding_bounds(self, domain: Box, cells: Cells, coefficients: Coefficients) -> Distances:
+        # Errors, in UNIT, of the value offset + |d|, where d = (x - corner) - source is at most |source| + width:
+        # - of d: 2 |source| + 2 width, as the source and both differences are rounded, and the error of x;
+        # - of |d|: the length of these, and at most (2 + dim) |d|, from squares, sums and the root;
+        # - of the value: offset + |d|, and the rounded offset.
+        # The factor 1.01 covers products of these errors.
         parameters = np.abs(self.leaf_parameters(domain, cells, coefficients, table_corners(domain)[0]))
-        along = 2 * parameters[:, 1:] + 2 * domain.width + largest_coordinates(domain)
+        error_of_d = 2 * parameters[:, 1:] + 2 * domain.width + largest_coordinates(domain)
         length = np.linalg.norm(parameters[:, 1:] + domain.width, axis=1)
-        beside = np.linalg.norm(along, axis=1) + (2 + domain.dim) * length
-        return 1.01 * UNIT * (beside + 2 * parameters[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
+        error_of_length = np.linalg.norm(error_of_d, axis=1) + (2 + domain.dim) * length
+        return 1.01 * UNIT * (error_of_length + 2 * parameters[:, 0] + length) + _UNDERFLOW * np.sqrt(domain.dim)
 
     def value(self, parameters: Sequence[Any], place: Sequence[Any], root: Callable[[Any], Any]) -> Any:
         # The distance to the apex plus its offset, with operations of any number type.
         offset, *source = parameters
         differences = [along - of_source for along, of_source in zip(place, source, strict=True)]
-        square, *others = (difference * difference for difference in differences)
-        for other in others:
-            square = square + other
-        return offset + root(square)
+        return offset + root(reduce(add, [difference * difference for difference in differences]))
 
     def sources(self, stored: StoredCones) -> tuple[Sources, Int[np.ndarray, " leaves"]]:
         """Return the apexes of all cones (obstacle corners and goals), and the index of each leaf's apex."""

@@ -9,7 +9,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt64
@@ -29,6 +29,10 @@ from plr_jax.plr.tree import Cells, Rows, Tree, tree_of, tree_of_axes
 
 _MOST_TRIED = 4
 """Number of sources to try for a box: sources that the centers of its largest convex pieces of free space use."""
+LeafSources: TypeAlias = Int[np.ndarray, " leaves"]
+"""The index of the apex of each leaf's cone, a corner or the goal; negative if nothing in the leaf has a path."""
+GrowFn: TypeAlias = Callable[..., PricedTree]
+"""Function ``run(tree, step)`` that replaces ``tree`` by ``step(tree)`` until that is None; returns the last tree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +49,7 @@ class ConeBoxes(Rows):
     by_side: bool = False  # whether ``peak`` weights largest errors by the sides of boxes
     reach: Reach | None = None  # if known, and some free points cannot reach the goal
 
-    def __getitem__(self, index: Int[np.ndarray, " some"]) -> Self:
+    def __getitem__(self, index: Int[np.ndarray, " selected"]) -> Self:
         return replace(super().__getitem__(index), visible=self.visible.of_cells(index))
 
     def append(self, *others: Self) -> Self:
@@ -65,12 +69,16 @@ class ConeBoxes(Rows):
         is_upper: Bool[np.ndarray, " halves"],
         known_keys: UInt64[np.ndarray, " known"],
     ) -> tuple["ConeBoxes", UInt64[np.ndarray, " new"], UInt64[np.ndarray, " halves"]]:
-        # Returns the halves that are not known, their hashes, and the hashes of all halves.
+        """Compute the halves of boxes ``parent`` that are not known yet, in the order of their first appearance.
+
+        ``known_keys`` are hashes of the known boxes. Return the new boxes, their hashes, and the hashes of all
+        halves. Two boxes may share a half: the upper half of a left half is the left half of an upper half.
+        """
         cells = self.cells[parent].halves(axis, is_upper)
         lo, hi = cells.grown_boxes(self.domain)
         key = cells.hashes()
-        _, first = np.unique(key, return_index=True)
-        new = np.sort(first[~np.isin(key[first], known_keys)])
+        _, first_with_key = np.unique(key, return_index=True)
+        new = np.sort(first_with_key[~np.isin(key[first_with_key], known_keys)])
         visible = self.visible.parts(parent[new], axis[new], is_upper[new], lo[new], hi[new])
         return fit_boxes(self.domain, self.negligible, cells[new], visible, self.by_side, self.reach), key[new], key
 
@@ -89,48 +97,66 @@ def fit_boxes(
     reach: Reach | None = None,
     most_options: int = _MOST_TRIED,
 ) -> ConeBoxes:
-    """Choose each box's cone, of a few sources, by the least integral of proven error; see :class:`ConeBoxes`."""
+    """Choose each box's cone, of at most ``most_options`` sources, by the least integral of proven error.
+
+    ``negligible`` is the largest error that counts as 0. See :class:`ConeBoxes` for the other arguments.
+    """
+    # 1. If all paths from a box go straight to one source, its cone is exact.
     best, error, integral = sole_sources(visible), np.zeros(len(cells)), np.zeros(len(cells))
-    several = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
-    if len(several):
-        mixed = visible.of_cells(several)
-        # Try the sources that the centers of a box's pieces use; sources of the largest pieces come first.
-        count, area = len(visible.sources.points), areas(mixed.pieces)
-        key, index = np.unique(mixed.cell * np.int64(count) + mixed.best, return_inverse=True)
+    mixed = np.flatnonzero((best < 0) & (np.diff(visible.first_piece) > 0))
+    if len(mixed):
+        # 2. A mixed box tries the sources that the centers of its convex pieces use (keys: box * count + source).
+        # Sources of the largest area come first; the first `most_options` of each box stay.
+        visible_of_mixed = visible.of_cells(mixed)
+        count, area = len(visible.sources.points), areas(visible_of_mixed.pieces)
+        key, index = np.unique(visible_of_mixed.cell * np.int64(count) + visible_of_mixed.best, return_inverse=True)
         box, source = np.divmod(key, count)
         order = np.lexsort((source, -np.bincount(index, area, len(key)), box))
         box, source = box[order], source[order]
         is_tried = np.arange(len(box)) - np.searchsorted(box, box) < most_options
         box, source = box[is_tried], source[is_tried]
-        largest, of_option = option_errors(mixed, box, source)
-        order = np.lexsort((source, largest, of_option, box))
-        order = order[np.append(True, box[order[1:]] != box[order[:-1]])]
-        best[several], error[several], integral[several] = source[order], largest[order], of_option[order]
+        # 3. It takes the source with the least integral of the error, of equal ones the least largest error.
+        option_error, option_integral = option_errors(visible_of_mixed, box, source)
+        order = np.lexsort((source, option_error, option_integral, box))
+        order = order[np.append(True, box[order[1:]] != box[order[:-1]])]  # the first option of each box
+        best[mixed] = source[order]
+        error[mixed] = option_error[order]
+        integral[mixed] = option_integral[order]
     counts = error > negligible
     integral = np.where(counts, integral, 0.0) / np.prod(domain.width)
     error = np.where(counts, error, 0.0)
-    if reach is not None:  # free points that cannot reach the goal err by the largest distance, if far from others
+    # 4. Mark boxes whose free points cannot reach the goal. If some of a box's free points can, and others are far
+    # from these, all of the box counts as if it erred by about the largest distance, so that halving it pays.
+    if reach is not None:
         best[(best < 0) & reach.is_cut_off(*cells.fractions)] = CUT_OFF
         is_border, distances = reach.is_border(*cells.fractions), visible.sources.distances
-        largest = distances[np.isfinite(distances)].max() + float(np.linalg.norm(domain.width))
-        integral[is_border] += largest * np.ldexp(1.0, -cells.depth[is_border].sum(axis=1))
+        largest_distance = distances[np.isfinite(distances)].max() + float(np.linalg.norm(domain.width))
+        integral[is_border] += largest_distance * np.ldexp(1.0, -cells.depth[is_border].sum(axis=1))
     return ConeBoxes(domain, negligible, cells, visible, best, error, integral, by_side, reach)
 
 
 def sole_sources(visible: CellSources) -> Int[np.ndarray, " boxes"]:
     """Return, for each box, the corner (or goal) to which all shortest paths from the box go straight; else -1."""
-    first = visible.first_pair[visible.first_piece]
-    count, first_source = np.diff(first), np.append(visible.source, -1)[first[:-1]]
-    agrees = visible.by_all & (visible.source == np.repeat(first_source, count))
-    num_agreeing = np.diff(np.append(0, np.cumsum(agrees))[first])
-    is_sole = (count > 0) & (count == np.diff(visible.first_piece)) & (count == num_agreeing)
+    # Box b has the pieces first_piece[b] up to first_piece[b + 1], and the pairs of a piece and a source
+    # first_pair[b] up to first_pair[b + 1]. Its source is sole if it has as many pairs as pieces, and all pairs have
+    # the source of the first pair, which all of their piece sees.
+    first_pair = visible.first_pair[visible.first_piece]
+    num_pairs = np.diff(first_pair)
+    first_source = np.append(visible.source, -1)[first_pair[:-1]]
+    agrees = visible.by_all & (visible.source == np.repeat(first_source, num_pairs))
+    num_agreeing = np.diff(np.append(0, np.cumsum(agrees))[first_pair])
+    is_sole = (num_pairs > 0) & (num_pairs == np.diff(visible.first_piece)) & (num_pairs == num_agreeing)
     return np.where(is_sole, first_source, -1)
 
 
 def option_errors(
     visible: CellSources, box: Int[np.ndarray, " options"], source: Int[np.ndarray, " options"]
 ) -> tuple[Float[np.ndarray, " options"], Float[np.ndarray, " options"]]:
-    # Bounds of the largest error, and of its integral, if all paths from ``box[i]`` go first to ``source[i]``.
+    """Return bounds of the largest error, and of the error's integral, of the cone of ``source[i]`` in ``box[i]``.
+
+    Integrals are over the free space of the box, in workspace units cubed.
+    """
+    # Row r is piece `piece[r]` in the box of option `option[r]`, with the cone of this option.
     piece, option = take_ragged(visible.first_piece, box)
     points, distances = visible.sources.points[source], visible.sources.distances[source]
 
@@ -139,21 +165,24 @@ def option_errors(
 
     lower, upper = bounds_of_pieces(visible, piece, above_options)
     error = np.maximum(-lower, upper)
-    if not len(option):
-        return np.zeros(0), np.zeros(0)
-    largest = np.maximum.reduceat(error, np.flatnonzero(np.append(True, option[1:] != option[:-1])))
-    return largest, np.bincount(option, error * areas(visible.pieces)[piece], len(box))
+    largest = np.maximum.reduceat(error, np.searchsorted(option, np.arange(len(box))))
+    integral = np.bincount(option, error * areas(visible.pieces)[piece], len(box))
+    return largest, integral.astype(np.float64)  # as `bincount` returns integers if there are no options
 
 
 # If a wall hides a leaf's source from a point, the distance there is larger than the cone. So samples above the cone
 # show where the source is hidden.
 _PRICE = 30.0  # cost of a hidden source, in units of the proven mean error of all boxes
 LEAST_SHORTFALL = 1e-9  # a sample this far above the cone, in widths of the domain, does not see the source
+ROOM = 64  # one byte in this many of a file is reserved for changes to visible sources
 _MOST_OPTIONS = 64  # boxes with more sources are left alone: no source is visible from much of such a box
 
 
 class LeafOptions(NamedTuple):
-    """Leaves that walls may hide from their source (a corner or the goal), paired with sources that they may get."""
+    """Candidate sources for leaves; one row for each pair of a leaf and a candidate.
+
+    A leaf has candidates if a wall may hide its present source (a corner or the goal) from a part of the leaf.
+    """
 
     leaf: Int[np.ndarray, " options"]
     source: Int[np.ndarray, " options"]
@@ -166,119 +195,128 @@ class LeafOptions(NamedTuple):
     area: Float[np.ndarray, " options"]  # of the leaf's free space
 
 
-def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, " some"]) -> ConeBoxes:
-    # Numbers count the boxes of the first level, then of the second, and so on.
-    first = np.cumsum([0, *(len(boxes_of_level.source) for boxes_of_level in levels)])
-    depth = np.searchsorted(first, number, side="right") - 1
-    used = np.unique(depth) if len(depth) else [0]
-    boxes, *others = (levels[level][number[depth == level] - first[level]] for level in used)
+def boxes_of_levels(levels: Sequence[ConeBoxes], number: Int[np.ndarray, " selected"]) -> ConeBoxes:
+    """Return boxes by their numbers, which count the boxes of the first level, then of the second, and so on."""
+    first_number = np.cumsum([0, *(len(boxes_of_level.source) for boxes_of_level in levels)])
+    level = np.searchsorted(first_number, number, side="right") - 1
+    used_levels = np.unique(level) if len(level) else [0]
+    boxes, *others = (levels[used][number[level == used] - first_number[used]] for used in used_levels)
     boxes = boxes.append(*others) if others else boxes
-    return boxes if (np.diff(depth) >= 0).all() else boxes[np.argsort(np.argsort(depth, kind="stable"))]
+    # Boxes are now sorted by level. The inverse of this stable sort restores the given order.
+    return boxes if (np.diff(level) >= 0).all() else boxes[np.argsort(np.argsort(level, kind="stable"))]
 
 
 def source_options(boxes: ConeBoxes, pattern: Pattern) -> LeafOptions:
-    # Pairs of a box and a source that some of its points use, and whether all of the box sees the source.
+    """Pair boxes with all sources that paths from some of their points may use; ``pattern`` places the samples.
+
+    Boxes are left out if all of their free space sees their present source, or if they have very many sources.
+    """
+    # 1. List the pairs of a box and a source (keys: box * count + source). A source is visible from all of a box if
+    # it is visible from all of each of its pieces.
     visible, count = boxes.visible, len(boxes.visible.sources.points)
-    pair, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
-    box, source = np.divmod(pair, count)
-    by_all = np.bincount(index, visible.by_all, len(pair)) == np.diff(visible.first_piece)[box]
-    is_doubted = np.diff(visible.first_piece) > 0
-    is_doubted[box[by_all & (source == boxes.source[box])]] = False
-    is_doubted &= np.bincount(box, minlength=len(is_doubted)) <= _MOST_OPTIONS
-    box, source, by_all = (column[is_doubted[box]] for column in (box, source, by_all))
-    doubted = np.flatnonzero(is_doubted)
-    some, place = boxes[doubted], np.searchsorted(doubted, box)
-    x = some.cells.points(pattern.u, boxes.domain)
-    distance = distances_in_cells(some.visible, x)
-    # Mean error of each source in its box, and share of the box from which a wall hides it.
-    sources, width = some.visible.sources, float(some.domain.width.max())
+    key, index = np.unique(visible.cell[visible.piece] * np.int64(count) + visible.source, return_inverse=True)
+    box, source = np.divmod(key, count)
+    num_pieces = np.diff(visible.first_piece)
+    by_all = np.bincount(index, visible.by_all, len(key)) == num_pieces[box]
+    # 2. Choose the boxes with candidates: "leaves" of the result.
+    is_chosen = num_pieces > 0
+    is_chosen[box[by_all & (source == boxes.source[box])]] = False
+    is_chosen &= np.bincount(box, minlength=len(is_chosen)) <= _MOST_OPTIONS
+    box, source, by_all = (column[is_chosen[box]] for column in (box, source, by_all))
+    # 3. At samples: mean error of each source in its box, and share of the box from which a wall hides the source.
+    # Samples are weighted so that those with a path to the goal sum to 1 in each box.
+    chosen = np.flatnonzero(is_chosen)
+    chosen_boxes, row = boxes[chosen], np.searchsorted(chosen, box)
+    visible, sources = chosen_boxes.visible, chosen_boxes.visible.sources
+    x = chosen_boxes.cells.points(pattern.u, boxes.domain)
+    distance = distances_in_cells(visible, x)
     weight = pattern.weight * np.isfinite(distance)
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), pattern.weight.min())
-    cone = sources.distances[source, None] + np.linalg.norm(x[place] - sources.points[source, None], axis=2)
-    above = np.where(np.isfinite(distance), distance, 0.0)[place] - cone
-    is_hidden = above > LEAST_SHORTFALL * width
-    error, hidden = np.sum(weight[place] * np.abs(above), axis=1), np.sum(weight[place] * is_hidden, axis=1)
-    largest, integral = option_errors(some.visible, place, source)
-    area = np.bincount(some.visible.cell, areas(some.visible.pieces), len(doubted)).astype(np.float64)[place]
+    cone = sources.distances[source, None] + np.linalg.norm(x[row] - sources.points[source, None], axis=2)
+    above = np.where(np.isfinite(distance), distance, 0.0)[row] - cone
+    error = np.sum(weight[row] * np.abs(above), axis=1)
+    hidden = np.sum(weight[row] * (above > LEAST_SHORTFALL * float(boxes.domain.width.max())), axis=1)
+    # 4. Proven bounds of the errors, and free area.
+    largest, integral = option_errors(visible, row, source)
+    area = np.bincount(visible.cell, areas(visible.pieces), len(chosen)).astype(np.float64)[row]
     return LeafOptions(box, source, source == boxes.source[box], by_all, error, hidden, largest, integral, area)
 
 
-def prefer_visible_sources(
-    boxes: ConeBoxes, pattern: Pattern, fits: Callable[[Int[np.ndarray, " leaves"]], bool]
-) -> Int[np.ndarray, " leaves"]:
-    # The apex (corner or goal) of each leaf's cone: where possible, an apex that all of the leaf sees.
-    # The largest proven error does not rise.
+def prefer_visible_sources(boxes: ConeBoxes, pattern: Pattern, fits: Callable[[LeafSources], bool]) -> LeafSources:
+    """Choose a source for each leaf: where possible, one that all of the leaf sees.
+
+    The largest proven error does not rise. ``fits`` tells whether the file of leaves with these sources is within its
+    limits.
+    """
     most = max(float(boxes.error.max()), boxes.negligible)
     return change_sources(boxes.source, source_options(boxes, pattern), float(boxes.integral.sum()), most, fits)
 
 
 def change_sources(
-    source: Int[np.ndarray, " leaves"],
-    options: LeafOptions,
-    total: float,
-    most: float,
-    fits: Callable[[Int[np.ndarray, " leaves"]], bool],
-) -> Int[np.ndarray, " leaves"]:
-    # Walls hide parts of some leaves from their source, so other sources are tried, as far as the file fits. Proven
-    # errors of new cones are at most ``most``; ``total`` is the mean error of all leaves before.
+    source: LeafSources, options: LeafOptions, total: float, most: float, fits: Callable[[LeafSources], bool]
+) -> LeafSources:
+    """Give leaves other sources than ``source``, where walls hide less, while the file of all leaves ``fits``.
+
+    The largest errors of new cones are at most ``most``. ``total`` is the mean error of all leaves before.
+    """
     leaf, is_own = options.leaf, options.is_own
     if not len(leaf):
         return source
+    # 1. Each leaf prefers the option of least cost whose largest error is allowed; ties go to sources that all of the
+    # leaf sees, then to its present source.
     cost = options.error + _PRICE * total * options.hidden
     is_barred = ~is_own & (options.largest > most)
     order = np.lexsort((options.source, options.integral, ~is_own, ~options.by_all, cost, is_barred, leaf))
     best = order[np.append(True, leaf[order[1:]] != leaf[order[:-1]])]
+    # 2. Changes are made in the order of their gain.
     own_cost = np.zeros(len(source))
     own_cost[leaf[is_own]] = cost[is_own]
     gain = (own_cost[leaf[best]] - cost[best]) * options.area[best]
     best = best[np.argsort(-gain, kind="stable")]
     best = best[~is_own[best]]
 
-    def changed(count: int) -> Int[np.ndarray, " leaves"]:
+    def changed(count: int) -> LeafSources:
         sources = source.copy()
         sources[leaf[best[:count]]] = options.source[best[:count]]
         return sources
 
+    # 3. Make all changes, or else as many as fit. The first count that does not fit is the index that `bisect_left`
+    # returns plus 1, as the range begins at 1: so the index is the largest count that fits.
     if fits(changed(len(best))):
         return changed(len(best))
     return changed(bisect_left(range(1, len(best)), True, key=lambda count: not fits(changed(count))))
 
 
-_ROOM = 64  # one byte in this many is reserved for changes to visible sources
-
-
 def best_cones_of_goal(
-    visible: CellSources,
-    domain: Box,
-    limits: Limits,
-    pattern: Pattern,
-    run: Callable[..., PricedTree],
-    reach: Reach | None,
+    visible: CellSources, domain: Box, limits: Limits, pattern: Pattern, run: GrowFn, reach: Reach | None
 ) -> tuple[Tree, StoredCones, ConeBoxes]:
     """Find the partition into cone leaves that fills a file's ``limits`` with the least error, for one goal.
 
     ``visible`` has the whole domain as its only cell. ``pattern`` places the samples in a leaf that show from where
-    walls hide its source. ``run(tree, step)`` replaces ``tree`` by ``step(tree)`` until that is None, and returns the
-    last tree. Return the tree, its leaves as in a file, and the leaves' boxes with the sources before step 3 of this
-    module.
+    walls hide its source. Return the tree, its leaves as in a file, and the leaves' boxes with the sources before
+    step 3 of this module.
     """
+    # 1. Start from the domain as the only box; `search` appends boxes to `levels`.
     negligible = max(limits.tolerance, query_resolution(visible.distance))
-    box = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE, reach)
-    levels = [BoxLevel.of(box, box.cells.hashes())]
+    root = fit_boxes(domain, negligible, Cells.root(2), visible, limits.proof is Proof.NONE, reach)
+    levels = [BoxLevel.of(root, root.cells.hashes())]
     files = ConeFiles(visible.sources, domain)
 
     def in_order(priced: PricedTree) -> tuple[Tree, Int[np.ndarray, " leaves"]]:
-        tree = tree_of(tree_of_axes(priced.axes, 2).leaves)  # in the canonical form of files
-        first = np.cumsum([0, *(len(level.key) for level in levels)])
-        numbers = np.concatenate([begin + leaf for begin, leaf in zip(first, priced.leaves, strict=False)])
-        return tree, numbers[priced.order][tree.order]
+        # The tree, in the canonical form of files, and the number of each leaf's box, as in `boxes_of_levels`.
+        tree = tree_of(tree_of_axes(priced.axes, 2).leaves)
+        first_number = np.cumsum([0, *(len(level.key) for level in levels)])
+        number = np.concatenate([first + leaf for first, leaf in zip(first_number, priced.leaves, strict=False)])
+        return tree, number[priced.order][tree.order]
 
     def size(priced: PricedTree) -> int:
         source = np.concatenate([level.boxes.source for level in levels])[in_order(priced)[1]]
-        return files.num_bytes(source, limits) * (_ROOM + 1) // _ROOM
+        return files.num_bytes(source, limits) * (ROOM + 1) // ROOM
 
+    # 2. Search the price at which the tree fills the file.
     search = PriceSearch(levels, limits, size, len(np.unique(visible.source)))
-    tree, numbers = in_order(run(search.first(), search.next))
-    boxes = boxes_of_levels([level.boxes for level in levels], numbers)
+    tree, number = in_order(run(search.first(), search.next))
+    # 3. Change sources of leaves.
+    boxes = boxes_of_levels([level.boxes for level in levels], number)
     source = prefer_visible_sources(boxes, pattern, partial(files.fit, limits))
     return tree, files.stored(source), boxes

@@ -28,39 +28,50 @@ _LEAVES_A_BOX = 16  # least number of expected leaves for each of the equal boxe
 _LEAVES_AT_ONCE = 1 << 15  # expected leaves of all goals that are processed together
 _BOXES_AT_ONCE = 1 << 12  # boxes halved together, so that their arrays stay in a core's cache
 _MOST_TRIED = 2  # sources to try for a box; more take longer, and errors hardly fall
-# Thresholds fall by these factors. The next tree should have _GROWTH times as many leaves, or exceed the limits by
-# the factor _BEYOND.
-_FIRST_DROP, _GROWTH, _BEYOND = 0.3, 2.0, 1.03
-_RATE = 2.0  # threshold ~ leaves**-rate
-_ATTEMPTS, _FULL = 8, 0.99  # trees to try at last, until one takes this share of the limits
+# Step 2: thresholds of a goal.
+_FIRST_DROP = 0.3  # first threshold / largest error of the equal boxes
+_RATE = 2.0  # the threshold is taken to be proportional to leaves**-rate
+_GROWTH = 2.0  # the next tree should have this many times as many leaves, ...
+_BEYOND = 1.03  # ... but not exceed the limits by more than this factor
+# Step 3: the search for the largest tree.
+_ATTEMPTS = 8  # most trees to try
+_FULL = 0.99  # used share of the limits at which a tree is large enough
 
 
 @dataclass(frozen=True, eq=False)
 class _Nodes(Rows):
-    """The nodes of the trees of several goals."""
+    """The nodes of the trees of several goals: the equal boxes of step 1, and the halves of nodes."""
 
     goal: Int[np.ndarray, " nodes"]
-    parent: Int[np.ndarray, " nodes"]  # -1 for the boxes of step 1
+    parent: Int[np.ndarray, " nodes"]  # number of the node of which this one is a half; -1 for the boxes of step 1
     level: Int[np.ndarray, " nodes"]  # number of halvings of the domain
-    path: Int[np.ndarray, " nodes"]  # ascending from left to right in the tree; a bit for each halving
+    # A bit for each halving, 1 for the upper half; the halving of a node of level l has bit MAX_DEPTH - l. So the
+    # paths of a tree's leaves ascend from left to right.
+    path: Int[np.ndarray, " nodes"]
     key: Float[np.ndarray, " nodes"]  # proven error, at most the parent's key; 0 if the node may not be halved
     axis: Int[np.ndarray, " nodes"]  # along which the node is halved; -1 before that
     source: Int[np.ndarray, " nodes"]  # apex of the node's cone, an index in the goal's sources; -1 without a path
 
 
 class _GoalTree:
-    """The nodes of one goal. The first splits in the order of keys make a tree, for any number of splits."""
+    """The nodes of one goal. For any number ``n``, the first ``n`` splits in the order of keys make a tree.
+
+    They do, since no key is larger than the parent's, and parents come before their halves: a node's split never
+    comes before its parent's.
+    """
 
     def __init__(self, nodes: _Nodes, goal: int, files: ConeFiles, limits: Limits) -> None:
-        self.number = np.flatnonzero(nodes.goal == goal)  # of the goal's nodes among all nodes
+        self.number = np.flatnonzero(nodes.goal == goal)  # of the goal's nodes among all nodes, ascending
         self.nodes, self._files, self._limits = nodes[self.number], files, limits
         splits = np.flatnonzero(self.nodes.axis >= 0)
         self.num_splits = len(splits)
-        # The place of each node's split in the order of keys, and the place of the split that made the node.
-        self._place = np.full(len(self.number), len(self.number))
-        self._place[splits[np.argsort(-self.nodes.key[splits], kind="stable")]] = np.arange(len(splits))
+        # With the first n splits, a node exists if made_by < n, and is a leaf if also n <= split_rank.
+        # split_rank: place of the node's split in the order of keys; for a node without one, larger than any n.
+        # made_by: split_rank of the parent; -1 for the boxes of step 1, which always exist.
+        self._split_rank = np.full(len(self.number), len(self.number))
+        self._split_rank[splits[np.argsort(-self.nodes.key[splits], kind="stable")]] = np.arange(len(splits))
         parent = np.searchsorted(self.number, self.nodes.parent)
-        self._born = np.where(self.nodes.parent < 0, -1, self._place[parent])
+        self._made_by = np.where(self.nodes.parent < 0, -1, self._split_rank[parent])
 
     @property
     def largest_open_key(self) -> float:
@@ -68,36 +79,41 @@ class _GoalTree:
         return self.nodes.key[self.nodes.axis < 0].max(initial=0.0)
 
     def leaves(self, num_splits: int) -> Int[np.ndarray, "leaves"]:
-        leaf = np.flatnonzero((self._place >= num_splits) & (self._born < num_splits))
+        """Return the leaves of the tree with the first splits, from left to right, as indices of ``nodes``."""
+        leaf = np.flatnonzero((self._split_rank >= num_splits) & (self._made_by < num_splits))
         return leaf[np.argsort(self.nodes.path[leaf])]
 
-    def fill(self, num_splits: int) -> float:
-        """Return the part of the limits that the tree takes."""
-        source, most = self.nodes.source[self.leaves(num_splits)], self._limits
-        num_bytes = self._files.num_bytes(source, most) if np.isfinite(most.max_bytes) else 0
-        return max(len(source) / most.max_leaves, num_bytes / most.max_bytes)
+    def used_share(self, num_splits: int) -> float:
+        """Return the share of the limits that the tree with the first splits takes; above 1 if it exceeds them."""
+        source, limits = self.nodes.source[self.leaves(num_splits)], self._limits
+        num_bytes = self._files.num_bytes(source, limits) if np.isfinite(limits.max_bytes) else 0
+        return max(len(source) / limits.max_leaves, num_bytes / limits.max_bytes)
 
-    def most_splits(self, fits: int, fill: float, most: float) -> int:
-        """Return the most splits within the limits. ``fill`` and ``most`` are those of ``fits`` and of all splits."""
-        beyond = self.num_splits
-        if most <= 1:
+    def most_splits(self, fits: int, share_of_fits: float, share_of_all: float) -> int:
+        """Return the most splits within the limits, or nearly so many.
+
+        ``fits`` splits are within the limits. The other arguments are the used shares of ``fits`` and of all splits.
+        """
+        # False position: the used share counts as linear between a number of splits that fits and one beyond.
+        beyond, share_of_beyond = self.num_splits, share_of_all
+        if share_of_beyond <= 1:
             return beyond
         for _ in range(_ATTEMPTS):
-            if beyond - fits <= 1 or fill > _FULL:
+            if beyond - fits <= 1 or share_of_fits > _FULL:
                 break
-            aim = np.clip(((1 + _FULL) / 2 - fill) / (most - fill), 0.1, 0.9)
+            aim = np.clip(((1 + _FULL) / 2 - share_of_fits) / (share_of_beyond - share_of_fits), 0.1, 0.9)
             middle = min(max(fits + int(aim * (beyond - fits)), fits + 1), beyond - 1)
-            if (of_middle := self.fill(middle)) <= 1:
-                fits, fill = middle, of_middle
+            if (share := self.used_share(middle)) <= 1:
+                fits, share_of_fits = middle, share
             else:
-                beyond, most = middle, of_middle
+                beyond, share_of_beyond = middle, share
         return fits
 
     def tree(self, num_splits: int, axes_above: list[int]) -> Tree:
-        """Return the tree after ``num_splits`` splits, below levels whose axes are ``axes_above``."""
-        axis = np.where(self._place < num_splits, self.nodes.axis, -1)
-        order = np.lexsort((self.nodes.path, self.nodes.level))
-        order = order[self._born[order] < num_splits]
+        """Return the tree with the first splits, below levels whose axes are ``axes_above``."""
+        axis = np.where(self._split_rank < num_splits, self.nodes.axis, -1)
+        order = np.lexsort((self.nodes.path, self.nodes.level))  # level by level, from left to right
+        order = order[self._made_by[order] < num_splits]
         ends = np.flatnonzero(np.diff(self.nodes.level[order])) + 1
         above = [np.full(1 << level, axis) for level, axis in enumerate(axes_above)]
         return tree_of_axes([*above, *np.split(axis[order], ends)], 2)
@@ -106,17 +122,19 @@ class _GoalTree:
 class _Search:
     """The search for the threshold of one goal, and for the largest tree within the limits."""
 
-    def __init__(self, files: ConeFiles, first: float) -> None:
+    def __init__(self, files: ConeFiles, largest_error: float) -> None:
         self.files = files
-        self.threshold, self._fits, self._fill = _FIRST_DROP * first, 0, 0.0
+        self.threshold = _FIRST_DROP * largest_error
+        self._fits, self._share_of_fits = 0, 0.0  # number of splits of the last tree within the limits; used share
 
     def num_splits(self, tree: _GoalTree) -> int | None:
         """Return the number of splits of the largest tree within the limits; None if the threshold was lowered."""
-        fill = tree.fill(tree.num_splits)
-        if fill > 1 or not tree.largest_open_key:
-            return tree.most_splits(self._fits, self._fill, fill)
-        self._fits, self._fill = tree.num_splits, fill
-        self.threshold = min(self.threshold, tree.largest_open_key) * min(_GROWTH, _BEYOND / fill) ** -_RATE
+        share = tree.used_share(tree.num_splits)
+        if share > 1 or not tree.largest_open_key:
+            return tree.most_splits(self._fits, self._share_of_fits, share)
+        self._fits, self._share_of_fits = tree.num_splits, share
+        growth = min(_GROWTH, _BEYOND / share)  # wanted number of leaves / number of leaves now
+        self.threshold = min(self.threshold, tree.largest_open_key) * growth**-_RATE
         return None
 
 
@@ -137,59 +155,63 @@ class WorstFirst:
 
         There is no tree if no path leads to the goal, or if the limits are too narrow for the boxes of step 1.
         """
-        # 1. Cut the domain into equal boxes.
-        cells, axes, limits = Cells.root(2), [], self.limits
-        most = min(limits.max_depth, 2 * limits.max_axis_depth)
-        while 2 ** len(axes) * _LEAVES_A_BOX <= self.num_leaves and len(axes) < most:
+        # 1. Cut the domain into equal boxes, along x and y in turn. Each box is a node of each goal's tree. Sources
+        # of all goals are numbered one goal after the other, `num_sources` for each goal.
+        limits = self.limits
+        cells, axes = Cells.root(2), []
+        most_axes = min(limits.max_depth, 2 * limits.max_axis_depth)
+        while 2 ** len(axes) * _LEAVES_A_BOX <= self.num_leaves and len(axes) < most_axes:
             axes.append(len(axes) % 2)
             cells = cells.split(np.full(len(cells), axes[-1]))
         goal, box = (index.ravel() for index in np.indices((len(oracles), len(cells))))
         shared = oracles[0].shared_cells(*cells.grown_boxes(self.domain))
         visible = oracles[0].cells_of_members(shared, oracles, box, goal)
-        reached = [visible.distance[goal[visible.cell] == i] for i in range(len(oracles))]
-        negligible, count = np.array(list(map(query_resolution, reached))), np.int64(len(oracles[0].sources.points))
+        distances = [visible.distance[goal[visible.cell] == i] for i in range(len(oracles))]
+        negligible = np.array(list(map(query_resolution, distances)))
+        num_sources = np.int64(len(oracles[0].sources.points))
 
         def fit(cells: Cells, visible: CellSources) -> ConeBoxes:
             return fit_boxes(self.domain, 0.0, cells, visible, most_options=_MOST_TRIED)
 
-        def nodes_of(boxes: ConeBoxes, goal: Any, parent: Any, path: Any, most: Any) -> _Nodes:
-            key = np.where(boxes.error > negligible[goal], np.minimum(boxes.error, most), 0.0)
-            source = np.where(boxes.source < 0, -1, boxes.source - goal * count)
+        def nodes_of(boxes: ConeBoxes, goal: Any, parent: Any, path: Any, parent_key: Any) -> _Nodes:
+            key = np.where(boxes.error > negligible[goal], np.minimum(boxes.error, parent_key), 0.0)
+            source = np.where(boxes.source < 0, -1, boxes.source - goal * num_sources)
             return _Nodes(goal, parent, boxes.cells.depth.sum(axis=1), path, key, np.full(len(goal), -1), source)
 
-        rounds = [fit(cells[box], visible)]  # boxes, one for each node
+        rounds = [fit(cells[box], visible)]  # the boxes of all nodes, in the order of the nodes
         nodes = nodes_of(rounds[0], goal, 0 * box - 1, box << (MAX_DEPTH + 1 - len(axes)), np.inf)
-        files, first = ConeFiles(oracles[0].sources, self.domain), nodes.key.reshape(len(oracles), -1).max(axis=1)
-        searches = {
-            i: _Search(files.of_goal(oracles[i].sources), float(first[i]))
-            for i, distances in enumerate(reached)
-            if len(distances)
-        }
+        files = ConeFiles(oracles[0].sources, self.domain)
+        largest_error = nodes.key.reshape(len(oracles), -1).max(axis=1)
+        searches = {}
+        for i, oracle in enumerate(oracles):
+            if len(distances[i]):  # else no path leads to the goal
+                searches[i] = _Search(files.of_goal(oracle.sources), float(largest_error[i]))
         trees: list[tuple[Tree, StoredCones] | None] = [None] * len(oracles)
         leaves = [np.zeros(0, np.int64)] * len(oracles)
         while searches:
-            # 2. Halve the boxes whose errors exceed the thresholds.
+            # 2. Halve the boxes whose errors exceed the thresholds, and such halves of them in turn, until there are
+            # none. A box that the limits do not allow to halve gets the key 0.
             threshold = np.full(len(oracles), np.inf)
             threshold[list(searches)] = [search.threshold for search in searches.values()]
-            while len(some := np.flatnonzero((nodes.axis < 0) & (nodes.key > threshold[nodes.goal]))):
-                for batch in np.split(some, range(_BOXES_AT_ONCE, len(some), _BOXES_AT_ONCE)):
-                    halved = boxes_of_levels(rounds, batch)
-                    nodes.axis[batch] = axis = _best_cuts(halved, limits)
+            while len(worst := np.flatnonzero((nodes.axis < 0) & (nodes.key > threshold[nodes.goal]))):
+                for batch in np.split(worst, range(_BOXES_AT_ONCE, len(worst), _BOXES_AT_ONCE)):
+                    boxes = boxes_of_levels(rounds, batch)
+                    nodes.axis[batch] = axis = _best_cuts(boxes, limits)
                     nodes.key[batch[axis < 0]] = 0.0
-                    row = np.repeat(np.flatnonzero(axis >= 0), 2)
+                    row = np.repeat(np.flatnonzero(axis >= 0), 2)  # in the batch, of each half's parent
                     parent, is_upper = batch[row], np.arange(len(row)) % 2 == 1
-                    cells = halved.cells[row].halves(axis[row], is_upper)
+                    cells = boxes.cells[row].halves(axis[row], is_upper)
                     lo, hi = cells.grown_boxes(self.domain)
-                    rounds.append(fit(cells, halved.visible.parts(row, axis[row], is_upper, lo, hi)))
+                    rounds.append(fit(cells, boxes.visible.parts(row, axis[row], is_upper, lo, hi)))
                     path = nodes.path[parent] + (is_upper.astype(np.int64) << (MAX_DEPTH - nodes.level[parent]))
                     nodes = nodes.append(nodes_of(rounds[-1], nodes.goal[parent], parent, path, nodes.key[parent]))
-            # 3. Compare the trees with the limits, and keep the first splits or lower the thresholds.
+            # 3. Compare the trees with the limits: lower the threshold of a goal, or end its search.
             for i, search in list(searches.items()):
                 tree = _GoalTree(nodes, i, search.files, limits)
                 num_splits = search.num_splits(tree)
                 if num_splits is not None:
                     del searches[i]
-                    if num_splits or tree.fill(0) <= 1:
+                    if num_splits or tree.used_share(0) <= 1:
                         leaf = tree.leaves(num_splits)
                         trees[i] = tree.tree(num_splits, axes), search.files.stored(tree.nodes.source[leaf])
                         leaves[i] = tree.number[leaf]
@@ -197,8 +219,11 @@ class WorstFirst:
 
 
 def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, " boxes"]:
-    # The axis along which to halve each box, so that the sum of the largest errors of the halves is least; -1 if the
-    # limits allow no halving. Errors are those of the box's cone at corners of the free pieces in each half.
+    """Return the axis along which to halve each box, so that the sum of the halves' largest errors is least.
+
+    It is -1 if the limits allow no halving. Errors are those of the box's cone at corners of its convex pieces.
+    """
+    # 1. Errors, by corner and piece: |min over the piece's sources s of (d[s] + |x - s|)  -  the box's cone at x|.
     visible, depth, sources = boxes.visible, boxes.cells.depth, boxes.visible.sources
     x, y = np.ascontiguousarray(visible.pieces.transpose(0, 2, 1))
 
@@ -206,16 +231,17 @@ def _best_cuts(boxes: ConeBoxes, limits: Limits) -> Int[np.ndarray, " boxes"]:
         dx, dy = x - sources.points[source, 0], y - sources.points[source, 1]
         return sources.distances[source] + np.sqrt(dx * dx + dy * dy)
 
-    distance = np.minimum.reduceat(
-        path_lengths(x[:, visible.piece], y[:, visible.piece], visible.source), visible.first_pair[:-1], axis=1
-    )
+    lengths = path_lengths(x[:, visible.piece], y[:, visible.piece], visible.source)
+    distance = np.minimum.reduceat(lengths, visible.first_pair[:-1], axis=1)
     error = np.abs(distance - path_lengths(x, y, boxes.source[visible.cell]))
+    # 2. A cut costs the largest error at corners on its lower side, plus that on its upper side.
     lo, hi = boxes.cells.boxes(boxes.domain)
     middle, cost = ((lo + hi) / 2)[visible.cell], np.zeros(depth.shape)
     for axis, along in enumerate((x, y)):
-        for is_within in (along <= middle[:, axis], along >= middle[:, axis]):
-            of_piece = np.where(is_within, error, 0.0).max(axis=0)
-            cost[:, axis] += np.maximum.reduceat(of_piece, visible.first_piece[:-1])
+        for is_on_side in (along <= middle[:, axis], along >= middle[:, axis]):
+            largest_of_piece = np.where(is_on_side, error, 0.0).max(axis=0)
+            cost[:, axis] += np.maximum.reduceat(largest_of_piece, visible.first_piece[:-1])
+    # 3. Some axes are closed: by the depth limits, or since the halves would be too narrow.
     is_closed = (depth >= limits.max_axis_depth) | (depth - depth.min(axis=1, keepdims=True) >= MAX_ASPECT_BITS)
     is_closed |= depth.sum(axis=1, keepdims=True) >= limits.max_depth
     return np.where(is_closed.all(axis=1), -1, np.argmin(np.where(is_closed, np.inf, cost), axis=1))
