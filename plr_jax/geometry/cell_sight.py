@@ -140,10 +140,9 @@ class Shadows:
 
 def turns_by_side(corners: ReflexCorners) -> TurnPoints:
     """Return turn points ``2 * c`` and ``2 * c + 1`` of each corner ``c``: the two ways to bend around the corner."""
-    #              .   side 1         A path around the corner goes from the cone of one side to that of the other.
-    #              .                  The cone of side 1 lies on the left of both walls' lines, that of side 0 on
-    #              their
-    #     . . . . .c=== opening wall  right. Free space is counterclockwise from the opening to the closing wall.
+    #              .   side 1          A path around the corner goes from one cone into the other. The cone of
+    #              .                   side 1 is left of both walls' lines, the cone of side 0 is right of both.
+    #     . . . . .c=== opening wall   Free space is counterclockwise from the opening to the closing wall.
     #              |####
     #     side 0   |# obstacle
     #           closing wall
