@@ -62,7 +62,7 @@ def pixel_rings(free: Mask) -> PixelRings:
     is_second = np.append(False, is_contact[1:] & (np.diff(np.repeat(np.arange(len(x)), repeats)) == 0))
     x, y = np.repeat(x, repeats), np.repeat(y, repeats)
     # 3. In row order, corners 0 and 1, 2 and 3, ... are the ends of horizontal runs. In column order, corners 0 and
-    #    1, 2 and 3, ... are the ends of vertical runs. So the other end of run i is i ^ 1. A ring turns around its
+    #    1, 2 and 3, ... are the ends of vertical runs. So the run of corner i ends at i ^ 1. A ring turns around its
     #    free pixel: at a contact, the horizontal run from the left goes down if the pixel on its lower left is free,
     #    else up.
     other_end = np.arange(len(x)) ^ 1
@@ -334,7 +334,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
 
 
 def without_specks(free: Mask, num_pixels: int) -> Mask:
-    """Remove components of at most ``num_pixels`` pixels: first blocked, 8-connected ones, then free, 4-connected ones."""
+    """Remove components of at most ``num_pixels`` pixels: blocked ones (8-connected), then free ones."""
     for value, structure in ((False, _ALL_AROUND), (True, None)):
         label = _labels(free == value, structure)
         is_small = np.bincount(label.ravel()) <= num_pixels
