@@ -34,6 +34,8 @@ _PREPARED = threading.local()
 Vertices: TypeAlias = Float[np.ndarray, "vertices 2"]
 Edges: TypeAlias = Int[np.ndarray, "edges 2"]
 Rows: TypeAlias = Int[np.ndarray, " m"]
+VertexRows: TypeAlias = Int[np.ndarray, " some_vertices"]
+EdgeRows: TypeAlias = Int[np.ndarray, " some_edges"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +71,7 @@ class Boundary:
 
     @cached_property
     def contact_tree(self) -> shapely.STRtree:
-        points: Any = shapely.points(self.vertices[self.contacts])
-        return shapely.STRtree(points)
+        return shapely.STRtree(np.asarray(shapely.points(self.vertices[self.contacts])))
 
     def feet(self, x: Vertices, within: float | None = None) -> tuple[Rows, Rows, Float[np.ndarray, "m 2"]]:
         """Return the points ``within`` a distance of an edge (None: all), their nearest edges, and feet on these."""
@@ -156,11 +157,7 @@ def match_boundary(
 
 
 def vertices_near_edges(
-    vertices: Vertices,
-    edges: Edges,
-    tolerance: float,
-    some_vertices: Int[np.ndarray, " some_vertices"],
-    some_edges: Int[np.ndarray, " some_edges"],
+    vertices: Vertices, edges: Edges, tolerance: float, some_vertices: VertexRows, some_edges: EdgeRows
 ) -> tuple[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]]:
     """Return pairs of ``some_vertices`` and ``some_edges`` within ``tolerance``, except an edge with its own ends."""
     # First drop vertices far from the box of all edges, then edges far from the box of the remaining vertices.

@@ -12,7 +12,7 @@ from plr_jax._arrays import concatenated, parts, take_ragged
 from plr_jax._types import Sources
 from plr_jax.geometry.cell_sight import CellSources, Shadows, Sight, corner_sight, turns_by_triangle
 from plr_jax.geometry.convex_pieces import Pieces, areas, boxes_as_pieces, centers, clip_to_boxes, highest, lowest
-from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints
+from plr_jax.geometry.corners import CornerVisibility, ReflexCorners, TurnPoints, views_by_triangle
 from plr_jax.geometry.triangulation import TriangleLists, Triangulation
 from plr_jax.geometry.vectors import turned_left
 from plr_jax.geometry.visibility import VisibilityTable, joined_tables
@@ -64,10 +64,8 @@ class FamilySamples:
         # 3. List, for each triangle, the corners that see a part of it; both ways to bend around a corner are one.
         corners = visibility.corners
         first, turns = turns_by_triangle(visibility, triangulation)
-        count = np.int64(len(corners.points))
-        key = np.unique(np.repeat(np.arange(len(first) - 1), np.diff(first)) * count + (turns >> 1))
-        triangle, corner_of_entry = np.divmod(key, count)
-        first = np.searchsorted(triangle, np.arange(len(first)))
+        triangle = np.repeat(np.arange(len(first) - 1), np.diff(first))
+        first, corner_of_entry = views_by_triangle(triangulation, np.stack([turns >> 1, triangle]))
         # 4. Pair each sample with the corners of its triangle that it sees and at which a path from it may turn.
         places = triangulation.place(x[sampled])
         pairs = [np.zeros((2, 0), np.int64)]

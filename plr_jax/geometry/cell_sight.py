@@ -107,8 +107,7 @@ class Shadows:
         last = highest(np.where(is_apart, key - blur, -np.inf))
         wraps &= first < 4
         shift = np.where(first >= 4, 4.0, 0.0)
-        first -= shift
-        last -= shift
+        first, last = first - shift, last - shift
         # 2. Look up the shadows in these ranges, two for a piece that wraps. A viewpoint in a piece sees all of it.
         outside = np.flatnonzero(~convex_pieces.contain(pieces, point[:, None], grid)[:, 0])
         wrapped = outside[wraps[outside]]
@@ -125,8 +124,7 @@ class Shadows:
         #    the piece meets the ray's line where the offset beside it changes its sign.
         ux, uy = self.unit[shadow].T[:, :, None]
         dx, dy = dx[piece], dy[piece]
-        along = ux * dx + uy * dy
-        beside = ux * dy - uy * dx
+        along, beside = ux * dx + uy * dy, ux * dy - uy * dx
         next_beside = next_corner(beside)
         is_met = (beside >= 0) != (next_beside >= 0)
         fraction = np.divide(beside, beside - next_beside, out=np.zeros_like(beside), where=is_met)
@@ -176,10 +174,6 @@ class Sight:
     turns: TurnPoints
     triangulation: Triangulation
     has_goal: bool  # whether the sources have distances to a goal
-
-    @cached_property
-    def is_wall(self) -> Bool[np.ndarray, "triangles 3"]:
-        return (self.triangulation.wall >= 0).reshape(-1, 3)
 
     def may_bend(self, pieces: Pieces, source: Indices, from_all: bool = False) -> OfPieces:
         """Return whether a part of each piece may lie in its source's cone of :class:`TurnPoints`; True for a goal.
@@ -333,7 +327,7 @@ class CellSources:
         #    and walls in the cell are sides of these triangles. Wall ``i`` belongs to cell ``cells[index[i]]``.
         cells = np.flatnonzero(np.diff(self.first_piece) > 1)
         rows, index = take_ragged(self.first_piece, cells)
-        row, side = np.nonzero(self.sight.is_wall[self.triangle[rows]])
+        row, side = np.nonzero(self.sight.triangulation.wall.reshape(-1, 3)[self.triangle[rows]] >= 0)
         triangle = self.triangle[rows[row]]
         index = index[row]
         start, end = (self.sight.triangulation.triangles[triangle, corner] for corner in (side, (side + 1) % 3))
@@ -357,10 +351,8 @@ class CellSources:
         if is_free.any():
             whole = self.first_piece[:-1][is_free]
             is_kept[whole] = True
-            pieces = self.pieces.copy()
-            pieces[:, whole] = convex_pieces.boxes_as_pieces(lo[is_free], hi[is_free])
-            triangle = self.triangle.copy()
-            triangle[whole] = -1
+            pieces, triangle = self.pieces.copy(), self.triangle.copy()
+            pieces[:, whole], triangle[whole] = convex_pieces.boxes_as_pieces(lo[is_free], hi[is_free]), -1
             target = np.where(is_merged, self.first_piece[self.cell], np.arange(len(is_kept)))  # new piece of each
             keys = target[self.piece] * np.int64(max(self.source.max(initial=0), 0) + 1) + self.source
             merged = replace(self.of_pairs(np.unique(keys, return_index=True)[1]), pieces=pieces, triangle=triangle)
@@ -384,18 +376,14 @@ class CellSources:
         #      others                                                     seen | ~whole    seen         seen & whole
         pairs = np.flatnonzero(changed[self.piece] & ~(self.by_all & has_goal))
         bends = self.sight.may_bend(self.pieces[:, self.piece[pairs]], self.source[pairs])
-        keep = np.ones(len(self.piece), bool)
-        keep[pairs] = bends
-        by_center = np.ones(len(self.piece), bool)
-        by_center[pairs] = False
+        keep, by_center = np.ones((2, len(self.piece)), bool)
+        keep[pairs], by_center[pairs] = bends, False
         pairs = pairs[bends & ~self.by_all[pairs]]
         piece = self.piece[pairs]
         view = self.sight.view[self.source[pairs]]
         seen, is_whole = self.sight.shadows.see(view, self.pieces[:, piece], center[piece])
-        keep[pairs] = seen | ~is_whole
-        by_center[pairs] = seen
         by_all = self.by_all.copy()
-        by_all[pairs] = seen & is_whole
+        keep[pairs], by_center[pairs], by_all[pairs] = seen | ~is_whole, seen, seen & is_whole
         if not has_goal:
             return replace(moved, by_all=by_all).of_pairs(keep)
         # 3. Far from the origin, rounding may remove all sources of a very thin piece; it then keeps what it had.

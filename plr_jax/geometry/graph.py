@@ -21,6 +21,7 @@ _CHUNK = 1 << 18  # lengths computed at a time
 Sees: TypeAlias = Callable[[Int[np.ndarray, " pairs"], Int[np.ndarray, " pairs"]], Bool[np.ndarray, " pairs"]]
 # The candidate of each point, -1 for none, and the length of the path.
 FirstVisible: TypeAlias = tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]
+VisiblePaths: TypeAlias = tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]  # several for each point
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +40,9 @@ class Graph:
     @cached_property
     def adjacency(self) -> csr_array:
         """Edge lengths as a symmetric sparse matrix; a stored 0 is an edge of length 0."""
-        start, end = self.edges.T
         # Add both directions at once: adding a matrix to its transpose would drop the stored zeros.
-        rows, columns = np.concatenate([start, end]), np.concatenate([end, start])
-        shape = (len(self.vertices), len(self.vertices))
-        return coo_array((np.tile(self.lengths, 2), (rows, columns)), shape=shape).tocsr()
+        ends = np.concatenate([self.edges, self.edges[:, ::-1]])
+        return coo_array((np.tile(self.lengths, 2), tuple(ends.T)), shape=(len(self.vertices),) * 2).tocsr()
 
     def to_networkx(self) -> "networkx.Graph":
         """Return the graph in NetworkX: nodes ``0, 1, ...`` with ``pos``, edges with their length as ``weight``."""
@@ -72,9 +71,7 @@ def path_to_root(graph: Graph, parents: Int[np.ndarray, " v"], start: Float[np.n
     return path[np.append(True, (path[1:] != path[:-1]).any(axis=1))]
 
 
-def first_visible(
-    lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2
-) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
+def first_visible(lengths: Float[np.ndarray, "n ways"], sees: Sees, count: int = 1, at_once: int = 2) -> VisiblePaths:
     """Return the first vertices of each point's ``count`` shortest visible paths (-1: too few), and the lengths.
 
     A path from point ``i`` by vertex ``k`` has length ``lengths[i, k]`` (NaN excludes the path), and is visible if
@@ -114,7 +111,7 @@ def first_visible(
 
 def first_visible_in_parts(
     lengths: Callable[[slice], Float[np.ndarray, "rows ways"]], n: int, num_ways: int, sees: Sees, count: int = 1
-) -> tuple[Int[np.ndarray, "n count"], Float[np.ndarray, "n count"]]:
+) -> VisiblePaths:
     """Apply :func:`first_visible` to slices of ``n`` points, to save memory; ``lengths`` maps a slice to lengths."""
     visible_way, shortest = np.empty((n, count), int), np.empty((n, count))
     step = max(1, _CHUNK // max(1, num_ways))

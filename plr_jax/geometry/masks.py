@@ -27,7 +27,6 @@ from plr_jax.geometry.vectors import cross_product, distance_to_segment
 # 8-connected, and everything outside the grid is blocked.
 _MOST_CORNERS = 2**18  # largest outline, so that noisy pictures fail at once
 _LEAST_PIXEL = 8e3  # rounding errors per pixel: tolerance is 1e3 of them, and walls are at least 1/4 pixel thick
-_ALL_AROUND = np.ones((3, 3), dtype=bool)
 CLEARANCE = 0.25  # pixels that links without a common end keep from one another
 Indices: TypeAlias = Int[np.ndarray, " m"]
 Mask: TypeAlias = Bool[np.ndarray, "rows columns"]
@@ -116,9 +115,8 @@ def simplified(outlines: PixelRings, tolerance: float | int) -> PixelRings:
             chain.append(onward[chain[-1]])
     # 2. Replace unwanted links by the exact outline. This ends since exact links are never unwanted.
     is_kept = np.isin(np.arange(len(onward)), chain)
-    while (undone := _unwanted(stations, is_kept, tolerance)).any():
-        first, last = _links(stations, is_kept)
-        for begin, end in zip(first[undone].tolist(), last[undone].tolist(), strict=True):
+    while links := _unwanted_links(stations, is_kept, tolerance):
+        for begin, end in links:
             is_kept[begin:end] |= stations.is_corner[begin:end]
     # 3. Drop the last station of each ring, which repeats the first.
     is_last = np.append(stations.ring[1:] != stations.ring[:-1], True)
@@ -211,22 +209,21 @@ def _farthest(stations: _Stations, tolerance: float) -> Int[np.ndarray, " n"]:
     return farthest
 
 
-def _links(stations: _Stations, is_kept: Bool[np.ndarray, " n"]) -> tuple[Indices, Indices]:
-    """Return the first and last station of each link between consecutive kept stations of a ring."""
+def _unwanted_links(stations: _Stations, is_kept: Bool[np.ndarray, " n"], tolerance: float | int) -> list[list[int]]:
+    """Return the links that come near others or surround another ring, but none along the exact outline.
+
+    Links join consecutive kept stations of a ring, and are given by their first and last station.
+    """
     kept = np.flatnonzero(is_kept)
-    joined = stations.ring[kept[1:]] == stations.ring[kept[:-1]]
-    return kept[:-1][joined], kept[1:][joined]
-
-
-def _unwanted(stations: _Stations, is_kept: Bool[np.ndarray, " n"], tolerance: float | int) -> Bool[np.ndarray, " m"]:
-    """Return which links come near others or surround another ring; never links along the exact outline."""
-    first, last = _links(stations, is_kept)
+    links = np.stack([kept[:-1], kept[1:]], axis=1)
+    links = links[stations.ring[kept[1:]] == stations.ring[kept[:-1]]]
+    first, last = links.T
     num_corners = np.append(0, np.cumsum(stations.is_corner))  # before each station
     is_inexact = num_corners[last] > num_corners[first + 1]  # a corner lies between
-    near = _near(stations.points[np.stack([first, last], axis=1)])
+    is_unwanted = is_inexact & _near(stations.points[links])
     if tolerance > 0.5:  # with less, no link can pass to the other side of a ring
-        near[is_inexact] |= _surrounding(stations, first[is_inexact], last[is_inexact])
-    return is_inexact & near
+        is_unwanted[is_inexact] |= _surrounding(stations, first[is_inexact], last[is_inexact])
+    return links[is_unwanted].tolist()
 
 
 def _near(links: Float[np.ndarray, "m 2 2"]) -> Bool[np.ndarray, " m"]:
@@ -335,7 +332,7 @@ def region_of_mask(free: Mask, tolerance: float | int) -> Any:
 
 def without_specks(free: Mask, num_pixels: int) -> Mask:
     """Remove components of at most ``num_pixels`` pixels: blocked ones (8-connected), then free ones."""
-    for value, structure in ((False, _ALL_AROUND), (True, None)):
+    for value, structure in ((False, np.ones((3, 3), bool)), (True, None)):
         label = _labels(free == value, structure)
         is_small = np.bincount(label.ravel()) <= num_pixels
         is_small[0] = False

@@ -56,8 +56,8 @@ class Locator:
             normal_x, normal_y, offset = np.moveaxis(self.lines[triangle], 2, 0)
             height = (normal_x * x[pending, :1] + normal_y * x[pending, 1:] - offset).min(axis=1)
             is_better = height > best_height[pending]
-            nearest[pending[is_better]] = triangle[is_better]
-            best_height[pending[is_better]] = height[is_better]
+            rows = pending[is_better]
+            nearest[rows], best_height[rows] = triangle[is_better], height[is_better]
             is_outside = height < 0
             pending, entry, end = pending[is_outside], entry[is_outside] + 1, end[is_outside]
         return nearest, best_height
@@ -251,8 +251,7 @@ def triangulation_of(boundary: Boundary, tolerance: float) -> Triangulation:
     # 2. Compute the Delaunay triangulation of the vertices, with counterclockwise triangles.
     triangles = shapely.delaunay_triangles(shapely.multipoints(vertices))
     corners = shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3]
-    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    is_clockwise = u[:, 0] * v[:, 1] < u[:, 1] * v[:, 0]
+    is_clockwise = cross_product(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
     corners[is_clockwise] = corners[is_clockwise, ::-1]
     # 3. Find the indices of the triangles' vertices by their coordinates, as complex numbers: these are ordered by x,
     #    then y.
@@ -312,15 +311,10 @@ class _Mesh:
         # 2. Remove the crossed triangles and collect their vertices on each side of the edge.
         on_left, on_right = [left], [right]
         self._remove(start, right, left)
-        while (ahead := self.apex[left, right]) != end:
-            self._remove(left, right, ahead)
-            if self._turn(start, end, ahead) > 0:
-                left = ahead
-                on_left.append(ahead)
-            else:
-                right = ahead
-                on_right.append(ahead)
-        self._remove(left, right, ahead)
+        while (ahead := self.apex[on_left[-1], on_right[-1]]) != end:
+            self._remove(on_left[-1], on_right[-1], ahead)
+            (on_left if self._turn(start, end, ahead) > 0 else on_right).append(ahead)
+        self._remove(on_left[-1], on_right[-1], end)
         # 3. Fill the polygons on both sides.
         self._fill(start, end, on_left[::-1])
         self._fill(end, start, on_right)

@@ -71,9 +71,7 @@ def viewpoints_at(triangulation: Triangulation, x: Float[np.ndarray, "n 2"]) -> 
     owner = index_of(places.x @ [1, 1j], starts @ [1, 1j])
     edge = np.flatnonzero(owner >= 0)
     wall = triangulation.wall[3 * places.triangle + places.on_side.argmax(axis=1)]
-    is_on_wall = places.on_side.any(axis=1) & (wall >= 0)
-    is_on_wall[owner[edge]] = False
-    on_wall = np.flatnonzero(is_on_wall)
+    on_wall = np.setdiff1d(np.flatnonzero(places.on_side.any(axis=1) & (wall >= 0)), owner)
     return Viewpoints(places.x, np.append(owner[edge], on_wall), np.append(edge, wall[on_wall]))
 
 
@@ -124,7 +122,7 @@ def triangles_within(triangulation: Triangulation, views: Viewpoints, right: Vec
     first = _Cones(cones.view, cones.half_edge, cones.vertex, right, left).take(np.flatnonzero(is_whole | meets))
     # 3. Collect the triangles that these cones visit.
     visited = [np.stack([first.view, first.half_edge // 3])]
-    visited += [new for _, _, new in _expansion(triangulation, views, first)]
+    visited += [new for _, _, new in _expand(triangulation, views, first)]
     return np.concatenate(visited, axis=1)
 
 
@@ -132,9 +130,7 @@ def _inside(u: Rays, right: Rays, left: Rays) -> Bool[np.ndarray, " n"]:
     return (orientation(*right, *u) >= 0) & (orientation(*u, *left) >= 0)
 
 
-def _expansion(
-    triangulation: Triangulation, views: Viewpoints, first: _Cones
-) -> Iterator[tuple[_Cones, Seen, Visits]]:
+def _expand(triangulation: Triangulation, views: Viewpoints, first: _Cones) -> Iterator[tuple[_Cones, Seen, Visits]]:
     """Yield cones that end at walls, and pairs of a viewpoint with a vertex seen and with a triangle visited."""
     pending = [first[begin : begin + _CONES] for begin in range(0, len(first), _CONES)]
     while pending:
@@ -300,7 +296,7 @@ def _look_around(triangulation: Triangulation, views: Viewpoints) -> tuple[Visib
     cones = _first_cones(triangulation, views)
     corners = triangulation.origin.reshape(-1, 3)[cones.half_edge // 3]
     ended, seen = [cones[:0]], [np.stack([np.repeat(cones.view, 3), corners.ravel()])]
-    for walls, new_seen, _ in _expansion(triangulation, views, cones):
+    for walls, new_seen, _ in _expand(triangulation, views, cones):
         ended.append(walls)
         seen.append(new_seen)
     bounds = [np.concatenate([getattr(part, name) for part in ended], axis=1) for name in ("right", "left")]

@@ -23,13 +23,15 @@ _AXES = range(1, 5)
 _LEAST_SIDE = 8e3  # rounding errors of coordinates per side of a voxel, as for pixels
 Coordinates = Float[np.ndarray, "dim n"]
 Numbers = Int[np.ndarray, "dim n"]
+NumbersAlong = Int[np.ndarray, " n"]
+Cells = Bool[np.ndarray, "..."]
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
     """Free and blocked voxels that fill a box; methods use voxel numbers, which start at 1 (see the module)."""
 
-    free: Bool[np.ndarray, "..."]  # read-only
+    free: Cells  # read-only
     bounds: Box
 
     @classmethod
@@ -70,10 +72,10 @@ class VoxelGrid:
         """Coordinates of the faces along each axis, ascending, with ``-inf`` before and ``inf`` after them."""
         fractions = [np.arange(num + 1)[:, None] / num for num in self.free.shape]
         inner = [self.bounds.at(of_axis)[:, axis] for axis, of_axis in enumerate(fractions)]
-        return [np.concatenate([[-np.inf], inner_faces, [np.inf]]) for inner_faces in inner]
+        return [np.concatenate([[-np.inf], of_axis, [np.inf]]) for of_axis in inner]
 
     @cached_property
-    def padded(self) -> Bool[np.ndarray, "..."]:
+    def padded(self) -> Cells:
         """``free`` with a layer of blocked voxels around it; voxel numbers, which start at 1, are its indices."""
         return np.pad(self.free, 1)
 
@@ -82,9 +84,7 @@ class VoxelGrid:
         below, above = zip(*[self.numbers_along(axis, row) for axis, row in enumerate(x)], strict=True)
         return np.stack(below), np.stack(above)
 
-    def numbers_along(
-        self, axis: int, x: Float[np.ndarray, " n"]
-    ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    def numbers_along(self, axis: int, x: Float[np.ndarray, " n"]) -> tuple[NumbersAlong, NumbersAlong]:
         """Return the least and largest number, along one axis, of voxels that contain each coordinate."""
         # The quotient is right up to rounding: compare exactly with the faces below and above that voxel.
         faces = self.faces[axis]
@@ -162,7 +162,7 @@ class Sums:
     strides: Int[np.ndarray, " dim"]
 
     @classmethod
-    def of(cls, array: Bool[np.ndarray, "..."]) -> "Sums":
+    def of(cls, array: Cells) -> "Sums":
         table = np.pad(array, [(1, 0)] * array.ndim).astype(np.int32 if array.size < 2**31 else np.int64)
         for axis in range(array.ndim):
             np.cumsum(table, axis=axis, out=table)
@@ -205,9 +205,7 @@ def disconnected_sets(num_axes: int) -> Bool[np.ndarray, " sets"]:
     return (free & ~spread(first & free, free)).any(axis=1)
 
 
-def reach_of_cells(
-    reached: Bool[np.ndarray, "..."], cut_off: Bool[np.ndarray, "..."], bounds: Box, domain: Box
-) -> Reach:
+def reach_of_cells(reached: Cells, cut_off: Cells, bounds: Box, domain: Box) -> Reach:
     """Return the reach of a goal on a grid of cells that fill ``bounds``; array axes are coordinate axes."""
     from scipy import ndimage
 
@@ -225,7 +223,7 @@ def reach_of_cells(
         far = cut_off & (away > FAR - np.linalg.norm(side))
 
     # 3. Make tests of boxes: whether a box meets any of some cells, by a summed-area table.
-    def test_of(cells: Bool[np.ndarray, "..."]) -> BoxTest:
+    def test_of(cells: Cells) -> BoxTest:
         sums = Sums.of(np.ascontiguousarray(cells))
 
         def test(lo: Fractions, hi: Fractions) -> Bool[np.ndarray, " boxes"]:

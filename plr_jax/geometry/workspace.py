@@ -150,8 +150,7 @@ class Workspace:
             squeeze: Whether a path may pass between two obstacles that touch in a single point.
         """
         region = placed_region(free, resolution, origin, row0=row0, tolerance=tolerance, drop_specks=drop_specks)
-        x0, y0, x1, y1 = region.bounds
-        return cls._from_free_space(as_bounds(((x0, y0), (x1, y1))), region, squeeze, rounded_one_by_one)
+        return cls._from_free_space(as_bounds(np.reshape(region.bounds, (2, 2))), region, squeeze, rounded_one_by_one)
 
     @classmethod
     def _from_free_space(
