@@ -43,12 +43,10 @@ class FamilySamples:
         """Choose a sample in each box ``lo[i]`` to ``hi[i]``, all of one size, and find where paths may turn."""
         # 1. Sample boxes without walls at their centers: the box is free or blocked as a whole.
         x, weight = (lo + hi) / 2, np.ones(len(lo))
-        at_wall = triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0]
-        at_wall = np.unique(at_wall)
+        at_wall = np.unique(triangulation.boundary.tree.query(shapely.box(*lo.T, *hi.T), predicate="intersects")[0])
         elsewhere = np.setdiff1d(np.arange(len(lo)), at_wall)
         weight[elsewhere] = triangulation.locator.find(x[elsewhere])[1] >= -triangulation.tolerance
         # 2. Sample boxes at walls at the center of their largest free piece.
-        weight[at_wall] = 0.0
         triangles = np.ascontiguousarray(triangulation.triangles.transpose(2, 0, 1))
         for begin in range(0, len(at_wall), _WALL_BOXES):
             batch = at_wall[begin : begin + _WALL_BOXES]
@@ -105,8 +103,7 @@ class FamilySamples:
         lo, hi = _view_box(view)
         near = np.flatnonzero(((self.placed >= lo) & (self.placed <= hi)).all(axis=1))
         direct = self.sampled[near[view.sees(np.zeros(len(near), int), self.placed[near])]]
-        distance[direct] = np.linalg.norm(self.x[direct] - goal, axis=1)
-        vertex[direct] = 0
+        distance[direct], vertex[direct] = np.linalg.norm(self.x[direct] - goal, axis=1), 0
         return distance, vertex
 
 
@@ -140,8 +137,7 @@ class FamilyCells:
         is_free = ~np.isin(np.arange(len(lo)), at_wall)[box]
         first_part = np.flatnonzero(~is_free | np.append(True, box[1:] != box[:-1])[: len(box)])
         pieces, triangle, is_free, box = pieces[:, first_part], part[first_part], is_free[first_part], box[first_part]
-        pieces[:, is_free] = boxes_as_pieces(lo[box[is_free]], hi[box[is_free]])
-        triangle[is_free] = -1
+        pieces[:, is_free], triangle[is_free] = boxes_as_pieces(lo[box[is_free]], hi[box[is_free]]), -1
         first_piece = np.searchsorted(box, np.arange(len(lo) + 1))
         # 3. List what corners see.
         sight, lists = corner_sight(visibility, triangulation), turns_by_triangle(visibility, triangulation)

@@ -85,8 +85,7 @@ class Shadows:
         Piece ``i``, with a point ``center[i]`` inside, is tested for viewpoint ``view[i]``. The viewpoint sees all or
         nothing of the piece if no shadow crosses the piece.
         """
-        point = self.table.points[view]
-        grid = grid_at(self.table.tolerance)
+        point, grid = self.table.points[view], grid_at(self.table.tolerance)
         # 1. Find the range of keys strictly inside each piece. Keys of one viewpoint run from 0 to 4,
         #    counterclockwise from the cut. As seen from outside, a piece spans less than half a turn, which is 2. So
         #    a larger difference of its corners' keys means that the cut passes through the piece:
@@ -117,8 +116,7 @@ class Shadows:
         low = np.searchsorted(self.key, 4.0 * view[piece_of_range] + begin, side="right")
         high = np.searchsorted(self.key, 4.0 * view[piece_of_range] + end, side="left")
         run, place = ragged_indices(np.maximum(high - low, 0))
-        shadow = low[run] + place
-        piece = piece_of_range[run]
+        shadow, piece = low[run] + place, piece_of_range[run]
         # 3. A shadow crosses a piece if the shadow contains the middle of the chord that its ray cuts out of the
         #    piece. A corner at offset d from the viewpoint lies u . d along the ray and u x d beside it. An edge of
         #    the piece meets the ray's line where the offset beside it changes its sign.
@@ -311,8 +309,7 @@ class CellSources:
         # 2. Drop the pieces outside of the part, and clip the pieces that the cut crosses.
         reaches = np.flatnonzero(highest(height) > 0)
         rows, cell, height = rows[reaches], cell[reaches], height[reaches]
-        pieces = self.pieces[:, rows]
-        is_cut = lowest(height) < 0
+        pieces, is_cut = self.pieces[:, rows], lowest(height) < 0
         pieces[:, is_cut] = convex_pieces.clip(pieces[:, is_cut], height[is_cut])
         # 3. Merge the pieces of parts without walls, and prune the sources of changed pieces.
         part = replace(self.of_pieces(rows), num_cells=len(parent), cell=cell, pieces=pieces)
@@ -328,8 +325,7 @@ class CellSources:
         cells = np.flatnonzero(np.diff(self.first_piece) > 1)
         rows, index = take_ragged(self.first_piece, cells)
         row, side = np.nonzero(self.sight.triangulation.wall.reshape(-1, 3)[self.triangle[rows]] >= 0)
-        triangle = self.triangle[rows[row]]
-        index = index[row]
+        triangle, index = self.triangle[rows[row]], index[row]
         start, end = (self.sight.triangulation.triangles[triangle, corner] for corner in (side, (side + 1) % 3))
         # 2. Test whether a wall enters the cell's box. Separating axes of a box and a segment are x, y and the
         #    segment's normal. Let m be the vector from the box's center to the segment's, and h and s half the widths
@@ -379,8 +375,7 @@ class CellSources:
         keep, by_center = np.ones((2, len(self.piece)), bool)
         keep[pairs], by_center[pairs] = bends, False
         pairs = pairs[bends & ~self.by_all[pairs]]
-        piece = self.piece[pairs]
-        view = self.sight.view[self.source[pairs]]
+        piece, view = self.piece[pairs], self.sight.view[self.source[pairs]]
         seen, is_whole = self.sight.shadows.see(view, self.pieces[:, piece], center[piece])
         by_all = self.by_all.copy()
         keep[pairs], by_center[pairs], by_all[pairs] = seen | ~is_whole, seen, seen & is_whole

@@ -109,8 +109,7 @@ def changed_triangulation(old: Triangulation, change: Change) -> Triangulation |
     # 4. Link the half-edges of the gap along the rims with the kept ones beyond.
     along_rim = np.flatnonzero(fill.wall >= len(walls))
     beyond = new_index[old.twin[rims[fill.wall[along_rim] - len(walls)]]]
-    twin[len(kept) + along_rim] = beyond
-    twin[beyond] = len(kept) + along_rim
+    twin[len(kept) + along_rim], twin[beyond] = beyond, len(kept) + along_rim
     return Triangulation(change.new, old.tolerance, *(column.astype(np.int32) for column in (origin, twin, wall)))
 
 

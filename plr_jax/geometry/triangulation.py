@@ -376,5 +376,4 @@ def _free_side(edges: Edges, triangles: Triangles, num_vertices: int) -> tuple[H
     new_index[free] = np.arange(len(free))
     rows = (3 * free[:, None] + np.arange(3)).ravel()
     twin = np.where(is_blocked, -1, 3 * new_index[twin // 3] + twin % 3)[rows]
-    origin = triangles.ravel()[rows]
-    return origin.astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)
+    return triangles.ravel()[rows].astype(np.int32), twin.astype(np.int32), wall[rows].astype(np.int32)

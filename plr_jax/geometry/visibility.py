@@ -179,8 +179,7 @@ def _first_cones(triangulation: Triangulation, views: Viewpoints) -> _Cones:
     triangle, _ = triangulation.locate(views.points[around])
     pairs = [(around, 3 * triangle + side) for side in range(3)]
     # 2. Viewpoints inside of a wall look through the two other sides of the wall's triangle.
-    view = views.owner
-    half_edge = triangulation.of_wall[views.edge]
+    view, half_edge = views.owner, triangulation.of_wall[views.edge]
     at_vertex = views.at_vertex(triangulation.boundary)
     pairs += [(view[~at_vertex], side(half_edge[~at_vertex])) for side in (next_half_edge, previous_half_edge)]
     # 3. Viewpoints at vertices look through the opposite sides of all triangles of their sectors. Turn around the

@@ -43,8 +43,7 @@ class VoxelGrid:
         if not voxels.any():
             raise ValueError(f"free must have at least one free voxel, got none in shape {voxels.shape}.")
         voxels.flags.writeable = False
-        shape = np.array(voxels.shape)
-        box = Box(np.zeros(len(shape)), shape) if bounds is None else Box.of(bounds, "The bounds")
+        box = Box(np.zeros(voxels.ndim), voxels.shape) if bounds is None else Box.of(bounds, "The bounds")
         if box.dim != voxels.ndim:
             raise ValueError(
                 f"The bounds must have {voxels.ndim} axes, as free[x, y, ...] has, got {shortened(bounds)}."
@@ -52,7 +51,7 @@ class VoxelGrid:
         if box.is_periodic:
             raise ValueError(f"The bounds of voxels must not have periodic axes, got {box}.")
         least = max(np.abs([box.lo, box.hi]).max() * 2.0**-52, rounding_of(box)) * _LEAST_SIDE
-        if np.abs([box.lo, box.hi]).max() > LARGEST_COORDINATE or (box.width / shape).min() < least:
+        if np.abs([box.lo, box.hi]).max() > LARGEST_COORDINATE or (box.width / voxels.shape).min() < least:
             raise ValueError(
                 f"Voxels must have sides of at least {least:.2g} here, and coordinates up to {LARGEST_COORDINATE:g}, "
                 f"got {voxels.shape} of them in {box}: choose fewer voxels, or bounds less slender or nearer to zero."
