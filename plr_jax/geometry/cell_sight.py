@@ -285,8 +285,7 @@ class CellSources:
     def append(self, *others: Self) -> Self:
         """Return the cells of this object, then those of the others, with indices shifted accordingly."""
         several = self, *others
-        names = *_OF_PIECES, *_OF_PAIRS
-        columns = dict(zip(names, concatenated(several, *names), strict=True))
+        columns = {name: concatenated(several, name)[0] for name in (*_OF_PIECES, *_OF_PAIRS)}
         pieces = np.concatenate([group.pieces for group in several], axis=1)
         num_cells, num_pieces, num_pairs = zip(
             *((e.num_cells, len(e.cell), len(e.piece)) for e in several), strict=True
