@@ -283,16 +283,16 @@ class CellSources:
         return replace(self, **{name: getattr(self, name)[pairs] for name in _OF_PAIRS})
 
     def append(self, *others: Self) -> Self:
-        """Return the cells of this object, then those of the others, with indices shifted accordingly."""
+        """Return the cells of this object, then those of the others."""
         several = self, *others
         columns = {name: concatenated(several, name)[0] for name in (*_OF_PIECES, *_OF_PAIRS)}
         pieces = np.concatenate([group.pieces for group in several], axis=1)
-        num_cells, num_pieces, num_pairs = zip(
-            *((e.num_cells, len(e.cell), len(e.piece)) for e in several), strict=True
-        )
-        columns["cell"] += np.repeat(np.cumsum([0, *num_cells[:-1]]), num_pieces)
-        columns["piece"] += np.repeat(np.cumsum([0, *num_pieces[:-1]]), num_pairs)
-        return replace(self, num_cells=sum(num_cells), pieces=pieces, **columns)
+        # Shift the indices of cells and pieces by the numbers in the preceding objects.
+        sizes = [(group.num_cells, len(group.cell), len(group.piece)) for group in several]
+        num_cells, num_pieces, num_pairs = np.array(sizes).T
+        columns["cell"] += np.repeat(np.cumsum(num_cells) - num_cells, num_pieces)
+        columns["piece"] += np.repeat(np.cumsum(num_pieces) - num_pieces, num_pairs)
+        return replace(self, num_cells=int(num_cells.sum()), pieces=pieces, **columns)
 
     def parts(self, parent: Rows, axis: Rows, is_upper: Bool[np.ndarray, " cells"], lo: Corners, hi: Corners) -> Self:
         """Return parts of cells as cells, with centers, distances and sources.
@@ -364,8 +364,9 @@ class CellSources:
         center[changed] = convex_pieces.centers(self.pieces[:, changed])
         moved = replace(self, center=center, distance=self.distance + np.linalg.norm(center - self.center, axis=1))
         # 2. Test pairs of changed pieces and sources:                    keep             by_center    by_all
-        #      not tested: of an unchanged piece, or, with a goal,
-        #        a source that all of the piece is known to see           True             True         as before
+        #      of an unchanged piece (not tested)                         True             True         as before
+        #      all of the piece is known to see the source, and there
+        #        is a goal (not tested: `prune_dominated` decides)        True             True         True
         #      no path from the piece can turn at the source              False            False        as before
         #      all of the piece is known to see the source (no goal)      True             not used     True
         #      others                                                     seen | ~whole    seen         seen & whole
@@ -402,7 +403,7 @@ class CellSources:
             of_piece[piece[order]] = values[order]
         # 2. Compare each rival, another source of the piece, with the cone offset + |x - apex| of paths to the best
         #    source if all of the piece sees it, else with the cone of paths to the center.
-        is_best_seen = np.append(self.by_all, False)[best_pair]  # False without a best pair, -1
+        is_best_seen = np.append(self.by_all, False)[best_pair]  # without a best pair (-1): False
         has_several = np.bincount(self.piece, minlength=len(changed)) > 1
         rivals = np.flatnonzero((changed & has_several & np.isfinite(distance))[self.piece])
         rivals = rivals[best_pair[self.piece[rivals]] != rivals]
